@@ -75,6 +75,10 @@ def query_tables(
 
     if not folder.is_dir():
         raise StoreError(f"{folder} is no store: run 'jrdb-avr load ROOT --store {folder}' first")
+    try:
+        sql.encode()
+    except UnicodeEncodeError:
+        raise QueryError("a statement is UTF-8 text: this one holds half a character") from None
     with duckdb.connect(":memory:") as connection:
         broken = _make_views(connection, folder, tables or {})
         _lock_down(connection)

@@ -222,17 +222,26 @@ def parse_plan(text: str | bytes) -> Plan:
         where = where.replace("key` in `$.times", "$.times[...]").strip("`$.")
         if "[...]" in where:
             where = where.replace("times[...]", f"times.{_bad_time(text)}")
-        raise PlanError(where or "plan", message + hint_for(where, message)) from None
-    except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
+        # An unknown key stands in the message as it was written.
+        words = " ".join((message + hint_for(where, message)).split())
+        raise PlanError(" ".join(where.split()) or "plan", words) from None
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
         raise PlanError("plan", f"not JSON: {error}") from None
     validate(plan)
     return plan
 
 
 def _bad_time(text: str | bytes) -> str:
-    """The name of the first time that cannot be read: the decoder says only that it is one of them."""
-    times: dict[str, Any] = msgspec.json.decode(text, type=dict[str, Any])["times"]
-    for name, time in times.items():
+    """The name of the first time that cannot be read: the decoder says only that it is one of them.
+
+    "..." where the text is no JSON further on, which the decoder had not come to.
+    """
+    try:
+        times: dict[str, Any] = msgspec.json.decode(text, type=dict[str, Any])["times"]
+    except (msgspec.DecodeError, UnicodeError, RecursionError):
+        return "..."
+    # Of a key that stands there twice, this decoder has read the last.
+    for name, time in times.items() if isinstance(times, dict) else ():
         try:
             _TIMES.decode(msgspec.json.encode({name: time}))
         except msgspec.ValidationError:

@@ -59,6 +59,8 @@ class SocialFacts(ActionFacts):
                 for other in also_said(verb):
                     _add_label(self._handled[track][other, category, thing], frame, None)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
+        numbers = sorted(self.layers.get("2d", []))
+        self._grid = range(numbers[0], numbers[-1] + 1, step_of(numbers)) if numbers else range(0)
         layers = ("groups", "interactions", "handles")
         self._steps = {layer: step_of(sorted(self.layers.get(layer, []))) for layer in layers}
 
@@ -107,11 +109,17 @@ class SocialFacts(ActionFacts):
         return len(same) if all(certain for _, certain in same) and not self._somebody_away(own[0], frame) else None
 
     def _somebody_away(self, cluster: int, frame: int) -> bool:
-        """Whether a member of a group has no box at the frame, but is in the group within a second of it."""
+        """Whether somebody without a box at the frame is in the group within a second of it, or could be.
+
+        Whose membership or whole record could not be read there could be in any group.
+        """
         near = range(frame - KEYFRAME_STEP, frame + KEYFRAME_STEP + 1)
+        if any(one in self._grid and not self.knows(one) for one in near):
+            return True
         return any(
-            cluster in groups and self.box(track, frame) is None and any(one in groups[cluster] for one in near)
-            for track, groups in self._clusters.items()
+            self.box(track, frame) is None and self._groups.get((one, track), (cluster,))[0] == cluster
+            for one in near
+            for track in self.people(one)
         )
 
     def same_group(self, track: int, other: int, frame: int) -> int:

@@ -104,7 +104,8 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) 
     """Per box: people of the frame in the same cluster, oneself included, and whether that is known.
 
     It is known where every person of the frame could be read and has a cluster row, no row of the cluster is hard, and
-    nobody of the cluster is out of the picture for a moment: somebody without a row might belong to any group.
+    nobody of the cluster is out of the picture for a moment. Somebody without a row might belong to any group, and so
+    might whoever is in a frame within a second that could not be read.
     """
     has_row = cluster_row >= 0
     cluster, certain = _take(groups.value, cluster_row), _take(groups.certain, cluster_row)
@@ -117,30 +118,45 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) 
     complete = np.isin(frame, line.frames_of("2d")) & ~np.isin(frame, frame[~has_row])
     sizes, known = np.empty(len(frame), np.int64), np.empty(len(frame), np.bool_)
     sizes[order] = members[group]
-    known[order] = complete & has_row & ~hard[group] & ~np.isin(paired(frame, cluster), _away(line, boxes, groups))
+    away, doubtful = _away(line, boxes, groups, boxes.frame[cluster_row < 0], boxes.track[cluster_row < 0])
+    complete &= ~np.isin(frame, doubtful)
+    known[order] = complete & has_row & ~hard[group] & ~np.isin(paired(frame, cluster), away)
     return sizes, known
 
 
-def _away(line: Timeline, boxes: Boxes, groups: Facts) -> Ints:
-    """Groups with a member out of the picture who is seen within a second, as keys of (frame, cluster)."""
-    annotated, grid = line.frames_of("2d"), line.grid("groups")
-    found = [np.empty(0, np.int64)]
+def _away(line: Timeline, boxes: Boxes, groups: Facts, bare_frame: Ints, bare_track: Ints) -> tuple[Ints, Ints]:
+    """Groups with a member out of the picture who is seen within a second, as keys of (frame, cluster); and frames at
+    which anybody might be such a member, of those within a second who could not be read or have no row (`bare`)."""
+    grid = line.grid("2d")
+    if grid is None or not len(groups.frame):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    row, frame = _gone(line, boxes, groups.frame, groups.track)
+    _, doubtful = _gone(line, boxes, bare_frame, bare_track)
+    unread = np.setdiff1d(np.arange(grid.first, grid.last + 1, grid.step), line.frames_of("2d"))
+    around = unread[:, None] + np.arange(-KEYFRAME_STEP, KEYFRAME_STEP + 1)
+    keys = distinct_of(np.sort(paired(frame, groups.value[row])))
+    return keys, np.unique(np.append(doubtful, around.ravel()))
+
+
+def _gone(line: Timeline, boxes: Boxes, frame: Ints, track: Ints) -> tuple[Ints, Ints]:
+    """Of people seen at frames: their rows, and annotated frames within a second without a box of theirs."""
+    annotated = line.frames_of("2d")
     # Most people are there all the time: they are left out first.
-    around = np.maximum(groups.frame - KEYFRAME_STEP, 0), groups.frame + KEYFRAME_STEP
-    by_person = np.sort(paired(boxes.track, boxes.frame))
+    around = np.maximum(frame - KEYFRAME_STEP, 0), frame + KEYFRAME_STEP
+    whole = np.isin(boxes.frame, annotated)
+    by_person = np.sort(paired(boxes.track[whole], boxes.frame[whole]))
     seen, frames = (
         np.searchsorted(known, high, "right") - np.searchsorted(known, low, "left")
-        for known, low, high in (
-            (by_person, *(paired(groups.track, frame) for frame in around)),
-            (annotated, *around),
-        )
+        for known, low, high in ((by_person, *(paired(track, one) for one in around)), (annotated, *around))
     )
-    groups = groups.at(seen < frames)
-    for away in range(-KEYFRAME_STEP, KEYFRAME_STEP + 1, grid.step) if grid else ():
-        frame = groups.frame + away
-        gone = np.isin(frame, annotated) & (boxes.rows(frame, groups.track) < 0)
-        found.append(paired(frame[gone], groups.value[gone]))
-    return distinct_of(np.sort(np.concatenate(found)))
+    rows = np.flatnonzero(seen < frames)
+    found = [np.empty((2, 0), np.int64)]
+    for away in range(-KEYFRAME_STEP, KEYFRAME_STEP + 1):
+        there = frame[rows] + away
+        gone = np.isin(there, annotated) & (boxes.rows(there, track[rows]) < 0)
+        found.append(np.stack([rows[gone], there[gone]]))
+    row, there = np.hstack(found)
+    return row, there
 
 
 def _take(values: npt.NDArray[N], row: Ints) -> npt.NDArray[N]:

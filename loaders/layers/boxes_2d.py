@@ -23,7 +23,7 @@ from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, known_frames, mask_of
 from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather, take_fields
-from jrdb_avr.loaders.labelfiles.json import NOTHING
+from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools, Ints
@@ -65,11 +65,25 @@ _ATTRIBUTES: Final = {
     "interpolated": Rule(optional(records.flag)),
     "no_eval": Rule(optional(records.flag)),
 }
+
+
+def _attributes(**fields: Any) -> Attributes2D:
+    """Attributes of the fields that could be read. Who may be left out of evaluation is in no clear view: where
+    `no_eval` could not be read, the occlusion is not known either."""
+    return Attributes2D(**fields if "no_eval" in fields else fields | {"occlusion": None})
+
+
+def _unread_attributes(parts: dict[str, bytes], frame: str, problems: Problems) -> dict[str, Any]:
+    """Attributes of a record that wrote some that cannot be read: a sequence without any shows everybody clearly."""
+    return {} if parts.get("attributes", b"") in ABSENT else {"attributes": Attributes2D()}
+
+
 _READER: Final = RecordReader(
     Record2D,
-    PERSON | {"attributes": Rule(_ATTRIBUTES, make=Attributes2D), "file_id": Rule(optional(records.text))},
+    PERSON | {"attributes": Rule(_ATTRIBUTES, make=_attributes), "file_id": Rule(optional(records.text))},
     # Of other repeated keys JSON's usual reading, the last, holds.
     once=("label_id", "box", "attributes", "action_label", "social_group", "social_activity"),
+    more=_unread_attributes,
 )
 _CODED: Final = ("label_id", "attributes", "file_id", "action_label", "social_group", "social_activity")
 

@@ -119,6 +119,21 @@ def test_a_member_without_a_box_for_a_second_leaves_the_size_of_the_group_open()
     assert [sizes[frame] for frame in (0, 7, 8, 14, 15, 29, 30)] == [None, None, 3, 3, None, None, 2]
 
 
+@pytest.mark.parametrize("lost", ["the record", "the group"])
+def test_a_member_who_could_be_hidden_leaves_the_size_of_the_group_open(lost):
+    """The third member is seen at frame 20 alone, where the record or its group cannot be read."""
+    world = World(range(41))
+    for frame in range(41):
+        for track in (1, 2):
+            world.see(track, [frame], ["standing"], group=7)
+    if lost == "the record":
+        world.frames.remove(20)
+    else:
+        world.see(3, [20], ["standing"])
+    sizes = {row["frame"]: row["group_size"] for row in derived(world, "sightings")}
+    assert [frame for frame, size in sizes.items() if size is None] == list(range(5, 36))
+
+
 @pytest.mark.parametrize(
     ("degrees", "sector"),
     [(180, "ahead"), (141, "ahead"), (139, None), (131, None), (129, "left"), (2, "behind"), (358, "behind")],

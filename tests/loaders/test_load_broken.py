@@ -326,6 +326,20 @@ def test_a_bad_attribute_is_unknown(tmp_path, name, value):
     assert (problem.kind, problem.field, problem.frame) == ("field", f"attributes.{name}", "000015.jpg")
 
 
+def test_who_cannot_be_told_to_be_evaluated_is_in_no_clear_view(tmp_path):
+    bad = {"occlusion": "Fully_visible", "no_eval": "maybe"}
+    store, _ = loaded(tmp_path, raw_2d(variant(attributes=bad)))
+    assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]
+
+
+def test_attributes_that_cannot_be_read_are_still_attributes(tmp_path):
+    """Where nobody has any, everybody counts as visible."""
+    store, found = loaded(tmp_path, {0: [person(1, (1, 60, 50, 200)) | {"attributes": [1]}]})
+    assert store.interval("sequence", NAME)["has_attributes"].to_pylist() == [True]
+    assert store.interval("sightings", NAME)["clear"].to_pylist() == [False]
+    assert [problem.field for problem in found.problems] == ["attributes"]
+
+
 def test_missing_occlusion_is_not_visible(tmp_path):
     store, found = loaded(tmp_path, raw_2d(variant(attributes={"no_eval": False})))
     assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]

@@ -418,6 +418,7 @@ def test_hostile_sql_is_refused_in_one_line(store, surroundings, one_connection)
         f"COPY (SELECT 1) TO '{target}'",
         f"EXPORT DATABASE '{target}'",
         f"ATTACH '{target}' AS x",
+        "SELECT '\ud800'",
         "INSTALL httpfs",
         "LOAD httpfs",
         "SET enable_external_access = true",

@@ -299,6 +299,27 @@ def test_what_is_no_plan_is_refused(text):
         parse_plan(text)
 
 
+WRONG_TIME = '{"root": "a", "target": "a", "times": {"t0": 5}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\xee".encode("latin-1") + json.dumps(EXAMPLE).encode(),
+        # A wrong time, and what is no JSON behind it.
+        WRONG_TIME + ', "nodes": [',
+        WRONG_TIME + "\ud800",
+        WRONG_TIME + ', "times": 5}',
+        WRONG_TIME + ', "nodes": ' + "[" * 5000,
+        json.dumps(EXAMPLE | {"a\nb": 1}),
+    ],
+)
+def test_what_breaks_off_is_refused_in_one_line(text):
+    with pytest.raises(PlanError) as refused:
+        parse_plan(text)
+    assert refused.value.field and "\n" not in str(refused.value)
+
+
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.text(max_size=4) | st.sampled_from(["a", "t0", "start", "frame"]),
     lambda inner: (

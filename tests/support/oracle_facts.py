@@ -181,7 +181,12 @@ class Oracle:
         cluster = self.clusters[frame, track][0]
         mine = [self.clusters[frame, t] for t in people if self.clusters[frame, t][0] == cluster]
         # Somebody may be hidden for a moment and belong to the group all the same.
-        near = {t for f in range(frame - 15, frame + 16) for t in self.members.get((f, cluster), ())}
+        around = range(frame - 15, frame + 16)
+        grid = range(min(self.known_2d), max(self.known_2d) + 1, step_of(sorted(self.known_2d)))
+        if any(f in grid and f not in self.known_2d for f in around):
+            return None
+        near = {t for f in around for t in self.members.get((f, cluster), ())}
+        near |= {t for f in around for t in self.in_frame(f) if (f, t) not in self.clusters}
         return len(mine) if near <= set(people) and all(code in (1, 2) for _, code in mine) else None
 
     # -- tables --

@@ -383,16 +383,18 @@ def read_2d(value, every=False):
 def _read_person(found, frame, track, record, box):
     here = {"frame": frame, "track": track}
     attributes = record.get("attributes")
-    told = isinstance(attributes, dict)
-    attributes = attributes if told else {}
-    occlusion = attributes.get("occlusion")
+    written = attributes is not None
+    attributes = attributes if isinstance(attributes, dict) else {}
+    evaluated = attributes.get("no_eval")
+    # Who may be left out of evaluation is not known to be visible.
+    occlusion = attributes.get("occlusion") if evaluated is None or flag(evaluated) is not None else None
     words = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
     actions = [(n, c) for n, c in labels_of(record.get("action_label")) if plain(n) != "impossible"]
     found.add(
         "boxes_2d",
         **here,
         **dict(zip("xywh", box, strict=True)),
-        has_attributes=told,
+        has_attributes=written,
         occlusion=occlusion if isinstance(occlusion, str) and occlusion in words else None,
         truncated=flag(attributes.get("truncated")),
         interpolated=flag(attributes.get("interpolated")),
