@@ -215,7 +215,7 @@ def _structural(change):
             value = json.loads(data)
         except (ValueError, RecursionError):
             return flip_bytes(rng, data)
-        places = list(_places(value))
+        places = list(places_of(value)) if isinstance(value, list | dict) else []
         if not places:
             return data
         change(rng, places)
@@ -228,7 +228,7 @@ def _structural(change):
     return mutation
 
 
-def _places(value):
+def places_of(value):
     """Every (container, key) of a value."""
     pending = [value]
     while pending:
@@ -285,7 +285,7 @@ def rename_key(rng, places):
 @_structural
 def shift_number(rng, places):
     """A number a little off, or as another type: facts that look right and are others."""
-    numbers = [(c, k) for c, k in places if isinstance(c[k], int | float) and not isinstance(c[k], bool)]
+    numbers = [(c, k) for c, k in places if isinstance(c[k], int | float) and abs(c[k]) < 2**53 and c[k] is not True]
     if numbers:
         container, key = rng.choice(numbers)
         value = container[key]
