@@ -1,12 +1,11 @@
-"use strict";
 (() => {
-  const slider = document.getElementById("until");
+  const slider = byId("until");
   const sections = [...document.querySelectorAll("section.step")];
   const parts = [...document.querySelectorAll("[data-step]:not(section)")];
   const show = () => {
     const until = Number(slider.value);
     const at = sections.findLast((section) => Number(section.dataset.step) <= until);
-    document.getElementById("at").textContent = at ? `${until} of ${slider.max}: ${at.dataset.what}` : "no steps";
+    byId("at").textContent = at ? `${until} of ${slider.max}: ${at.dataset.what}` : "no steps";
     // At step k a belief stood where step <= k and until > k.
     for (const part of parts) {
       part.classList.toggle("late", Number(part.dataset.step) > until);

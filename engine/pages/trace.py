@@ -134,22 +134,24 @@ def _way(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
 def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
     """Entities that were seen in a column, and relations, which lead on to an `end`, between those seen in one frame.
 
-    Each with its step, the entity's colour (`role`), frame and text; `label`: a name that stands `below` or above.
+    Each with its step, the entity's colour (`role`), frame and text; `label`: a name, at `label_y` from the mark.
     """
     marks: list[dict[str, Any]] = []
     columns: dict[tuple[str, int], float] = {}
     labelled: set[str] = set()
+    levels: dict[int, list[list[tuple[float, float]]]] = {}
     for write in trace.writes:
         if (seen := write.fact.sighted) is not None and seen.source in names:
             name, role = names[seen.source]
             column = columns[seen.source, seen.frame] = (seen.box.x + seen.box.w / 2) % WIDTH
             mark = {"step": write.step, "role": role, "frame": seen.frame, "column": column, "end": None}
-            # The name stands at the first sighting, while there are few; above and below in turn, as the people of a
-            # plan often stand side by side.
+            # The name stands at the first sighting, while there are few, in the first line below without names of about
+            # the same time; relations lead on above.
             label = name[:12] if seen.source not in labelled and len(names) <= _NAMED else ""
-            marks.append(
-                mark | {"text": f"{name}, frame {seen.frame}", "label": label, "below": len(labelled) % 2 == 1}
-            )
+            left = column * _MAP_WIDTH / WIDTH
+            beside = levels.setdefault(seen.frame // 15, [])
+            line = _level(beside, (left, left + 12 + _LETTER * len(label))) if label else 0
+            marks.append(mark | {"text": f"{name}, frame {seen.frame}", "label": label, "label_y": 17 + 12 * line})
             labelled.add(seen.source)
         if (tie := write.fact.related) is not None:
             start, end = (columns.get((key, tie.first)) for key in (tie.source, tie.target))
@@ -220,6 +222,8 @@ _NODE: Final = (126.0, 40.0)
 _STRIDE: Final = 190.0
 _ARC: Final = 32.0
 _LETTER: Final = 6.4
+_MAP_WIDTH: Final = 934.0
+"""Of the map, as the template draws it."""
 _WORDS: Final = 60
 _MOST_NODES: Final = 40
 """Of a drawing; where a hostile run wrote more, relations are a list."""

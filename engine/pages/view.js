@@ -12,6 +12,8 @@
   };
   const overlay = (frame) => {
     const parts = [];
+    const labels = [];
+    const named = [];
     for (const look of scene.looks.filter((own) => own.frame === frame)) {
       for (const [x, width] of look.spans) {
         parts.push(drawn("rect", { class: "look", x: x + 4, y: 4, width: Math.max(0, width - 8), height: scene.height - 8 }));
@@ -26,11 +28,18 @@
         const group = drawn("g", { ...(own.kind.startsWith("role") && { class: own.kind }) });
         group.append(drawn("rect", { class: "edge", ...place }), drawn("rect", { class: `box ${own.kind}`, ...place }));
         group.append(drawn("title", {}, own.name));
-        if (group.classList.length) group.append(drawn("text", { x: Math.max(4, x), style: `--y: ${y}px` }, own.name));
+        // Of people side by side, one has the name below the box; of boxes of one person, one has it.
+        if (group.classList.length && !named.some(([name, left]) => name === own.name && Math.abs(left - x) < 200)) {
+          const taken = named.some(([name, left, top]) => Math.abs(left - x) < 30 * name.length && Math.abs(top - y) < 60);
+          const row = taken ? y + height + 70 : y;
+          named.push([own.name, x, row]);
+          labels.push(drawn("g", { class: own.kind }));
+          labels.at(-1).append(drawn("text", { x: Math.max(4, x), style: `--y: ${row}px` }, own.name));
+        }
         parts.push(group);
       }
     }
-    byId("overlay").replaceChildren(...parts);
+    byId("overlay").replaceChildren(...parts, ...labels);
   };
 
   let at = 0;

@@ -134,6 +134,22 @@ def test_a_page_is_dark_where_the_reader_likes_it(opened, report):
     assert sum(map(int, re.findall(r"\d+", color))) < 150
 
 
+def test_paper_has_no_controls_and_is_light(opened, report, inspected):
+    driver, _ = opened
+    controls = "[...document.querySelectorAll('select, input, dialog, header, nav, .zoom, .seconds, article button')]"
+    for page in (report, inspected):
+        visit(driver, page)
+        dark = {"name": "prefers-color-scheme", "value": "dark"}
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print", "features": [dark]})
+        found = driver.execute_script(
+            f"return [{controls}.filter((own) => own.getClientRects().length).length,"
+            "getComputedStyle(document.body).backgroundColor,"
+            "[...document.querySelectorAll('figure, svg')].map((own) => getComputedStyle(own).breakInside)]"
+        )
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+        assert found[:2] == [0, "rgb(255, 255, 255)"] and set(found[2]) == {"avoid"}
+
+
 def test_colours_of_words_are_told_from_what_lies_behind():
     """WCAG 2 AA: 4.5 to 1, in light, dark and print; the roles' colours too, that name people."""
     folder = files("jrdb_avr.engine.pages")
