@@ -101,7 +101,7 @@ def _manifest(data: bytes, path: Path) -> RunManifest:
             raise ValueError("its settings are too large")
         _check_depth(run.settings, _DEEPEST_SETTINGS)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be used: {error}", file=str(path)) from None
+        raise InputError(f"{path} cannot be used: {' '.join(str(error).split())}", file=str(path)) from None
     return run
 
 

@@ -99,7 +99,9 @@ def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
             seen.add(found.question_id)
             rows.append(_row(found, run_id))
         except (ValueError, RecursionError) as error:
-            raise InputError(f"{file}, line {number}: {error}", file=str(file), field=f"line {number}") from None
+            # An unknown key stands in the message as it was written.
+            words = " ".join(str(error).split())
+            raise InputError(f"{file}, line {number}: {words}", file=str(file), field=f"line {number}") from None
     return pa.Table.from_pylist(rows, RUNS["predictions"])
 
 

@@ -93,6 +93,7 @@ def test_a_line_needs_an_id_alone(store, tmp_path):
 BROKEN = {
     "no JSON": (b"{", "line 1"),
     "another key": (b'{"question_id": "loose", "score": 1}', "unknown field `score`"),
+    "a key of two lines": (b'{"question_id": "loose", "a\\nb": 1}', "unknown field `a b`"),
     "no id": (b'{"answer": {"choice": 1}}', "question_id"),
     "an unknown question": (b'{"question_id": "who"}', "not in the store"),
     "twice": (b'{"question_id": "loose"}\n{"question_id": "loose"}', "line 2: question 'loose' comes twice"),
