@@ -70,10 +70,10 @@ _LONGER_NAME: Final = "max_completion_tokens"
 
 _Fault = Literal["unreachable", "busy", "timeout", "broken"]
 _NEXT: Final[Mapping[_Fault, str]] = {
-    "unreachable": "start the server or correct --base-url, then run again (evaluate with --resume)",
-    "busy": "run again when it is less busy, or with a smaller --concurrency (evaluate with --resume)",
-    "timeout": "run again with a smaller --concurrency or a larger --timeout (evaluate with --resume)",
-    "broken": "look into the server's log, then run again (evaluate with --resume)",
+    "unreachable": "start the server or correct --base-url, then run again",
+    "busy": "run again when it is less busy, or with a smaller --concurrency",
+    "timeout": "run again with a smaller --concurrency or a larger --timeout",
+    "broken": "look into the server's log, then run again",
 }
 """What a person does about a fault that stays."""
 
@@ -250,9 +250,11 @@ class Client:
                 else:
                     # Where no other call got through meanwhile, the next question would fare no better.
                     gone = broken.passing and self._replies == replies
+                    # A probe belongs to no run that could be resumed.
+                    resume = " (evaluate with --resume)" if most_s == math.inf else ""
                     raise (RunStoppedError if gone else EndpointError)(
                         f"{self.base_url}: {broken.reason} ({tries} {'try' if tries == 1 else 'tries'}): "
-                        f"{_NEXT[broken.fault]}"
+                        f"{_NEXT[broken.fault]}{resume}"
                     ) from None
                 self._pause(wait)
 

@@ -906,6 +906,16 @@ def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
         assert client(server)[0].complete(ASK).content == "hi"
 
 
+def test_a_probe_that_fails_speaks_of_no_run_to_resume():
+    """As llama.cpp without eyes refuses a picture: with a 500."""
+    with FakeServer(sequence_of(Status(500, "image input is not supported"))) as server:
+        made, _ = client(server)
+        for send, said in ((made.probe, False), (made.complete, True)):
+            with pytest.raises(EndpointError, match="image input is not supported") as told:
+                send(ASK)
+            assert ("--resume" in str(told.value)) == said
+
+
 # -- who replies ------------------------------------------------------------------------------------------------------
 
 
