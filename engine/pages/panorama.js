@@ -29,8 +29,15 @@
       if (left + wide > full) svg.append(again);
       else again.remove();
     };
+    const firstBox = () => svg.querySelector("rect.target, rect.box, rect.look")?.getBBox();
+    /** Where the keys zoom: about the first box while it is in the picture, about the middle otherwise. */
+    const aim = () => {
+      const box = firstBox();
+      const share = box ? ((box.x + box.width / 2 - left + 2 * full) % full) / wide : 1;
+      return share < 1 ? share : 0.5;
+    };
     /** Zoom about a place of the picture, given in shares of its sides. */
-    const zoom = (factor, x = 0.5, y = 0.5) => {
+    const zoom = (factor, x = aim(), y = 0.5) => {
       const [column, row] = [left + x * wide, top + y * tall()];
       wide = Math.min(full, Math.max(full / MOST, wide / factor));
       left = wide === full && factor < 1 ? 0 : column - x * wide;
@@ -39,7 +46,7 @@
     };
     const reset = () => {
       wide = whole();
-      const box = svg.querySelector("rect.target, rect.box, rect.look")?.getBBox();
+      const box = firstBox();
       left = wide < full && box ? box.x + box.width / 2 - wide / 2 : 0;
       top = 0;
       show();
