@@ -7,8 +7,9 @@ files can be opened.
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -65,45 +66,58 @@ def query_tables(
     timeout_s: float = _TIMEOUT_S,
     tables: Mapping[str, pa.Table] | None = None,
 ) -> pa.Table:
-    """Run one SELECT over the views of a store's folder; `$name` in it are bound to `params`.
-
-    `tables` stand beside the views, or in their place; where `scores` is among them, views of runs hold only its runs.
+    """Run one SELECT over the views of `open_tables`; `$name` in it are bound to `params`.
 
     Raises StoreError where the folder is no store, QueryError where the statement is refused, fails or takes too long.
+    """
+    with open_tables(folder, tables) as select:
+        return select(sql, params, timeout_s)
+
+
+@contextlib.contextmanager
+def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> Iterator[Callable[..., pa.Table]]:
+    """A function that runs SELECTs over the views of a store's folder, made once as that takes longer than most.
+
+    `tables` stand beside the views, or in their place; where `scores` is among them, views of runs hold only its runs.
+    The function takes a statement, its parameters and its timeout, and raises as `query_tables`.
     """
     import duckdb
 
     if not folder.is_dir():
         raise StoreError(f"{folder} is no store: run 'jrdb-avr load ROOT --store {folder}' first")
-    try:
-        sql.encode()
-    except UnicodeEncodeError:
-        raise QueryError("a statement is UTF-8 text: this one holds half a character") from None
     with duckdb.connect(":memory:") as connection:
         broken = _make_views(connection, folder, tables or {})
         _lock_down(connection)
-        timer = threading.Timer(timeout_s, connection.interrupt)
-        timer.daemon = True
-        timer.start()
-        try:
-            statements = connection.extract_statements(sql)
-            if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
-                raise QueryError("one SELECT statement is allowed, and nothing that writes, loads or attaches")
-            # As a relation, so that the rows are not copied once more on their way to Arrow.
-            values = {name: scalar(value) for name, value in (params or {}).items()}
-            return connection.sql(sql, params=values or None).to_arrow_table()
-        except duckdb.InterruptException:
-            raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
-        except duckdb.Error as error:
-            message = " ".join(str(error).split())
-            for name, reason in broken.items():
-                if f"Table with name {name} " in message:
-                    message = reason
-            raise QueryError(message if len(message) <= 300 else message[:297] + "...") from None
-        finally:
-            timer.cancel()
-            # A thread that holds the connection when the program ends makes the engine report a leak.
-            timer.join()
+
+        def select(sql: str, params: Mapping[str, Any] | None = None, timeout_s: float = _TIMEOUT_S) -> pa.Table:
+            try:
+                sql.encode()
+            except UnicodeEncodeError:
+                raise QueryError("a statement is UTF-8 text: this one holds half a character") from None
+            timer = threading.Timer(timeout_s, connection.interrupt)
+            timer.daemon = True
+            timer.start()
+            try:
+                statements = connection.extract_statements(sql)
+                if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
+                    raise QueryError("one SELECT statement is allowed, and nothing that writes, loads or attaches")
+                # As a relation, so that the rows are not copied once more on their way to Arrow.
+                values = {name: scalar(value) for name, value in (params or {}).items()}
+                return connection.sql(sql, params=values or None).to_arrow_table()
+            except duckdb.InterruptException:
+                raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
+            except duckdb.Error as error:
+                message = " ".join(str(error).split())
+                for name, reason in broken.items():
+                    if f"Table with name {name} " in message:
+                        message = reason
+                raise QueryError(message if len(message) <= 300 else message[:297] + "...") from None
+            finally:
+                timer.cancel()
+                # A thread that holds the connection when the program ends makes the engine report a leak.
+                timer.join()
+
+        yield select
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:

@@ -13,7 +13,7 @@ from jrdb_avr.engine.generate.blind import Guesser, QuestionText, blind_check, q
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, shortfalls, tallies
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.generate.views import min_crops
-from jrdb_avr.queries.sql import query_tables
+from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
@@ -93,13 +93,9 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
         ],
         "blind": [{"family": FAMILIES[row["template"]], **row} for row in blind_check(texts, learned)],
     }
-    return {name: derived[name] if name in derived else _counted(store, name, tables) for name in TITLES}
-
-
-def _counted(store: Store, name: str, tables: Mapping[str, pa.Table]) -> list[_Row]:
-    """The rows of a statement of `queries/stats/` over these tables."""
-    rows: list[_Row] = query_tables(store.path, read_statement(f"stats/{name}.sql"), tables=tables).to_pylist()
-    return rows
+    with open_tables(store.path, tables) as select:
+        counted = {name: select(read_statement(f"stats/{name}.sql")) for name in TITLES if name not in derived}
+    return {name: derived[name] if name in derived else counted[name].to_pylist() for name in TITLES}
 
 
 def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
