@@ -157,8 +157,9 @@ def totals(reports: list[SequenceReport]) -> str:
     loaded = [report for report in reports if report.layers]
     sums = {name: sum(getattr(report, name) for report in loaded) for name in ("frames", "people", "boxes", "boxes_3d")}
     unknown = len({(label.field, label.label) for report in loaded for label in report.unknown_labels})
+    sequences = "1 sequence" if len(loaded) == 1 else f"{len(loaded)} sequences"
     return (
-        f"{len(loaded)} sequences, {sums['frames']:,} frames, {sums['people']:,} people, {sums['boxes']:,} boxes, "
+        f"{sequences}, {sums['frames']:,} frames, {sums['people']:,} people, {sums['boxes']:,} boxes, "
         f"{sums['boxes_3d']:,} 3D boxes; {unknown} labels outside the vocabulary; "
         f"{sum(report.refused for report in reports):,} refused or skipped"
     )

@@ -13,6 +13,8 @@ from hypothesis import settings
 
 # Tables are as wide as a terminal says; the tests and the tour expect those of no terminal.
 os.environ.pop("COLUMNS", None)
+# Readline, which pytest loads, sets it for processes that this one starts, past `os.environ`.
+os.unsetenv("COLUMNS")
 
 # The workers share the cores already: threads of numpy, scikit-learn and Arrow would only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")

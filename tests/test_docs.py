@@ -2,17 +2,24 @@
 
 import contextlib
 import io
+import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import cv2
 import entry
+import pyarrow as pa
 import pytest
 from places import DOCS, ROOT
+
+from jrdb_avr.agent.simulated import server
+from jrdb_avr.engine.local_server import LocalServer, Request
+from jrdb_avr.queries.graph import guard
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TOUR = (DOCS / "tour.md").read_text(encoding="utf-8")
@@ -43,7 +50,7 @@ def kept(command, lines):
     The output of a run depends on clocks and the JPEG decoder, so only its lines without a number count.
     """
     plain = [re.sub(r"[\s─-╿]+", " ", line).strip() for line in lines]
-    of_a_run = re.search(r" (evaluate|score|report|trace|scores_by_family|world_runs) ", command)
+    of_a_run = re.search(r" (demo|evaluate|diff|view|score|report|trace|scores_by_family|world_runs) ", command)
     return [line for line in plain if line and not (of_a_run and re.search(r"\d", line))]
 
 
@@ -61,45 +68,84 @@ def typed(command):
     return done.returncode, done.stdout
 
 
-def here(command):
-    """The same within this process; only the part after a pipe is a process."""
+def here(command, printed):
+    """The same within this process; only the part after a pipe is a process. `printed`: what commands have printed."""
     words = shlex.split(command)
     at = words.index("|") if "|" in words else len(words)
     # Nothing else that a shell acts upon.
     assert words[0] == "jrdb-avr" and not re.search(r"[$`;<>&*?]", re.sub(r"'[^']*'|\"[^\"$`]*\"", "", command)), (
         command
     )
-    code, out, err = entry.run(*words[1:at])
+    code, out, err = (0, *printed[tuple(words[1:at])]) if tuple(words[1:at]) in printed else entry.run(*words[1:at])
     if words[at + 1 :]:
         out = subprocess.run(words[at + 1 :], input=out, capture_output=True, text=True, check=True).stdout
     return code, out + err
 
 
-def test_the_tour_runs_as_written(tmp_path, monkeypatch):
+@pytest.fixture
+def statements_here(monkeypatch):
+    """Cypher statements run within this process: those of the documentation crash nothing."""
+
+    def run_child(request, timeout_s):
+        table = guard._read(**json.loads(request))
+        with pa.BufferOutputStream() as out, pa.ipc.new_stream(out, table.schema) as writer:
+            writer.write_table(table)
+        return subprocess.CompletedProcess("statement", 0, out.getvalue())
+
+    monkeypatch.setattr(guard, "run_child", run_child)
+
+
+@contextlib.contextmanager
+def served(command):
+    """The simulated model that a shell command starts in the background, on a free port: the named port, and this."""
+    words = shlex.split(command.removesuffix(" &"))
+    at = words.index("--port") + 1
+    named, words[at] = words[at], "0"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with server.start_process([sys.executable, *words[1:]], **pipes) as process:
+        try:
+            yield named, re.search(r":(\d+)/v1", process.stdout.readline())[1]
+        finally:
+            process.kill()
+
+
+def test_the_tour_runs_as_written(tmp_path, monkeypatch, small_demo, statements_here):
     monkeypatch.chdir(tmp_path)
-    for command, shown in steps(TOUR):
-        # A process costs a second: one command with a pipe and one without are run as users type them.
-        code, output = (typed if re.search(r" (observe|who_is_where) ", command) else here)(command)
-        assert code == 0 and "jrdb-avr: " not in output, f"{command}\n{output}"
-        assert shown and kept(command, shown) == kept(command, output.splitlines()), command
+    # The demo has run for all tests; nothing of it is written to.
+    shutil.copytree(small_demo.folder, "demo-out")
+    printed = {("demo",): (small_demo.printed, ""), **small_demo.outputs}
+    # Instead of waiting for Ctrl-C.
+    opened = Request("GET", "", {}, b"")
+    monkeypatch.setattr(LocalServer, "serve_forever", lambda self: self.respond(opened))
+    (started,), (runs,) = (blocks(TOUR, kind) for kind in ("sh", "toml"))
+    with served(started) as (named, port):
+        Path("runs.toml").write_text(runs.replace(f":{named}/", f":{port}/"))
+        for command, shown in steps(TOUR):
+            # A process costs a second: one command is run as users type it.
+            code, output = typed(command) if " who_is_where " in command else here(command, printed)
+            assert code == 0 and "jrdb-avr: " not in output, f"{command}\n{output}"
+            assert shown and kept(command, shown) == kept(command, output.splitlines()), command
+    ran = {command.partition(" | ")[0] for command, _ in steps(TOUR)}
+    assert {shlex.join(["jrdb-avr", *own]) for own in printed} <= ran
     for snippet in blocks(TOUR, "python") + blocks(README, "python"):
         with contextlib.redirect_stdout(io.StringIO()) as out:
             exec(snippet, {})
         assert all(int(number) > 0 for number in out.getvalue().split())
     for query, rows in zip(blocks(GRAPH, "cypher"), blocks(GRAPH, "text"), strict=True):
         sequence = ("--param", "sequence=sample-plaza-01_0") if "$" in query else ()
-        code, out, _ = entry.run("cypher", query, "--store", "tour/store", *sequence)
+        code, out, _ = entry.run("cypher", query, "--store", "demo-out/store", *sequence)
         assert code == 0 and kept("", rows.splitlines()) == kept("", out.splitlines()), query
     # The pictures are what the commands draw; JPEG decoders may differ slightly.
-    made, shown = (cv2.imread(str(path / "look.png")).astype(int) for path in (tmp_path / "tour", DOCS))
+    made, shown = (cv2.imread(str(path / "look.png")).astype(int) for path in (tmp_path / "demo-out", DOCS))
     assert made.shape == shown.shape and abs(made - shown).mean() < 1
-    assert (tmp_path / "tour" / "stats.svg").read_text() == (DOCS / "stats.svg").read_text()
+    assert (tmp_path / "stats.svg").read_text() == (DOCS / "stats.svg").read_text()
 
 
 def test_the_commands_of_the_readme_are_those_of_the_tour():
-    ran = [command for command, _ in steps(TOUR)]
+    begin = steps(TOUR.split("## What the demo did")[0])
+    # "In six commands".
     used = [command for command, _ in steps(README)]
-    assert used and all(any(command.startswith(one) for command in ran) for one in used)
+    assert used == [command.partition(" | ")[0] for command, _ in begin] and len(used) == 6
 
 
 def test_two_commands_set_it_up():

@@ -23,7 +23,7 @@ import msgspec
 
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
-from jrdb_avr.agent.simulated.knobs import PERFECT, Draws, Knobs, settings
+from jrdb_avr.agent.simulated.knobs import PERFECT, PROFILES, Draws, Knobs, settings
 from jrdb_avr.agent.simulated.noise import Wording, think, with_wrong_boxes, with_wrong_policy, word
 from jrdb_avr.agent.simulated.perception import Perception, Reader
 from jrdb_avr.agent.simulated.play import STAGES
@@ -77,6 +77,7 @@ _REQUEST: Final = msgspec.json.Decoder(_Request)
 class Server(ThreadingHTTPServer):
     """Serves until `shutdown`.
 
+    A request for a model that is named like a profile gets that profile, any other `knobs`.
     `log` receives one JSON line per answered question: the question, what was missing, and which knob spoiled it.
     """
 
@@ -107,35 +108,35 @@ class Server(ThreadingHTTPServer):
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise DecodeError(f"no chat-completions request: {error}") from None
         message.check()
-        knobs = self.knobs
+        knobs = PROFILES.get(message.model, self.knobs)
         draws = Draws(knobs.seed, "" if knobs == PERFECT else hashlib.sha256(body).hexdigest())
         request = read_request(message.turns, self.reader, STAGES, functools.partial(Perception, knobs))
         calls: list[dict[str, Any]] = []
         if request is None:
             wording = Wording(think(knobs, draws) + _probe_reply(message, self.reader))
         else:
-            wording, reply = self._play(request, draws)
+            wording, reply = self._play(request, knobs, draws)
             if reply is not None and message.usable_tools:
                 calls = tool_calls(reply, message.usable_tools, message.tool_choice, len(message.messages))
         time.sleep(knobs.latency)
         return _completion(message, wording, calls[:1] if message.parallel_tool_calls is False else calls)
 
-    def _play(self, request: Request, draws: Draws) -> tuple[Wording, Mapping[str, Any] | None]:
+    def _play(self, request: Request, knobs: Knobs, draws: Draws) -> tuple[Wording, Mapping[str, Any] | None]:
         """The reply as it is sent, and as an object; None where it is spoiled."""
         turn = STAGES[request.stage](request)
-        reply = with_wrong_boxes(turn.reply, request.looks, self.knobs, draws)
+        reply = with_wrong_boxes(turn.reply, request.looks, knobs, draws)
         boxes_wrong = reply != turn.reply
-        reply = with_wrong_policy(reply, self.knobs, draws)
-        wording, spoiled = word(msgspec.json.encode(reply).decode(), self.knobs, draws)
+        reply = with_wrong_policy(reply, knobs, draws)
+        wording, spoiled = word(msgspec.json.encode(reply).decode(), knobs, draws)
         if self._log is not None and turn.missing is not None:
-            knobs = [*(["wrong_box"] if boxes_wrong else ()), *([spoiled] if spoiled else ())]
+            faults = [*(["wrong_box"] if boxes_wrong else ()), *([spoiled] if spoiled else ())]
             line = {
                 "stage": request.stage,
                 "question": request.question,
                 "choices": request.choices,
                 "looks": len(request.looks),
                 "missing": turn.missing,
-                **({"knobs": knobs} if knobs else {}),
+                **({"knobs": faults} if faults else {}),
             }
             with self._lock, self._log.open("ab") as file:
                 file.write(msgspec.json.encode(line) + b"\n")

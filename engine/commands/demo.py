@@ -25,10 +25,10 @@ _SEQUENCE: Final = "sample-plaza-01_0"
 class Size:
     """The size of the world, and the number of questions that are evaluated."""
 
-    sequences: int = 3
-    frames: int = 600
+    sequences: int = 1
+    frames: int = 450
     people: int = 18
-    questions: int = 200
+    questions: int = 6
 
 
 @click.command(epilog="Example: jrdb-avr demo --out demo-out")
@@ -42,7 +42,7 @@ class Size:
 def command(out: Path) -> None:
     """Make a synthetic world, load it, generate questions, let the simulated model answer them, score and report.
 
-    Every step is printed as the command that you would type. Takes about a minute on two cores.
+    Every step is printed as the command that you would type. Takes about twenty seconds.
     """
     run_demo(out, Size(), click.echo)
 
@@ -56,7 +56,7 @@ def steps(folder: Path, size: Size) -> list[list[str]]:
         ["load", f"{root}", *store],
         ["generate", *store],
         ["validate", *store],
-        ["observe", _SEQUENCE, "150", "180", *store, "--out", f"{look}"],
+        ["observe", _SEQUENCE, "150", "110", *store, "--boxes", "--out", f"{look}"],
         ["evaluate", *store, "--method", "react", "--model", "marker", "--limit", f"{size.questions}"],
         ["score", *store],
         ["report", *store],
@@ -75,4 +75,4 @@ def run_demo(folder: Path, size: Size, say: Callable[[str], None]) -> None:
             raise InputError(f"the step 'jrdb-avr {arguments[0]}' failed (exit code {done.returncode})")
     seconds = time.monotonic() - begin
     say(f"\nDone in {seconds:.0f} s. Scores on the sample world are synthetic: no result about JRDB.")
-    say(f"Look at {folder / 'look.png'}, and ask: jrdb-avr stats --store {folder / 'store'}")
+    say(f"next: jrdb-avr evaluate --store {folder / 'store'} --method react --model MODEL --base-url URL")

@@ -186,7 +186,8 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **options: Any) 
         sys.exit(1)
     if not form:
         names = " ".join(run.run_id for run in results)
-        note(f"next: jrdb-avr score --store {store.path} {names} && jrdb-avr report --store {store.path}")
+        scored = f"score --store {store.path} {names} && jrdb-avr report --store {store.path}"
+        note(f"next: jrdb-avr {f'runs diff {names} --store {store.path}' if len(results) == 2 else scored}")
 
 
 def _check_names(runs: Sequence[Mapping[str, Any]]) -> None:

@@ -95,10 +95,10 @@ def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
 @iou_option
 @form_option
 def diff(first: str, second: str, store: Store, score: str, iou: float, form: RowFormat) -> None:
-    """Compare two runs on the questions that both have: who scores which, and the difference with its interval.
+    """Compare two runs on the questions that both have: scores, the difference with its interval, who scores which.
 
-    The difference is the second's share less the first's, in points; p is of the exact McNemar test. --json and --csv
-    print the questions that only one of them scores.
+    Scores are percent of those questions, the difference the second's less the first's in points; p is of the exact
+    McNemar test. --json and --csv print the questions that only one of them scores.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals
@@ -110,12 +110,15 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
         print_data(questions, form)
         return
     few = any(own["interval"] == TOO_FEW for own in found.rows)
-    left_out = ("first", "second", "interval")
-    rows = [{name: own[name] for name in own if name not in left_out} for own in with_intervals(found.rows)]
+    rows = [{name: own[name] for name in own if name != "interval"} for own in with_intervals(found.shares())]
     print_rows(rows, title=f"first: {first}, second: {second}" + (f"; {TOO_FEW}" if few else ""))
     if questions:
-        print_rows(questions, title=f"Questions of which one scores {score}")
+        # What is right says already who alone scores.
+        columns = [name for name in questions[0] if name != "only"]
+        title = f"{len(questions)} questions that one of them alone scores: {score}"
+        print_rows(questions, title, columns)
     else:
         note(f"no question is scored by one of them alone: {score}")
+    note(f"next: jrdb-avr view --store {store.path} --answers")
     if found.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")

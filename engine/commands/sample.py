@@ -53,4 +53,4 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
     print_rows(rows(done), title="The sample beside JRDB (synthetic)", form=form)
     if not form:
         boxes, images_made = sum(written.boxes for written in done), sum(written.images for written in done)
-        note(f"{folder}: {len(done)} sequences, {boxes} boxes, {images_made} panoramas")
+        note(f"{folder}: {len(done)} sequence{'s' if len(done) > 1 else ''}, {boxes} boxes, {images_made} panoramas")

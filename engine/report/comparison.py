@@ -176,13 +176,33 @@ class RunDifference(Displayed):
         """Whether a run is of the simulated model or on the sample world."""
         return self.first.manifest.synthetic or self.second.manifest.synthetic
 
+    def shares(self) -> list[Row]:
+        """A row per score: the share that either run scores of the common questions, in percent; their difference in
+        points, how many questions one alone scores, and p, as in `rows`."""
+        _, first, second = self._common()
+        mine, yours = ((100 * own.mean(axis=0)).round(2).tolist() for own in (first, second))
+        return [
+            {
+                "score": row["score"],
+                "n": row["n"],
+                "first": mine[place],
+                "second": yours[place],
+                **{name: value for name, value in row.items() if name.startswith("difference")},
+                "only first": row["only_first"],
+                "only second": row["only_second"],
+                "p": row["p"],
+                "interval": row["interval"],
+            }
+            for place, row in enumerate(self.rows)
+        ]
+
     def questions(self, score: str = "combined") -> list[Row]:
         """The questions that one run scores and the other does not, those of the first run before: a row each, with
         what either gets right. Raises InputError for an unknown score."""
         if score not in SCORES:
             raise InputError(f"no score {score!r}{did_you_mean(score, SCORES)}", field="score")
-        common, mine, yours = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
-        first, second, place = self.first.scores[mine], self.second.scores[yours], SCORES.index(score)
+        common, first, second = self._common()
+        place = SCORES.index(score)
         names = (self.first.manifest.run_id, self.second.manifest.run_id)
         found = []
         for number in np.flatnonzero(first[:, place] != second[:, place]).tolist():
@@ -199,6 +219,11 @@ class RunDifference(Displayed):
             )
         return sorted(found, key=lambda own: (names.index(own["only"]), own["template"], own["question_id"]))
 
+    def _common(self) -> tuple[Ints, Ints, Ints]:
+        """The common questions' rows of the index, and the scores of either run there (questions, scores)."""
+        common, mine, yours = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
+        return common, self.first.scores[mine], self.second.scores[yours]
+
     def _summary(self) -> str:
         n = self.rows[0]["n"]
         return f"{self.first.manifest.run_id} and {self.second.manifest.run_id} on {n} questions"
@@ -208,9 +233,8 @@ class RunDifference(Displayed):
 
 
 def _right(scores: Ints) -> str:
-    return (
-        " and ".join(name for name, own in zip(("answer", "evidence"), scores.tolist(), strict=False) if own) or "none"
-    )
+    right = [name for name, own in zip(("answer", "evidence"), scores.tolist(), strict=False) if own]
+    return "both" if len(right) == 2 else "".join(right) or "none"
 
 
 def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5) -> RunDifference:

@@ -72,7 +72,7 @@ def test_every_shard_gives_its_result_once_and_a_dead_worker_is_replaced(tmp_pat
 
 @pytest.mark.usefixtures("ray")
 def test_a_store_made_on_a_cluster_is_that_of_one_machine(small_demo, tmp_path):
-    root = small_demo[0] / "sample"
+    root = small_demo.folder / "sample"
     found = []
     for place, where in (("here", ("--workers", 1)), ("there", ("--executor", "ray"))):
         for command in (("load", root), ("generate",), ("validate", "--replay")):

@@ -28,6 +28,7 @@ from jrdb_avr.agent.model.probes import BOX_LINE
 from jrdb_avr.agent.policy.explorer import BudgetExhausted, Explorer, Look, NeedObservation, Sighting
 from jrdb_avr.agent.policy.finding import distance_word, holds
 from jrdb_avr.agent.preflight import CORNER_LINE
+from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.play import STAGES
 from jrdb_avr.agent.simulated.server import Server, marker_server
 from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
@@ -446,6 +447,16 @@ def test_other_talk_gets_a_polite_reply(play):
     body = json.dumps({"messages": [{"role": "user", "content": "hello"}]}).encode()
     status, reply = post(play.server.url, body)
     assert (status, json.loads(reply["choices"][0]["message"]["content"])) == (200, {"ok": True})
+
+
+def test_a_model_named_like_a_profile_has_its_knobs():
+    with Server(knobs=Knobs(thinking=1.0)) as server:
+        said = {"messages": [{"role": "user", "content": "hello"}]}
+        replies = {
+            model: server.reply(json.dumps({"model": model, **said}).encode()) for model in ("marker", "perfect")
+        }
+    texts = {model: reply["choices"][0]["message"]["content"] for model, reply in replies.items()}
+    assert texts["marker"].endswith(texts["perfect"]) and texts["marker"] != texts["perfect"]
 
 
 def test_the_child_process_serves_and_ends(tmp_path):

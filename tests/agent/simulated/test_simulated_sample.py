@@ -27,7 +27,7 @@ def rows(store, *path):
 
 @pytest.fixture(scope="module")
 def store(small_demo, tmp_path_factory):
-    folder, _ = small_demo
+    folder = small_demo.folder
     root = tmp_path_factory.mktemp("sample")
     shutil.copytree(folder / "store", root / "store", ignore=shutil.ignore_patterns("runs"))
     questions = rows(root / "store", "questions", "questions.parquet")

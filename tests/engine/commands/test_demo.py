@@ -9,7 +9,7 @@ from jrdb_avr.schema.errors import InputError
 
 
 def test_the_whole_system_runs_once(small_demo):
-    folder, printed = small_demo
+    folder, printed = small_demo.folder, small_demo.printed.splitlines()
     for arguments in steps(folder, SIZE):
         assert any(line.startswith(f"$ jrdb-avr {arguments[0]} ") for line in printed)
     assert (folder / "look.png").read_bytes().startswith(b"\x89PNG")

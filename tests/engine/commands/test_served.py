@@ -31,7 +31,7 @@ def started(*arguments):
 
 def test_a_person_may_end_a_session_at_any_time(small_demo, tmp_path):
     """A run that was begun can be resumed, and its manifest says who plays what."""
-    shutil.copytree(small_demo[0] / "store", tmp_path / "store")
+    shutil.copytree(small_demo.folder / "store", tmp_path / "store")
     store = tmp_path / "store"
     with started("play", "--store", store, "--name", "ada", "--limit", 2) as (process, url):
         assert url.startswith("http://127.0.0.1:") and b"ada plays" in urllib.request.urlopen(url, timeout=30).read()

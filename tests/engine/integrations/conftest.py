@@ -22,7 +22,7 @@ def model():
 @pytest.fixture(scope="session")
 def by_evaluate(small_demo):
     """Predictions of ReAct with the simulated model, by `evaluate`: {question id: row}."""
-    rows = pq.read_table(small_demo[0] / "store" / "runs" / "react-marker" / "predictions.parquet").to_pylist()
+    rows = pq.read_table(small_demo.folder / "store" / "runs" / "react-marker" / "predictions.parquet").to_pylist()
     assert len(rows) == 6 and {row["status"] for row in rows} == {"answered"}
     return {row["question_id"]: row for row in rows}
 
@@ -30,7 +30,7 @@ def by_evaluate(small_demo):
 @pytest.fixture
 def public_store(small_demo, tmp_path):
     """A store without answers, and a folder of its panoramas beside which there are no labels."""
-    whole, bare = Store(small_demo[0] / "store"), Store(tmp_path / "public")
+    whole, bare = Store(small_demo.folder / "store"), Store(tmp_path / "public")
     (bare.path / "questions").mkdir(parents=True)
     for name in ("questions", "sequences"):
         shutil.copy(whole.question_path(name), bare.question_path(name))
@@ -55,7 +55,7 @@ def same(by_evaluate):
 @pytest.fixture(scope="session")
 def secrets(small_demo):
     """Texts of the private tables that nothing public holds."""
-    store = Store(small_demo[0] / "store")
+    store = Store(small_demo.folder / "store")
     answers, evidence = (pq.read_table(store.question_path(name)).to_pylist() for name in ("answers", "evidence"))
     boxes = {f"{row[side]!r}" for row in evidence for side in "xywh" if len(f"{row[side]!r}") > 12}
     plans = {row[name] for row in answers for name in ("plan", "distractors", "bindings", "proofs")}

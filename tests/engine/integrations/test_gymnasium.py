@@ -143,7 +143,7 @@ def test_the_reward_is_the_judges_where_asked_for(small_demo, by_evaluate, make)
 
     from jrdb_avr.engine.run.bench import Bench
 
-    store = small_demo[0] / "store"
+    store = small_demo.folder / "store"
     question_id, row = next((name, own) for name, own in by_evaluate.items() if own["answer"].startswith('{"choice'))
     frames = Bench.open(store).sequences[Bench.open(store).question(question_id).sequence].frames
     rewards = {}
@@ -191,7 +191,7 @@ def test_an_unknown_question_is_refused(make):
 def test_the_example_learns_a_question_by_heart(small_demo, by_evaluate):
     """A reward that tells right from wrong teaches the right choice, and nothing but the seed decides how."""
     train = runpy.run_path(str(DOCS / "examples" / "reinforce.py"))["train"]
-    store = small_demo[0] / "store"
+    store = small_demo.folder / "store"
     truth = {row["question_id"]: row["answer"] for row in Store(store).questions("answers").to_pylist()}
     question_id = next(name for name in by_evaluate if truth[name].startswith('{"choice"'))
     logits, rewards = train(str(store), updates=25, count=2, rate=2.0, questions=[question_id])

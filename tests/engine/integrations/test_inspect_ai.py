@@ -35,7 +35,7 @@ def run(model, tmp_path, monkeypatch):
 @pytest.fixture
 def blocked(small_demo, tmp_path):
     """A whole store whose private files are pipes that whoever opens them waits at for ever."""
-    shutil.copytree(small_demo[0] / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
+    shutil.copytree(small_demo.folder / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
     store = Store(tmp_path / "store")
     for place in [*map(store.question_path, PRIVATE), store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
         if place.is_file():
@@ -69,7 +69,7 @@ def test_the_simulated_model_plays_as_in_evaluate_without_anything_private(
     assert len(rows) == 3 and {sample.target for sample in log.samples} == {""}
     text = log.model_dump_json()
     assert not [secret for secret in secrets if secret in text or any(secret.encode() in own for own in model[1])]
-    scored = inspect_ai.score(log, door.judged(str(small_demo[0] / "store")), display="none")
+    scored = inspect_ai.score(log, door.judged(str(small_demo.folder / "store")), display="none")
     found = metrics(scored)
     assert {found[part, "mean"] for part in ("answer", "evidence", "combined")} == {1.0}
     assert found["judged", "hallucination"] == 0.0
@@ -79,7 +79,7 @@ def test_the_simulated_model_plays_as_in_evaluate_without_anything_private(
 def test_other_methods_play_too_and_unknown_ones_are_refused(small_demo, run):
     from jrdb_avr.engine.integrations import inspect_ai as door
 
-    store = str(small_demo[0] / "store")
+    store = str(small_demo.folder / "store")
     log = run(door.react(store, limit=1), solver=door.method("monolithic", store))
     (row,) = rows_of(log)
     assert (row["status"], row["n_observations"], row["n_model_calls"]) == ("answered", 8, 1)
@@ -91,7 +91,7 @@ def test_other_methods_play_too_and_unknown_ones_are_refused(small_demo, run):
 def test_a_limit_ends_a_sample_and_keeps_what_was_played(small_demo, run):
     from jrdb_avr.engine.integrations import inspect_ai as door
 
-    log = run(door.tools(str(small_demo[0] / "store"), limit=1), message_limit=6)
+    log = run(door.tools(str(small_demo.folder / "store"), limit=1), message_limit=6)
     (row,) = rows_of(log)
     assert log.samples[0].limit.type == "message" and row["n_observations"] >= 1 and row["answer"] is None
     assert metrics(log)["combined", "mean"] == 0.0
@@ -107,7 +107,7 @@ def test_replies_that_call_no_tool_cost_turns_and_end(small_demo, run):
         output.usage = ModelUsage(input_tokens=1, output_tokens=1, total_tokens=2)
         return output
 
-    log = run(door.tools(str(small_demo[0] / "store"), limit=1), get_model("mockllm/model", custom_outputs=reply))
+    log = run(door.tools(str(small_demo.folder / "store"), limit=1), get_model("mockllm/model", custom_outputs=reply))
     (row,) = rows_of(log)
     assert (row["status"], row["n_model_calls"], row["n_observations"]) == ("invalid", 50, 0)
     assert row["reason"] == "the reply calls no tool"
@@ -138,5 +138,5 @@ def test_the_run_of_evaluate_has_rows_of_the_same_columns(small_demo, by_evaluat
     """What is stored with a sample is a row of `predictions`."""
     from jrdb_avr.schema.tables import RUNS
 
-    table = pq.read_table(small_demo[0] / "store" / "runs" / "react-marker" / "predictions.parquet")
+    table = pq.read_table(small_demo.folder / "store" / "runs" / "react-marker" / "predictions.parquet")
     assert set(table.column_names) == set(RUNS["predictions"].names)

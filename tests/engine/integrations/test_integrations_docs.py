@@ -32,7 +32,7 @@ def shell(small_demo, tmp_path):
     if not any(own.name == "jrdb_avr" for own in entry_points(group="inspect_ai")):
         assert not os.environ.get("REQUIRE_EXTRAS"), "the package is not installed"
         pytest.skip("the package is not installed, so there are no commands")
-    (tmp_path / "demo-out").symlink_to(small_demo[0])
+    (tmp_path / "demo-out").symlink_to(small_demo.folder)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 
     def run(*command):
@@ -69,7 +69,7 @@ def test_mcp_over_http_starts_as_shown(shell, small_demo):
     # The demo is not to be written to.
     (shell.folder / "own").mkdir()
     for name in ("questions", "store.json"):
-        (shell.folder / "own" / name).symlink_to(small_demo[0] / "store" / name)
+        (shell.folder / "own" / name).symlink_to(small_demo.folder / "store" / name)
     command = command.replace("8735", "0").replace("demo-out/store", "own")
     environment = os.environ | {"PATH": shell.path}
     with subprocess.Popen(

@@ -103,7 +103,7 @@ def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo,
     """Of a whole store, whose private files are pipes that whoever opens them waits at for ever."""
     import mcp
 
-    shutil.copytree(small_demo[0] / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
+    shutil.copytree(small_demo.folder / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
     store, results = Store(tmp_path / "store"), []
     for place in [*map(store.question_path, PRIVATE), store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
         if place.is_file():
@@ -168,7 +168,7 @@ def test_over_stdio_a_store_with_answers_or_labels_is_refused(public_store, held
 
 def test_over_stdio_panoramas_beside_labels_are_refused(public_store, small_demo):
     store, _ = public_store
-    beside = Store(small_demo[0] / "store").manifest().image_root
+    beside = Store(small_demo.folder / "store").manifest().image_root
     result = CliRunner().invoke(group, ["mcp", "--store", str(store.path), "--images", beside])
     assert isinstance(result.exception, InputError) and "labels" in str(result.exception)
     assert not (store.path / "runs" / "mcp-agent").exists()

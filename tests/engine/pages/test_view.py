@@ -93,7 +93,7 @@ def test_without_answers_nothing_private_is_opened(hostile, tmp_path):
 
 
 def test_no_path_leads_out_of_the_pictures(small_demo):
-    folder, _ = small_demo
+    folder = small_demo.folder
     store = Store(folder / "store")
     viewer = Viewer(store, store.manifest().image_root, None)
     name, info = next(iter(viewer.sequences.items()))
@@ -198,7 +198,7 @@ def test_a_question_is_looked_through_by_keyboard(opened, small_demo):
     from selenium.webdriver.support.ui import WebDriverWait
 
     driver = opened
-    store = Store(small_demo[0] / "store")
+    store = Store(small_demo.folder / "store")
     viewer = Viewer(store, store.manifest().image_root, report(store))
     (run,) = viewer.runs.values()
     question = next(iter(run.predictions))

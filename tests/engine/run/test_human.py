@@ -22,7 +22,7 @@ PRIVATE_PARTS = ("questions/answers.parquet", "questions/evidence.parquet", "ann
 
 @pytest.fixture
 def store(small_demo, tmp_path):
-    shutil.copytree(small_demo[0] / "store", tmp_path / "store")
+    shutil.copytree(small_demo.folder / "store", tmp_path / "store")
     return Store(tmp_path / "store")
 
 

@@ -94,12 +94,16 @@ def test_who_scores_which_question(store):
     combined = next(row for row in found.rows if row["score"] == "combined")
     assert (combined["n"], combined["only_first"], combined["only_second"]) == (12, 4, 4)
     assert combined["difference"] == 0 and combined["difference_low"] < 0 < combined["difference_high"]
+    shares = {row["score"]: row for row in found.shares()}
+    assert (shares["answer"]["first"], shares["answer"]["second"]) == (75, 50)
+    assert (shares["combined"]["first"], shares["combined"]["second"]) == (50, 50)
+    assert (shares["combined"]["only first"], shares["combined"]["only second"]) == (4, 4)
     rows = {row["question_id"]: row for row in found.questions()}
     assert {name: row["only"] for name, row in rows.items()} == {
         **{f"q{n:02}": "one" for n in range(2, 6)},
         **{f"q{n:02}": "two" for n in range(8, 12)},
     }
-    assert (rows["q08"]["first right"], rows["q08"]["second right"]) == ("answer", "answer and evidence")
+    assert (rows["q08"]["first right"], rows["q08"]["second right"]) == ("answer", "both")
     assert len(found.questions("answer")) == 4 + 2 + 3
     # The other way round everything changes sides.
     back = diff(store, "two", "one")
