@@ -4,6 +4,7 @@ import fcntl
 import gc
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -18,6 +19,9 @@ os.unsetenv("COLUMNS")
 
 # The workers share the cores already: threads of numpy, scikit-learn and Arrow would only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# What a shell starts in the background ignores Ctrl-C, which tests send to themselves and to processes.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A busy machine is no fault of the code, so there is no deadline.
 settings.register_profile("tests", deadline=None, max_examples=examples(30))
