@@ -50,7 +50,8 @@ SOURCES: Final = (
     Source("JRDB-PanoTrack", ("panoptic",), *_JRDB, "Le et al., JRDB-PanoTrack, CVPR 2024"),
     Source("JRDB-Reasoning", ("handles",), *_JRDB, "Jahangard et al., JRDB-Reasoning"),
 )
-"""JRDB and its extensions. Their site states the licence and the further terms, which go before what stands here."""
+"""JRDB and its extensions. The licence stands at the foot of their site, as the maintainers of JRDB's toolkit say
+(https://github.com/JRDB-dataset/jrdb_toolkit/issues/9); the site's further terms go before what stands here."""
 
 SAMPLE: Final = Source(
     "the synthetic sample world of jrdb-avr",

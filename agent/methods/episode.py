@@ -24,6 +24,10 @@ from jrdb_avr.schema.panorama import CROP
 BUDGET: Final = 24
 """Looks that a question allows."""
 
+LOOK: Final = "Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."
+SUBMIT: Final = "Give the final answer, with one box round the person in the newest picture, in thousandths of it."
+"""What the tools `observe` and `submit_answer` do, for a model that is offered them."""
+
 _NO_PICTURE: Final = ImageFrame((), CROP, CROP, 0)
 """Stands for the newest picture before the first look: every box in an answer is refused."""
 
@@ -33,7 +37,7 @@ def most_moves(budget: int) -> int:
     return 2 * budget + 2
 
 
-class Left(NamedTuple):
+class Remaining(NamedTuple):
     """Looks and moves that an episode still allows."""
 
     looks: int
@@ -109,11 +113,11 @@ class Episode:
         return decode.closed_object(final_parts(self.question))
 
     @property
-    def left(self) -> Left:
+    def left(self) -> Remaining:
         """Looks and moves left; none after the end."""
         if self._ended:
-            return Left(0, 0)
-        return Left(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
+            return Remaining(0, 0)
+        return Remaining(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
 
     @property
     def answered(self) -> bool:
@@ -158,7 +162,7 @@ class Episode:
         """
         return self._carry_out(lambda: decode.reply_object(reply, self.attempt.convention))
 
-    def malformed(self, reason: str) -> None:
+    def spend_malformed(self, reason: str) -> None:
         """Count a reply that is no move, such as one that calls no tool, as a move. Raises RefusedError: the reason."""
 
         def read() -> dict[str, Any]:

@@ -98,7 +98,7 @@ class _BrokenError(Exception):
         return self.fault in ("unreachable", "busy")
 
 
-class _OtherNameError(EndpointError):
+class _TokenParameterError(EndpointError):
     """The server refuses the limit of a reply by its older name."""
 
 
@@ -230,7 +230,7 @@ class Client:
             self._check_cost()
             try:
                 return self._try(body, timeout_s)
-            except _OtherNameError:
+            except _TokenParameterError:
                 if longer:
                     raise
                 self._longer_name = longer = True
@@ -328,7 +328,7 @@ class Client:
             # The next question would be refused for the same reason.
             kind = RunStoppedError
         elif self.options.names_itself and _LONGER_NAME in message:
-            kind = _OtherNameError
+            kind = _TokenParameterError
         return kind(f"{self.base_url}: {reason}{remedy}")
 
     def _one_line(self, error: object) -> str:

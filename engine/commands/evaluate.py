@@ -75,7 +75,7 @@ panoramas:
     type=click.FloatRange(0, min_open=True),
     metavar="DOLLARS",
     help="Stop once the run's calls have cost so much, by --prices; more, and --resume, go on. Calls in flight may "
-    "exceed it.",
+    "exceed it; --resume does not count again what replies cost that were cut off or refused.",
 )
 @click.option("--run-id", help="Name of the run; METHOD-MODEL if left out, METHOD-POLICY-MODEL with --policy.")
 @click.option("--questions", "picked", help="Question ids with commas between, or a file with one id per line.")

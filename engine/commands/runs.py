@@ -110,7 +110,7 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
         print_data(questions, form)
         return
     few = any(own["interval"] == TOO_FEW for own in found.rows)
-    rows = [{name: own[name] for name in own if name != "interval"} for own in with_intervals(found.shares())]
+    rows = [{name: own[name] for name in own if name != "interval"} for own in with_intervals(found.scores())]
     print_rows(rows, title=f"first: {first}, second: {second}" + (f"; {TOO_FEW}" if few else ""))
     if questions:
         # What is right says already who alone scores.

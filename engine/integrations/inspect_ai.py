@@ -40,23 +40,21 @@ from inspect_ai.solver import Generate, Solver, TaskState, solver
 from inspect_ai.tool import Content, ToolDef, ToolError, ToolParams
 from inspect_ai.util import JSONSchema
 
-from jrdb_avr.agent.methods.episode import Episode
+from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.decode import FRAME_ID_SCHEMA
 from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.engine.run.bench import Bench
 from jrdb_avr.engine.run.journal import finished_entry
-from jrdb_avr.engine.run.judge import Judge
+from jrdb_avr.engine.run.judge import Judge, QuestionScore
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS, make_method
-from jrdb_avr.schema.errors import AvrError, InputError, RefusedError
+from jrdb_avr.schema.errors import AvrError, InputError, RefusedError, StoreError
 from jrdb_avr.schema.method import Observation, Prediction, Question
 
 PREDICTION: Final = "jrdb_avr:prediction"
 """Key of a sample's store: its row of `predictions` so far."""
 
-_LOOK: Final = "Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."
-_SUBMIT: Final = "Give the final answer, with one box round the person in the newest picture, in thousandths of it."
 _GO_ON: Final = "Your last turn called no tool, and cost a turn. Call observe, or submit_answer."
 _AT_ONCE: Final = 64
 """Methods that play at the same time, each in a thread of its own."""
@@ -136,7 +134,7 @@ def tool_agent(store: str, images: str | None = None, opaque: bool = False) -> S
             if turn.output.message.tool_calls or episode.over:
                 return not episode.over
             with contextlib.suppress(RefusedError):
-                episode.malformed("the reply calls no tool")
+                episode.spend_malformed("the reply calls no tool")
             _keep(state, episode.question, episode.finished())
             return not episode.over and _GO_ON
 
@@ -166,8 +164,8 @@ def _tools(state: TaskState, episode: Episode) -> list[ToolDef]:
     look = {"frame_id": FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
     answer = episode.answer_schema["properties"]
     return [
-        ToolDef(observe, "observe", _LOOK, _parameters(look), max_output=0),
-        ToolDef(submit_answer, "submit_answer", _SUBMIT, _parameters(answer)),
+        ToolDef(observe, "observe", LOOK, _parameters(look), max_output=0),
+        ToolDef(submit_answer, "submit_answer", SUBMIT, _parameters(answer)),
     ]
 
 
@@ -246,14 +244,24 @@ def judged(store: str) -> Scorer:
     judges: list[Judge] = []
     lock = anyio.Lock()
 
+    def judge(row: Mapping[str, Any]) -> QuestionScore:
+        for _ in range(2):
+            if not judges:
+                judges.append(Judge.open(store))
+            try:
+                return judges[0].score_row(row)
+            except StoreError as error:
+                # Its process was ended by something else: a second one may fare better.
+                judges.pop().close()
+                ended = error
+        raise ended
+
     async def score(state: TaskState, target: Target) -> Score:
         row = state.store.get(PREDICTION)
         if row is None:
             return Score(value=dict.fromkeys(_SCORES, 0), explanation="no prediction")
         async with lock:
-            if not judges:
-                judges.append(await anyio.to_thread.run_sync(Judge.open, store))
-            found = await anyio.to_thread.run_sync(judges[0].score_row, row)
+            found = await anyio.to_thread.run_sync(judge, row)
         value = {name: getattr(found, name) for name in _SCORES}
         return Score(value=value, answer=row["answer"], explanation=row["reason"] or row["status"])
 

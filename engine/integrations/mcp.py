@@ -22,7 +22,7 @@ from mcp.server.mcpserver.utilities.types import Image
 from mcp.server.transport_security import TransportSecuritySettings
 from pydantic import WithJsonSchema
 
-from jrdb_avr.agent.methods.episode import BUDGET, Episode
+from jrdb_avr.agent.methods.episode import LOOK, SUBMIT, Episode
 from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, FRAME_ID_SCHEMA
 from jrdb_avr.agent.model.messages import metadata_line, picture_of
 from jrdb_avr.engine.local_server import hosts_of, listen, new_token, same_token
@@ -63,8 +63,8 @@ class _Open:
 class Desk:
     """The state behind the MCP tools: gives out unanswered questions, carries out moves, records predictions."""
 
-    def __init__(self, bench: Bench, run: Run, budget: int = BUDGET) -> None:
-        self._bench, self._run, self._budget = bench, run, budget
+    def __init__(self, bench: Bench, run: Run) -> None:
+        self._bench, self._run = bench, run
         self._due = due_questions(bench, run)[::-1]
         self._open: dict[str, _Open] = {}
         self._lock = threading.Lock()
@@ -74,8 +74,8 @@ class Desk:
         server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
         server.add_tool(self.next_question)
         # A list that holds a picture has no structured form.
-        server.add_tool(self.observe, structured_output=False)
-        server.add_tool(self.submit_answer)
+        server.add_tool(self.observe, description=LOOK, structured_output=False)
+        server.add_tool(self.submit_answer, description=SUBMIT)
         return server
 
     def next_question(self) -> dict[str, Any]:
@@ -85,14 +85,14 @@ class Desk:
                 raise ToolError(f"{MOST_OPEN} questions are begun and not finished: finish one of them first")
             if not self._due:
                 return {"done": True, "message": "no question is left"}
-            play = Play.begin(self._bench, self._due.pop(), self._budget)
+            play = Play.begin(self._bench, self._due.pop())
             episode, token = play.episode, secrets.token_urlsafe(12)
             self._open[token] = _Open(play)
         schema = episode.answer_schema["properties"]["answer"]
         return {"done": False, "episode": token, "prompt": episode.prompt, "answer_schema": schema}
 
     def observe(self, episode: str, frame_id: _FrameId, angle_deg: _Angle) -> list[Any]:
-        """Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."""
+        """Make a look; returns where it was taken, what is left, and the picture."""
         with self._playing(episode) as own:
             seen = own.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
             left = own.left
@@ -101,7 +101,7 @@ class Desk:
         return [where, Image(data=picture_of(seen).data, format="jpeg")]
 
     def submit_answer(self, episode: str, answer: _Answer, evidence_bboxes: _Boxes) -> str:
-        """Give the final answer, with one box round the person in the newest picture, in thousandths of its sides."""
+        """Give the final answer; returns that it was taken."""
         with self._playing(episode) as own:
             own.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
         return "taken; call next_question for another question"

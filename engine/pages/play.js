@@ -171,7 +171,7 @@
     byId("over").hidden = !play?.over;
     byId("error").textContent = state.error;
     if (!play) return;
-    byId("how").textContent = play.answered ? "The answer was taken." : "No turns are left: what could be read so far counts.";
+    byId("how").textContent = play.answered ? "The answer was taken." : "The question is over: what could be read so far counts.";
     byId("next").textContent = state.due ? "next question" : "finish";
     if (fresh) {
       byId("question").textContent = play.question;

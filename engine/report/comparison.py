@@ -176,9 +176,9 @@ class RunDifference(Displayed):
         """Whether a run is of the simulated model or on the sample world."""
         return self.first.manifest.synthetic or self.second.manifest.synthetic
 
-    def shares(self) -> list[Row]:
-        """A row per score: the share that either run scores of the common questions, in percent; their difference in
-        points, how many questions one alone scores, and p, as in `rows`."""
+    def scores(self) -> list[Row]:
+        """A row per score: those of either run on the common questions, in percent; their difference in points, how
+        many questions one alone scores, and p, as in `rows`."""
         _, first, second = self._common()
         mine, yours = ((100 * own.mean(axis=0)).round(2).tolist() for own in (first, second))
         return [

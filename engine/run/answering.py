@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
-from jrdb_avr.engine.run.journal import Finished, finished_entry
+from jrdb_avr.engine.run.journal import Finished, finished_entry, unanswered
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import AvrError, RunStoppedError
 from jrdb_avr.schema.method import (
@@ -159,8 +159,7 @@ def answer_all(
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException | None] = queue.SimpleQueue()
-    held = {name for name, entry in journal.finished.items() if not entry.failed}
-    due = [question for question in questions if question.question_id not in held]
+    due = unanswered(questions, journal.finished)
     advance(len(questions) - len(due))
     for question in due:
         waiting.put(question)

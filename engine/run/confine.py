@@ -22,8 +22,11 @@ import msgspec
 from jrdb_avr.schema.errors import StoreError
 
 _CREATE, _ADD, _RESTRICT = 444, 445, 446
-_CAPSET: Final = {"x86_64": 126}.get(platform.machine(), 91)
-"""Numbers of system calls; those of Landlock are the same on every machine."""
+"""Numbers of system calls, which are the same on every machine but those that are refused."""
+_CAPSET: Final = (
+    {"x86_64": 126, "aarch64": 91, "riscv64": 91}.get(platform.machine()) if sys.maxsize > 1 << 32 else None
+)
+"""That of a system call whose number is the machine's; None on machines where nobody has looked it up."""
 _DEATH_SIGNAL, _NO_NEW_PRIVILEGES = 1, 38
 _BENEATH: Final = 1
 
@@ -40,8 +43,8 @@ def check_confinable() -> None:
     """Raise StoreError where this system cannot confine a program."""
     if not _version():
         raise StoreError(
-            "--isolated: this system cannot confine a process (Linux 5.13 or newer, with Landlock, can): leave it out, "
-            "and run on a machine that holds the public files alone"
+            "--isolated: this system cannot confine a process (64-bit Linux 5.13 or newer, with Landlock, on x86, "
+            "ARM or RISC-V can): leave it out, and run on a machine that holds the public files alone"
         )
 
 
@@ -67,6 +70,7 @@ def confine(readable: list[str], writable: list[str]) -> None:
     _call(_RESTRICT, ruleset, 0)
     os.close(ruleset)
     # The three sets of capabilities, all empty, of this process.
+    assert _CAPSET is not None, "checked above"
     _call(_CAPSET, struct.pack("=Ii", 0x20080522, 0), bytes(24))
 
 
@@ -74,7 +78,7 @@ _LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
 
 def _version() -> int:
-    if platform.system() != "Linux":
+    if platform.system() != "Linux" or _CAPSET is None:
         return 0
     return max(0, int(_LIBC.syscall(_CREATE, None, ctypes.c_size_t(0), 1)))
 

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.agent.methods.episode import BUDGET
 from jrdb_avr.agent.model.messages import metadata_of, picture_of
 from jrdb_avr.agent.model.prompts import mode_text
 from jrdb_avr.engine.local_server import Request, Response
@@ -35,8 +34,8 @@ _MOVE: Final = msgspec.json.Decoder(_Move)
 class HumanDesk:
     """Answers the requests of one person's page, who plays the questions of a run one after another."""
 
-    def __init__(self, bench: Bench, run: Run, page: str, budget: int = BUDGET) -> None:
-        self._bench, self._run, self._page, self._budget = bench, run, page, budget
+    def __init__(self, bench: Bench, run: Run, page: str) -> None:
+        self._bench, self._run, self._page = bench, run, page
         self._due = due_questions(bench, run)
         self._play: Play | None = None
         self._seen: list[Observation] = []
@@ -53,6 +52,7 @@ class HumanDesk:
                 case "POST", "state":
                     return self._state()
                 case "POST", "next":
+                    self._record()
                     if self._play is not None and self._play.episode.over:
                         self._play = None
                     return self._state()
@@ -75,15 +75,22 @@ class HumanDesk:
                 self._seen.append(seen)
         except AvrError as refused:
             error = str(refused)
-        if play.episode.left.moves <= 0:
-            play.record(self._run)
-            self._due.remove(sent.question_id)
+        self._record()
         return self._state(error)
+
+    def _record(self) -> None:
+        """Add a question that is over to the run. Raises StoreError where the disk refuses; the next request tries
+        again."""
+        if self._play is not None and self._play.episode.over:
+            question_id = self._play.episode.question.question_id
+            if question_id in self._due:
+                self._play.record(self._run)
+                self._due.remove(question_id)
 
     def _state(self, error: str = "") -> Response:
         """What the page shows, as JSON; begins the next question where none is being played."""
         if self._play is None and self._due:
-            self._play, self._seen = Play.begin(self._bench, self._due[0], self._budget), []
+            self._play, self._seen = Play.begin(self._bench, self._due[0]), []
         state: dict[str, Any] = {"due": len(self._due), "questions": len(self._bench.questions), "error": error}
         if self._play is not None:
             episode = self._play.episode
@@ -102,7 +109,7 @@ class HumanDesk:
                 "looks": [metadata_of(seen) for seen in self._seen],
                 "left": episode.left._asdict(),
                 "over": episode.over,
-                "answered": episode.answered,
+                "answered": episode.answered and not episode.error,
             }
         return Response(msgspec.json.encode(state), "application/json")
 

@@ -32,7 +32,7 @@ from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.bench import Bench, root_of_images
 from jrdb_avr.engine.run.confine import DEVICES, check_confinable, program_files
 from jrdb_avr.engine.run.endpoint import Endpoint, convention_path
-from jrdb_avr.engine.run.journal import Finished, check_entry
+from jrdb_avr.engine.run.journal import Finished, check_entry, unanswered
 from jrdb_avr.engine.run.methods import WORLD_METHODS, is_custom, load_custom_method, make_method
 from jrdb_avr.engine.run.opaque import key_path, opaque_names
 from jrdb_avr.engine.run.run import Run
@@ -98,7 +98,7 @@ class IsolatedMethod(contextlib.ExitStack):
     `name`, `settings`: the method's; `endpoint_settings`, `warnings`: what `Endpoint` has of them, if there is a model.
     After `answer_all`: `changed`, as of `Endpoint`; `counts` of its world model, None without.
 
-    Raises StoreError where this system cannot isolate a process, and what the process cannot do.
+    Raises StoreError where this system cannot isolate a process or prepare it, and what the process cannot do.
     """
 
     def __init__(self, store: Store, job: Job) -> None:
@@ -111,6 +111,9 @@ class IsolatedMethod(contextlib.ExitStack):
             ready = self._next()
             if not isinstance(ready, _Ready):
                 raise _ended()
+        except OSError as error:
+            self.close()
+            raise StoreError(f"--isolated: the process cannot be prepared: {error}") from None
         except BaseException:
             self.close()
             raise
@@ -159,8 +162,7 @@ class IsolatedMethod(contextlib.ExitStack):
 
     def answer_all(self, run: Run, questions: Sequence[Question], advance: Callable[[int], None]) -> None:
         """Have the questions answered that the run lacks, or holds as errors. Raises as `answering.answer_all`."""
-        held = {name for name, entry in run.finished.items() if not entry.failed}
-        due = {question.question_id: question for question in questions if question.question_id not in held}
+        due = {question.question_id: question for question in unanswered(questions, run.finished)}
         advance(len(questions) - len(due))
         self._send(list(due))
         while not isinstance(message := self._next(), _End):

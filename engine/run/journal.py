@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, get_args
 
@@ -126,6 +126,11 @@ def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
         if isinstance(value, str) and name not in ("kind", "tool")
     }
     return {**known, **values, **texts}
+
+
+def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) -> list[Question]:
+    """The questions that have not finished, or ended in an error, in order."""
+    return [own for own in questions if (entry := finished.get(own.question_id)) is None or entry.failed]
 
 
 class Journal(contextlib.ExitStack):

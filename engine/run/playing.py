@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.run.bench import Bench, find_images
-from jrdb_avr.engine.run.journal import finished_entry
+from jrdb_avr.engine.run.journal import finished_entry, unanswered
 from jrdb_avr.engine.run.opaque import key_fingerprint
 from jrdb_avr.engine.run.run import Run, run_questions
 from jrdb_avr.engine.run.selection import QuestionSelection
@@ -53,8 +53,7 @@ def played_run(
 
 def due_questions(bench: Bench, run: Run) -> list[str]:
     """The ids of the bench's questions that the run has not answered, in order."""
-    held = {name for name, entry in run.finished.items() if not entry.failed}
-    return [own.question_id for own in bench.questions if own.question_id not in held]
+    return [own.question_id for own in unanswered(bench.questions, run.finished)]
 
 
 @dataclass
@@ -66,10 +65,10 @@ class Play:
     started: float = field(default_factory=time.perf_counter)
 
     @classmethod
-    def begin(cls, bench: Bench, question_id: str, budget: int = BUDGET) -> Play:
+    def begin(cls, bench: Bench, question_id: str) -> Play:
         """Begin a question."""
         steps: list[Step] = []
-        return cls(bench.episode(question_id, budget=budget, record=lambda step: steps.append(step)), steps)
+        return cls(bench.episode(question_id, budget=BUDGET, record=lambda step: steps.append(step)), steps)
 
     def record(self, run: Run) -> None:
         """Add what was played to the run."""

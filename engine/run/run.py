@@ -8,6 +8,7 @@ runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from t
 from __future__ import annotations
 
 import datetime
+import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
@@ -47,6 +48,8 @@ class Run(Journal):
         """Take the run's lock. Raises LockedError, or StoreError for a run that is damaged."""
         super().__init__(store.run_path(run_id) / "journal.jsonl")
         self.store, self.run_id = store, run_id
+        self._writing = threading.Lock()
+        self._over = False
         self.listeners: list[Callable[[Finished], None]] = []
         if self.finished and not has_manifest(store, run_id):
             self.close()
@@ -83,13 +86,19 @@ class Run(Journal):
         return manifest
 
     def append(self, entry: Finished) -> None:
-        """Add a finished question; returns when it is on disk."""
-        super().append(entry)
+        """Add a finished question; returns when it is on disk. Raises StoreError also after `finish`: a player's thread
+        may still be at work."""
+        with self._writing:
+            if self._over:
+                raise StoreError(f"run {self.run_id!r} has ended: play this question again with --resume")
+            super().append(entry)
         for listen in self.listeners:
             listen(entry)
 
     def finish(self) -> pa.Table:
         """Write the tables of the run's questions that are finished; returns the predictions."""
+        with self._writing:
+            self._over = True
         ids = read_run_manifest(self.store, self.run_id).question_ids
         return write_tables(self.store, self.run_id, [self.finished[name] for name in ids if name in self.finished])
 

@@ -126,7 +126,7 @@ def _with_panoramas(questions: Sequence[Question], image_root: str | None) -> li
         f"{len(without)} sequences have no panoramas ({', '.join(without[:3])}{', ...' if len(without) > 3 else ''})"
     )
     if not found:
-        raise StoreError(f"no question is left to ask: {lacking}; choose others, or give --images")
+        raise StoreError(f"no selected question can be asked: {lacking}; choose others, or give --images")
     if without:
         left = f"{len(questions) - len(found)} of {len(questions)} questions are left out: {lacking}"
         warnings.warn(f"{left}; {len(found)} can be asked", AvrWarning, stacklevel=4)

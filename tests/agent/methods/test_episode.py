@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from scripted import MODES, blank_task, evidence
 
-from jrdb_avr.agent.methods.episode import Episode, Left, most_moves
+from jrdb_avr.agent.methods.episode import Episode, Remaining, most_moves
 from jrdb_avr.agent.methods.react import ReAct
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.answers import Choice
@@ -23,16 +23,16 @@ def refused(move, *arguments):
 
 def test_a_look_and_an_answer_are_the_question():
     episode = Episode(blank_task(), budget=3)
-    assert (episode.frames, episode.left, episode.over) == ((0, 5, 10), Left(3, 8), False)
+    assert (episode.frames, episode.left, episode.over) == ((0, 5, 10), Remaining(3, 8), False)
     assert episode.observe(5, 540).angle_deg == 180.0
-    assert episode.left == Left(2, 7)
+    assert episode.left == Remaining(2, 7)
     episode.submit(2, BOX)
     found = episode.finished()
     assert (found.status, found.answer, found.reason) == ("answered", Choice(2), "")
     # 480 pixels wide, 40 columns to the left of the crop: the crop of 180 degrees begins at column 1640.
     assert (found.evidence.frame, found.evidence.box) == (5, (1640 + 48, 96, 96, 96))
     assert (found.n_observations, found.n_model_calls) == (1, 2)
-    assert episode.over and episode.left == Left(0, 0)
+    assert episode.over and episode.left == Remaining(0, 0)
     assert "finished" in refused(episode.observe, 0, 0.0)
     assert episode.finished() == found
 
@@ -45,7 +45,7 @@ def test_a_refused_move_is_spent_and_says_why():
     assert "finite" in refused(episode.observe, 5, float("nan"))
     episode.observe("000005", 359.8)
     assert "within 1 degree" in refused(episode.observe, 5, 0.3)
-    assert episode.left == Left(1, 0) and episode.over
+    assert episode.left == Remaining(1, 0) and episode.over
     found = episode.finished()
     assert (found.status, found.answer, found.evidence) == ("invalid", Choice(2), None)
     assert "finite" in found.reason
@@ -55,7 +55,7 @@ def test_looks_end_before_moves():
     episode = Episode(blank_task(), budget=1)
     episode.observe(0, 0.0)
     assert "no looks are left" in refused(episode.observe, 5, 90.0)
-    assert episode.left == Left(0, 2)
+    assert episode.left == Remaining(0, 2)
 
 
 def test_the_newest_readable_parts_count_and_an_answer_sent_again_ends():

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
@@ -140,3 +141,27 @@ def test_the_run_of_evaluate_has_rows_of_the_same_columns(small_demo, by_evaluat
 
     table = pq.read_table(small_demo.folder / "store" / "runs" / "react-marker" / "predictions.parquet")
     assert set(table.column_names) == set(RUNS["predictions"].names)
+
+
+def test_a_judge_whose_process_has_ended_is_replaced(small_demo, by_evaluate, monkeypatch):
+    import asyncio
+
+    from jrdb_avr.engine.integrations import inspect_ai as door
+
+    opened, begin = [], door.Judge.open
+    recorded = SimpleNamespace(open=lambda store: opened.append(begin(store)) or opened[-1])
+    monkeypatch.setattr(door, "Judge", recorded)
+    state = SimpleNamespace(store={door.PREDICTION: next(iter(by_evaluate.values()))})
+
+    async def twice():
+        score = door.judged(str(small_demo.folder / "store"))
+        before = await score(state, None)
+        opened[0]._process.kill()
+        opened[0]._process.wait()
+        return before, await score(state, None)
+
+    before, after = asyncio.run(twice())
+    assert before.value == after.value and len(opened) == 2
+    with pytest.raises(AvrError):
+        asyncio.run(door.judged("nowhere")(state, None))
+    opened[1].close()

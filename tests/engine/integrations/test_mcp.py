@@ -178,7 +178,7 @@ def test_over_stdio_panoramas_beside_labels_are_refused(public_store, small_demo
 
 
 @contextlib.asynccontextmanager
-async def desk(store, **options):
+async def desk(store):
     """A client in this process; the run's tables are written at the end."""
     import mcp
 
@@ -189,7 +189,7 @@ async def desk(store, **options):
     with Run(store, "r") as run:
         bench = Bench.open(store, limit=2)
         run.start(METHOD, "m", [own.question_id for own in bench.questions], {}, True, {})
-        async with mcp.Client(Desk(bench, run, **options).server()) as client:
+        async with mcp.Client(Desk(bench, run).server()) as client:
             yield client
         run.finish()
 
@@ -198,9 +198,11 @@ def box(frame):
     return [{"frame_id": f"{frame:06d}", "bbox": [1, 2, 300, 400]}]
 
 
-def test_moves_that_are_malformed_or_refused_are_spent_and_told_why(store):
+def test_moves_that_are_malformed_or_refused_are_spent_and_told_why(store, monkeypatch):
+    monkeypatch.setattr("jrdb_avr.engine.run.playing.BUDGET", 2)
+
     async def main():
-        async with desk(store, budget=2) as client:
+        async with desk(store) as client:
             begun = (await client.call_tool("next_question")).structured_content
             assert QUESTIONS_ASKED[0].question in begun["prompt"] and begun["answer_schema"]["maximum"] == 4
 

@@ -129,7 +129,7 @@ def test_questions_by_id_by_file_and_by_number(store, tmp_path):
         (("--questions", "0123456789abcdef"), "not in the store"),
         (("--questions", ","), "names no question"),
         (("--questions", "x" * 5000), "cannot read"),
-        (("--questions", BLIND.question_id), "no question is left"),
+        (("--questions", BLIND.question_id), "no selected question"),
         (("--run-id", "../evil"), "run id"),
         (("--model", "qwen", "--base-url", "nowhere"), "no server address"),
     ],

@@ -133,6 +133,42 @@ def test_a_run_goes_on_and_is_reported(small_demo, store):
     assert (row["first"], row["second"], row["n"], row["same_answer"]) == ("human-a", "human-b", 2, 50.0)
 
 
+def test_an_answer_that_the_disk_refuses_is_kept_until_it_is_written(store, monkeypatch):
+    with playing(store, number=1) as (bench, run), serving(HumanDesk(bench, run, "").respond) as server:
+        state = post(server, "state")
+        state = look(server, state, state["play"]["frames"][0], 10)
+        with monkeypatch.context() as patch:
+            patch.setattr(run, "append", full_disk)
+            assert (answer(server, state, 1, [1, 1, 9, 9]), post(server, "next")) == (404, 404)
+            assert post(server, "state")["play"]["over"] and not run.finished
+        assert "play" not in post(server, "next") and run.finished[chosen(store, 1)[0]].prediction["answer"]
+
+
+def full_disk(entry):
+    raise StoreError("no space left")
+
+
+def test_a_refused_answer_that_ends_the_question_was_not_taken(store):
+    with playing(store, number=1) as (bench, run), serving(HumanDesk(bench, run, "").respond) as server:
+        state = post(server, "state")
+        state = look(server, state, state["play"]["frames"][0], 10)
+        for over in (False, True):
+            found = answer(server, state, 99, [1, 1, 9, 9])["play"]
+            assert (found["over"], found["answered"]) == (over, False)
+
+
+def test_a_move_after_the_end_of_the_run_is_told_so(store):
+    with playing(store, number=2) as (bench, run), serving(HumanDesk(bench, run, "").respond) as server:
+        state = post(server, "state")
+        answer(server, look(server, state, state["play"]["frames"][0], 10), 1, [1, 1, 9, 9])
+        state = post(server, "next")
+        seen = look(server, state, state["play"]["frames"][0], 10)
+        run.finish()
+        assert answer(server, seen, 1, [1, 1, 9, 9]) == 404
+    rows = read_table(store.run_path("human-a") / "predictions.parquet")
+    assert rows["question_id"].to_pylist() == list(run.finished) == chosen(store, 1)
+
+
 def test_what_is_no_move_is_refused(store):
     with playing(store) as (bench, run), serving(HumanDesk(bench, run, "").respond) as server:
         state = post(server, "state")

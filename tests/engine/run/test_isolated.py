@@ -1,5 +1,6 @@
 """Methods in a process of their own: they play as they would in the run's, and find nothing but the public files."""
 
+import errno
 import json
 import os
 import shutil
@@ -252,3 +253,19 @@ def test_where_nothing_can_be_isolated_the_run_is_refused_in_a_line(store, monke
 def test_a_store_among_the_programs_is_refused_in_a_line():
     with pytest.raises(StoreError, match="holds programs"):
         confine.program_files([Store(os.path.realpath(os.__file__)).path])
+
+
+@isolates
+def test_what_cannot_be_prepared_is_refused_in_a_line(store, monkeypatch):
+    def full(*values, **options):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("tempfile.TemporaryDirectory", full)
+    code, _, err = evaluate(store, "--method", "docs/examples/blind.py:Blind", "--model", "none", "--isolated")
+    assert code == 1 and "cannot be prepared" in err.splitlines()[-1] and "Traceback" not in err
+
+
+def test_on_a_machine_of_unknown_calls_nothing_is_confined(monkeypatch):
+    monkeypatch.setattr(confine, "_CAPSET", None)
+    with pytest.raises(StoreError, match="cannot confine"):
+        confine.check_confinable()

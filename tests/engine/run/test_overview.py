@@ -82,6 +82,16 @@ def test_removing_takes_one_run_and_nothing_else(store):
     assert run_ids(store) == ["two"]
 
 
+def test_a_run_that_cannot_be_moved_away_stays(store, monkeypatch):
+    def full(**options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with pytest.raises(StoreError, match="cannot remove"):
+        remove_run(store, "one")
+    assert run_ids(store) == ["one", "two"]
+
+
 def test_a_link_is_not_followed(store, tmp_path):
     shutil.move(store.run_path("one"), tmp_path / "elsewhere")
     store.run_path("one").symlink_to(tmp_path / "elsewhere")
@@ -94,10 +104,10 @@ def test_who_scores_which_question(store):
     combined = next(row for row in found.rows if row["score"] == "combined")
     assert (combined["n"], combined["only_first"], combined["only_second"]) == (12, 4, 4)
     assert combined["difference"] == 0 and combined["difference_low"] < 0 < combined["difference_high"]
-    shares = {row["score"]: row for row in found.shares()}
-    assert (shares["answer"]["first"], shares["answer"]["second"]) == (75, 50)
-    assert (shares["combined"]["first"], shares["combined"]["second"]) == (50, 50)
-    assert (shares["combined"]["only first"], shares["combined"]["only second"]) == (4, 4)
+    scores = {row["score"]: row for row in found.scores()}
+    assert (scores["answer"]["first"], scores["answer"]["second"]) == (75, 50)
+    assert (scores["combined"]["first"], scores["combined"]["second"]) == (50, 50)
+    assert (scores["combined"]["only first"], scores["combined"]["only second"]) == (4, 4)
     rows = {row["question_id"]: row for row in found.questions()}
     assert {name: row["only"] for name, row in rows.items()} == {
         **{f"q{n:02}": "one" for n in range(2, 6)},

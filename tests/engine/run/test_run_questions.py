@@ -100,7 +100,7 @@ def test_what_cannot_be_asked_is_counted(images):
         AvrWarning, match="12 of 36 questions are left out: 1 sequences have no panoramas .c.; 24 can be"
     ):
         select_questions(WORDS, QuestionSelection(limit=1), images)
-    with pytest.raises(StoreError, match="no question is left to ask"):
+    with pytest.raises(StoreError, match="no selected question can be asked"):
         select_questions(WORDS, QuestionSelection(sequences=("c",)), images)
     with pytest.raises(StoreError, match="choose fewer"):
         select_questions(WORDS[:9], QuestionSelection(sequences=("a",), questions=(WORDS[5].question_id,)), images)
@@ -220,4 +220,4 @@ def test_an_exception_of_a_method_is_shown_with_its_place(store, evaluate, tmp_p
 
 
 def test_a_question_that_no_panorama_shows_is_counted_when_named(evaluate):
-    assert "no question is left to ask" in evaluate("--questions", BLIND.question_id)[2]
+    assert "no selected question can be asked" in evaluate("--questions", BLIND.question_id)[2]
