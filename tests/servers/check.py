@@ -296,7 +296,7 @@ def blind_rows(server, store):
     seen = checks(client)
     yield "System role refused by the template", seen["system"].replace(server.url + ": ", "")
     reply = said(client, system=True)
-    yield "A question then", reply if isinstance(reply, str) else "replied to; the server moved the message's text"
+    yield "A question then", reply if isinstance(reply, str) else "replied to, with a system message"
     yield "Pictures without eyes", seen["picture"].replace(server.url + ": ", "")
 
 
