@@ -68,10 +68,11 @@ def conclude(
     near = (who for who in order if best[who].log_odds >= best[order[0]].log_odds - UNIT)
     who = next((who for who in near if reads[who].answer is not None), order[0])
     answer, frame, state = reads[who]
-    shown, box = _evidence(tracks, who, frame, [tracks.met(at) for at in frames_of(plan, plan.target)])
+    described = [tracks.nearest_looked(at) for at in frames_of(plan, plan.target)]
+    box_frame, box = _evidence(tracks, who, frame, described)
     if answer is None:
         answer = uninformed_answer(plan.answer.mode, frame, expected_place(tracks.people[who], frame).angle)
-    return Conclusion(answer, who, shown, box, _verdict(plan, tracks, best[who], state, box))
+    return Conclusion(answer, who, box_frame, box, _verdict(plan, tracks, best[who], state, box))
 
 
 def _evidence(tracks: Tracks, who: str, frame: int, described: Collection[int]) -> tuple[int, FusedBox]:
@@ -201,7 +202,7 @@ class _Reader:
         found = [self._bracket(place) for place in range(len(self.plan.answer.times))]
         moments = [self._moment(place, one) for place, one in enumerate(found)]
         state = _weakest("open" if one is None else one.state for one in found)
-        shown = next((one.high for one in found if one is not None and one.high is not None), self._described())
+        frame = next((one.high for one in found if one is not None and one.high is not None), self._described())
         first, last = round(moments[0]), round(moments[-1])
         answer: Answer
         match self.plan.answer.mode:
@@ -216,7 +217,7 @@ class _Reader:
                 passed = (moments[-1] - moments[0]) / FPS
                 least = _LIKELY_S if not seen[-1] else 1.0
                 answer = Number(max(passed, least) if seen[0] else _LIKELY_S)
-        return ReadAnswer(answer, shown, state)
+        return ReadAnswer(answer, frame, state)
 
     def _moment(self, place: int, bracket: Bracket | None) -> float:
         """The moment of an event; where it was not seen, the middle of the time in which it may still lie."""
@@ -228,7 +229,7 @@ class _Reader:
         first, last = (self._stated(place) for place in (0, 1))
         looked = [at for at in self.tracks.looks if first <= at <= last]
         relation = self.plan.answer.relation or ""
-        met = {
+        partners = {
             other
             for other in self.tracks.people
             for at in looked
@@ -236,7 +237,7 @@ class _Reader:
         }
         seen = [at for at in looked if self.tracks.at(self.who, at)]
         frame = seen[0] if seen else first
-        return ReadAnswer(Number(float(max(len(met), 1))), frame, "supported" if met else "open")
+        return ReadAnswer(Number(float(max(len(partners), 1))), frame, "supported" if partners else "open")
 
     # -- times --------------------------------------------------------------------------------------------------------
 

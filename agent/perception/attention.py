@@ -78,9 +78,10 @@ _MISSED: Final = 0.3
 _AWAY: Final = 0.05
 """The chance that somebody is not there at all."""
 
-_CLOSE: Final = {"span": 14}
 _CLOSE_FRAMES: Final = 28
 """Frames to which a moment is to be known: half of them is within a second."""
+_CLOSER: Final = {"span": 14}
+"""The same for reads that are scored by how well two spans overlap."""
 
 _TRIES: Final = 3
 """Looks at one frame for somebody who is followed; then a later one is tried."""
@@ -245,7 +246,7 @@ class _Attention:
             if not self.tracks.at(who, frame):
                 if (found := self._search(who, frame, told, "verify")) is not None:
                     yield found
-            elif self.tracks.shown(who, frame) < MOST_READINGS:
+            elif self.tracks.looks_at(who, frame) < MOST_READINGS:
                 places[who] = self._angle(who, frame)
         for angle in [place + turn for turn in (0.0, -_ASIDE_DEG, _ASIDE_DEG) for place in places.values()]:
             shown = [who for who, place in places.items() if angle_error(angle, place) < FOV_DEG / 2 - EDGE_DEG]
@@ -322,7 +323,7 @@ class _Attention:
     def _bracket(self, who: str, event: Bracket) -> Iterator[NextLook]:
         """Step on until the change was passed, halve the bracket, then read its two ends again."""
         low, high = event.low, event.high
-        close = _CLOSE.get(self.plan.answer.read, _CLOSE_FRAMES)
+        close = _CLOSER.get(self.plan.answer.read, _CLOSE_FRAMES)
         tried = self.tracks.looks
         if high is None:
             yield from self._step(who, low, self.frames[-1])

@@ -42,7 +42,7 @@ class Bracket(NamedTuple):
         return "certain" if self.high - self.low <= RESOLVED_FRAMES else "supported"
 
 
-def shown(tracks: Tracks, who: str, frame: int) -> bool:
+def place_seen(tracks: Tracks, who: str, frame: int) -> bool:
     """Whether the looks at a frame show all of the circle in which somebody can be expected."""
     readings = tracks.people.get(who, ())
     if not readings or frame not in tracks.looks:
@@ -58,15 +58,15 @@ def absence(tracks: Tracks, who: str, frame: int) -> SlotState:
     """
     if any(abs(one.frame - frame) <= KEYFRAME_STEP for one in tracks.people.get(who, ())):
         return "contradicted"
-    if not shown(tracks, who, frame):
+    if not place_seen(tracks, who, frame):
         return "open"
-    near = [at for at in tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP and shown(tracks, who, at)]
+    near = [at for at in tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP and place_seen(tracks, who, at)]
     return "certain" if near else "supported"
 
 
 def presence(tracks: Tracks, who: str, frame: int) -> bool | None:
     """Whether somebody was seen at a frame; None where neither they nor all of the place they should be at was."""
-    return True if tracks.at(who, frame) else False if shown(tracks, who, frame) else None
+    return True if tracks.at(who, frame) else False if place_seen(tracks, who, frame) else None
 
 
 def performs_at(tracks: Tracks, who: str, action: str, frame: int) -> bool | None:

@@ -107,7 +107,7 @@ class Tracks:
 
     def _group_size(self, who: str, size: int, frame: int) -> Support:
         """The support for so many people in somebody's group: by the group's ties, or as it was read."""
-        at = self.met(frame)
+        at = self.nearest_looked(frame)
         if not any(relation == SAME_GROUP for _, relation, *_ in self._tied):
             said = [(one.frame, _says(one, "group_size", str(size))) for one in self.people.get(who, ())]
             return _support([(when, vote) for when, vote in said if vote is not None], frame)
@@ -183,9 +183,9 @@ class Tracks:
 
     def missed(self, who: str, frame: int) -> int:
         """How many more looks at somebody's place do not show them at a frame than do."""
-        return self.shown(who, frame) - 2 * len(self.at(who, frame))
+        return self.looks_at(who, frame) - 2 * len(self.at(who, frame))
 
-    def shown(self, who: str, frame: int) -> int:
+    def looks_at(self, who: str, frame: int) -> int:
         """How many looks at a frame show the place at which most readings have somebody."""
         box = self.box(who, frame)
         if box is None:
@@ -193,7 +193,7 @@ class Tracks:
         place = around(angle_of(box.box), box.box.w * 180.0 / WIDTH)
         return sum(covered([look], place) for look in self.looks.get(frame, ()))
 
-    def met(self, frame: int) -> int:
+    def nearest_looked(self, frame: int) -> int:
         """The frame that stands for a stated one: of those looked at the nearest, itself where there is none."""
         return min(self.looks, key=lambda other: (abs(other - frame), other), default=frame)
 
@@ -202,7 +202,7 @@ class Tracks:
     def relation(self, source: str, relation: str, target: str, frame: int) -> Support:
         """The support for a relation at a frame: from boxes where these decide, else from readings of either person."""
         if relation in DERIVED:
-            return self._derived(source, relation, target, self.met(frame), frame)
+            return self._derived(source, relation, target, self.nearest_looked(frame), frame)
         return _support(self._votes_of_ties.get(_tie_key(source, relation, target), ()), frame)
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:

@@ -21,6 +21,7 @@ from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, fr
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.beliefs import HypothesisRow
+from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.method import Task, Verdict
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
@@ -146,8 +147,8 @@ class BeliefWriter:
         target = self.plan.target
         best = next((one for one in hypotheses if one.nodes.get(target) == found.entity), hypotheses[0])
         for node, who in best.nodes.items():
-            frames = [found.frame] if who == found.entity else [tracks.met(f) for f in frames_of(self.plan, node)]
-            for frame in frames:
+            described = [tracks.nearest_looked(frame) for frame in frames_of(self.plan, node)]
+            for frame in [found.frame] if who == found.entity else described:
                 if (seen := tracks.agreed(who, frame)) is not None:
                     self._place(tracks, who, seen, step, Backing(origin="derived"), node)
         verdict = found.verdict
@@ -162,7 +163,7 @@ class BeliefWriter:
         for part in parts_of(self.plan):
             if part.name not in _FROM_BOXES | DERIVED:
                 continue
-            at = tracks.met(part.frame or 0)
+            at = tracks.nearest_looked(part.frame or 0)
             seen = {who: one for who in tracks.people if (one := tracks.agreed(who, at)) is not None}
             for people in permutations(seen, len(part.nodes)):
                 support = part.support(tracks, people)
@@ -179,11 +180,15 @@ class BeliefWriter:
                     self.world.add("add_attribute", call, step, backing=backing)
 
     def _proved(self, entity: str) -> bool:
+        """Whether the compiled plan finds this target; False also where it takes too long."""
         self.world.settle()
         rows = self.world.rows()
         for plan in self.solver.placements(self.asked, rows, anywhere=False):
             if self.solver.weigh(plan, rows).people.get(plan.target) == entity:
-                return self.solver.solve(plan, rows).people.get(plan.target) == entity
+                try:
+                    return self.solver.solve(plan, rows).people.get(plan.target) == entity
+                except QueryError:
+                    return False
         return False
 
     def _ranked(

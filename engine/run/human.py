@@ -81,11 +81,10 @@ class HumanDesk:
     def _record(self) -> None:
         """Add a question that is over to the run. Raises StoreError where the disk refuses; the next request tries
         again."""
-        if self._play is not None and self._play.episode.over:
-            question_id = self._play.episode.question.question_id
-            if question_id in self._due:
-                self._play.record(self._run)
-                self._due.remove(question_id)
+        play = self._play
+        if play is not None and play.episode.over and play.episode.question.question_id in self._due:
+            play.record(self._run)
+            self._due.remove(play.episode.question.question_id)
 
     def _state(self, error: str = "") -> Response:
         """What the page shows, as JSON; begins the next question where none is being played."""

@@ -126,7 +126,7 @@ def test_whoever_most_looks_at_the_place_do_not_show_stands_between_nobody():
     between = tracks({15: (crop,)}, p=[read()], g=[read(angle=105.0)], q=[read(angle=110.0)])
     assert between.relation("q", FIRST_LEFT, "g", 15).log_odds > 0
     again = tracks({15: (crop,) * 3}, p=[read()] * 3, g=[read(angle=105.0)], q=[read(angle=110.0)] * 3)
-    assert (again.shown("g", 15), again.missed("g", 15), again.missed("p", 15)) == (3, 1, -3)
+    assert (again.looks_at("g", 15), again.missed("g", 15), again.missed("p", 15)) == (3, 1, -3)
     assert set(again.boxes(15)) == {"p", "q"}
     assert again.relation("q", FIRST_LEFT, "p", 15).log_odds > 0
     assert again.relation("q", FIRST_LEFT, "g", 15).state == "open"

@@ -18,6 +18,7 @@ from jrdb_avr.agent.perception.support import rank
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.agent.reference.belief_writer import BeliefWriter
 from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import CROP, Box
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
@@ -159,3 +160,20 @@ def test_what_is_current_is_what_the_readings_come_to(graph, seed):
     stated = [row for row in played.edges("Has") if row["origin"] == "model" and row["who"] == "p1"]
     assert Counter(row["value"] for row in stated if row["name"] != "distance_m") == read and set(written) >= set(read)
     assert all(write.accepted for write in played.writes)
+
+
+def test_an_answer_stands_where_its_proof_takes_too_long(graph, monkeypatch):
+    def late(*values):
+        raise QueryError("stopped after 10 s")
+
+    verdicts = []
+    for slow in (False, True):
+        with monkeypatch.context() as patch:
+            if slow:
+                patch.setattr(BeliefSolver, "solve", late)
+            sitting = (ReadLabel("action", "sitting"),)
+            played = Played(graph)
+            for _ in range(3):
+                played.see((sitting, (), None))
+            verdicts.append(played.conclude()[1])
+    assert verdicts == ["certain", "supported"]

@@ -158,5 +158,5 @@ def test_predictions_lead_back_into_a_store(asked_world, tasks, docs, store, tmp
 def test_the_tasks_need_a_folder_of_their_own_and_panoramas(asked_world, tasks, tmp_path):
     code, _, err = run("export", "--store", asked_world / "store", "--lmms-eval", tasks[0])
     assert code == 1 and "not empty" in err
-    with pytest.raises(StoreError, match="no question is left"):
+    with pytest.raises(StoreError, match="no selected question"):
         FixedContextTask("monolithic", tasks[0], tmp_path, "", bytes)
