@@ -1,7 +1,7 @@
 """Map a function over sequences on a Ray cluster, whose machines see the folders of this one under the same paths.
 
 Ray is an extra: `pip install 'jrdb-avr[ray]'`. A function whose worker or machine dies is run again, so it must bear
-that: it writes files whole (`store.write_atomic`), or returns what it found.
+that: it writes files whole (`files.write_atomic`), or returns what it found.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ def map_on_cluster(
 
 
 def _at_place(place: str, function: Callable[[_A], _R], item: _A) -> _R:
-    # Paths of items may be relative; a worker has a process of its own.
-    os.chdir(place)
+    # Paths of items may be relative; a worker has a process of its own. Absolute ones do not need the folder.
+    with contextlib.suppress(OSError):
+        os.chdir(place)
     return function(item)
 
 

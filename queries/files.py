@@ -1,7 +1,7 @@
-"""Files and folders that are written whole: beside their place, synced, and renamed into it.
+"""Files and folders that are written whole: beside their place, their files synced, and renamed into it.
 
-Whoever is killed meanwhile leaves the old state, and a hidden `.NAME.*.tmp` beside it, which the next one who writes
-NAME takes away: its writer holds a lock on it as long as it lives.
+Whoever is killed meanwhile leaves the old state, and a hidden `.NAME.????????.tmp` beside it, which the same user takes
+away by writing NAME again: its writer holds a lock on it as long as it lives.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ import contextlib
 import errno
 import fcntl
 import os
+import re
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -51,12 +53,15 @@ def write_once(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """A folder to write into, which takes the name `folder` when the block ends well; otherwise it is removed.
+    """Make a folder to write into, which takes the name `folder` when the block ends well; otherwise it is removed.
 
-    Raises InputError where `folder` holds something, StoreError if the disk refuses.
+    Raises InputError where `folder` holds something or cannot be replaced, StoreError if the disk refuses.
     """
+    folder = folder.resolve()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} exists and is not empty: name a new folder", file=str(folder))
+    if folder == Path.cwd() or folder.is_mount():
+        raise InputError(f"{folder} cannot be replaced: name a new folder inside it", file=str(folder))
     with _beside(folder, folder=True) as temporary:
         yield temporary
         temporary.chmod(0o777 & ~_umask())
@@ -69,11 +74,11 @@ def _beside(path: Path, *, folder: bool) -> Iterator[Path]:
     with contextlib.ExitStack() as cleanup:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _remove_left_over(path)
+            _remove_left_over(path, folder)
             yield _make(path, folder, cleanup)
         except OSError as error:
             # pyarrow raises its own OSError without a number; its text then is the reason.
-            reason = os.strerror(error.errno) if error.errno else str(error).splitlines()[0]
+            reason = os.strerror(error.errno) if error.errno else (str(error).splitlines() or [type(error).__name__])[0]
             hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) else ""
             raise StoreError(f"cannot write {path}: {reason}{hint}") from None
 
@@ -97,12 +102,18 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
                 return temporary
 
 
-def _remove_left_over(path: Path) -> None:
-    """Remove what killed writers of `path` left beside it."""
+def _remove_left_over(path: Path, folder: bool) -> None:
+    """Remove the temporary files, or folders, that this user's killed writers of `path` left beside it."""
+    ours = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\.tmp")
     for entry in list(os.scandir(path.parent)):
-        if entry.name.startswith(f".{path.name}.") and entry.name.endswith(".tmp"):
+        if ours.fullmatch(entry.name):
             with contextlib.suppress(OSError):
-                handle = os.open(entry.path, os.O_RDONLY)
+                found = entry.stat(follow_symlinks=False)
+                kind = stat.S_ISDIR if folder else stat.S_ISREG
+                if not kind(found.st_mode) or found.st_uid != os.geteuid():
+                    continue
+                # It may have become a link or a pipe since.
+                handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     _remove(Path(entry.path))

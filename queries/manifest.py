@@ -55,6 +55,8 @@ def read_manifest(store: Path) -> Manifest:
         raise StoreError(f"{path} has version {manifest.version}, not {MANIFEST_VERSION}: load again")
     if manifest.image_root is None:
         return manifest
+    if ".." in Path(manifest.image_root).parts:
+        raise StoreError(f"{path}: image_root {manifest.image_root[:100]!r} leads upwards: load the annotations again")
     return msgspec.structs.replace(manifest, image_root=str(store.absolute() / manifest.image_root))
 
 

@@ -29,7 +29,9 @@ def main() -> None:
     )
     parser.add_argument("--port", type=int, default=0, help="port on 127.0.0.1; a free one if left out")
     parser.add_argument("--log", type=Path, help="file for one JSON line per answer")
-    parser.add_argument("--profile", choices=PROFILES, default="perfect", help="knobs to begin with")
+    parser.add_argument(
+        "--profile", choices=PROFILES, default="perfect", help="knobs to begin with, but for models named as a profile"
+    )
     parser.add_argument("--knob", action="append", default=[], metavar="NAME=VALUE", help="imperfection")
     options = parser.parse_args()
     try:

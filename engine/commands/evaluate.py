@@ -198,7 +198,7 @@ def _check_names(runs: Sequence[Mapping[str, Any]]) -> None:
     names = [default_run_id(player, model) if name is None else name for name, player, model in players]
     for name in names:
         if names.count(name) > 1:
-            raise click.UsageError(f"two runs are named {name}: give each [[run]] a run-id")
+            raise click.UsageError(f"two runs are named {name}: give each a [[run]] of its own, with a run-id")
 
 
 def _checked(run: dict[str, Any]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def key_fingerprint(store: Store) -> str:
 
 
 def _key(path: Path) -> bytes:
-    """The key, made where there is none yet; nobody but the owner may read it."""
+    """Read the key, or make it where there is none yet; nobody but the owner may read it."""
     if not path.exists():
         write_once(path, secrets.token_hex(_KEY_BYTES).encode())
     try:

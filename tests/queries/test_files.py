@@ -1,6 +1,8 @@
 """Files and folders that are written whole, and what killed writers leave beside them."""
 
 import fcntl
+import os
+from pathlib import Path
 
 import pytest
 
@@ -13,16 +15,26 @@ def names(folder):
 
 
 def test_what_a_killed_writer_left_is_taken_away_and_nothing_else(tmp_path):
-    alive, dead, other = (tmp_path / f".{name}.tmp" for name in ("a.json.alive", "a.json.dead", "b.json.dead"))
-    for path in (alive, dead, other):
+    alive, dead, *others = (
+        tmp_path / f".{name}.tmp"
+        for name in ("a.json.alive000", "a.json.dead0000", "b.json.dead0000", "a.json.mine", "a.json.d.dead0000")
+    )
+    for path in (alive, dead, *others):
         path.touch()
-    (tmp_path / ".a.json.folder.tmp").mkdir()
-    (tmp_path / ".a.json.folder.tmp/part").touch()
+    folder, pipe, link = (tmp_path / f".a.json.{name}.tmp" for name in ("folder00", "pipe0000", "link0000"))
+    folder.mkdir()
+    (folder / "part").touch()
+    os.mkfifo(pipe)
+    link.symlink_to(others[0])
     with alive.open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         write_bytes(tmp_path / "a.json", b"new")
-    assert names(tmp_path) == sorted([alive.name, other.name, "a.json"])
-    assert (tmp_path / "a.json").read_bytes() == b"new"
+    kept = [alive, *others, folder, pipe, link]
+    assert names(tmp_path) == sorted([*(path.name for path in kept), "a.json"])
+    assert (tmp_path / "a.json").read_bytes() == b"new" and (folder / "part").exists()
+    with new_folder(tmp_path / "a.json.d"):
+        pass
+    assert others[-1].exists()
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path):
@@ -37,6 +49,20 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
         assert names(place) == []
     assert names(tmp_path) == ["made"] and (place / "part").read_text() == "whole"
     with pytest.raises(InputError, match="not empty"), new_folder(place):
+        pass
+    with pytest.raises(StoreError, match="OSError"), new_folder(tmp_path / "other"):
+        raise OSError
+
+
+def test_a_folder_that_cannot_be_replaced_is_refused_before_the_work(tmp_path, monkeypatch):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    with new_folder(tmp_path / "link") as made:
+        (made / "part").touch()
+    assert names(tmp_path / "empty") == ["part"] and (tmp_path / "link").is_symlink()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(InputError, match="name a new folder inside it"), new_folder(Path()):
         pass
 
 
