@@ -20,10 +20,16 @@ FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
 def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
-    """The store at a path that an option or argument names."""
+    """The store at a path that an option or argument names. Raises StoreError where a newer version wrote it."""
+    from jrdb_avr.queries.manifest import refuse_newer
     from jrdb_avr.queries.store import Store
 
-    return None if path is None else Store(path)
+    if path is None:
+        return None
+    # The completion of a word reports nothing.
+    if not ctx.resilient_parsing:
+        refuse_newer(path)
+    return Store(path)
 
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:

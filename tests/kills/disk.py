@@ -33,7 +33,6 @@ READING = (
     ("runs", "list"),
     ("runs", "show", "r"),
     ("report", "r", "a"),
-    ("trace", "r"),
     ("load", "--verify"),
 )
 """Commands that only read."""
@@ -93,7 +92,7 @@ class Disk(Matrix):
         with mounted(self.base / case.state, self.work):
             before = shutil.disk_usage(self.work).used
             self.run(case.words)
-            return shutil.disk_usage(self.work).used - before
+            return max(0, shutil.disk_usage(self.work).used - before)
 
     def readonly(self, case, rng):
         """A disk that nobody can write to; commands that only read work there."""
@@ -154,12 +153,9 @@ class Disk(Matrix):
         code, said = self.run(case.words)
         yield from fault_of(code, said)
         after = snapshot(self.work, graphs=False)
-        if not code:
-            self.outcomes[f"newer {case.name}", "works"] += 1
-        elif "newer" not in said:
+        if "newer" not in said and case.name != "sample":
             yield f"it does not say that the store is newer: {said.strip()[-300:]}"
-        if code or after.get("store/store.json") != before.get("store/store.json"):
-            yield from differences(after, before)
+        yield from differences(after, before)
 
     def clock(self, case, rng):
         """The clock is set back by a day in the middle."""
@@ -192,7 +188,8 @@ def mounted(state, folder):
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1g", "none", folder], check=True)
     try:
         shutil.copytree(state, folder, dirs_exist_ok=True)
-        yield lambda size: subprocess.run(["mount", "-o", f"remount,size={size}", folder], check=True)
+        # Of a size of 0 there is no limit.
+        yield lambda size: subprocess.run(["mount", "-o", f"remount,size={max(size, 4096)}", folder], check=True)
     finally:
         subprocess.run(["umount", folder], check=True)
 

@@ -7,8 +7,8 @@ Part one kills the command, one of its children or its whole group at a random m
 (`faults.c`, built with gcc) that kills the group or the one process before every rename, within or after every write to
 a journal, and after one removal, truncation and half a write of every kind of file. After each kill no file may be
 half-written; after the rerun every file is that of an undisturbed run, and none is left over. What may differ: times,
-numbers of processes, the port of the built-in model's server and its log, the number of reads and writes of the world
-model in run.json, and the order of lines in a journal. Of a graph file the rows count.
+numbers of processes, the port of the built-in model's server, its log and what the checks of it found, the number of
+reads and writes of the world model in run.json, and the order of lines in a journal. Of a graph file the rows count.
 """
 
 import argparse
