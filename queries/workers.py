@@ -52,6 +52,9 @@ def map_shards(
         return
     with ProcessPoolExecutor(min(workers, len(items)), mp_context=context, initializer=end_with_parent) as pool:
         futures = {pool.submit(function, items[i]): i for i in order}
+        # Whoever watches the processes looks for new ones at each submission only, before it starts one. Without this
+        # the last one could die unnoticed, and the others wait for ever for the lock of the queue that it held.
+        pool.submit(int)
         try:
             for future in as_completed(futures):
                 yield futures[future], future.result()

@@ -266,14 +266,16 @@ def run_content(path):
 
 
 def lines_of(path):
-    """The whole lines, in any order; of a question or a request the last."""
+    """The whole lines, in any order; of a question or a request the last, but none that ended in an error, as where the
+    child that is killed is the model's server: they are answered again."""
     found = {}
     for line in path.read_bytes().splitlines():
         with contextlib.suppress(ValueError):
             entry = json.loads(line)
             for row in (entry.get("prediction", {}), *entry.get("steps", ())):
                 row.pop("seconds", None)
-            found[entry.get("question_id") or entry["request"]] = json.dumps(entry)
+            if entry.get("prediction", {}).get("status") != "error":
+                found[entry.get("question_id") or entry["request"]] = json.dumps(entry)
     return frozenset(found.values())
 
 

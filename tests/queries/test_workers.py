@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import time
+from multiprocessing.process import BaseProcess
+from pathlib import Path
 
 import pytest
 
@@ -41,3 +44,19 @@ def test_an_error_of_a_shard_is_raised_as_it_is(workers):
 def test_a_dead_worker_is_an_error_that_says_what_to_do():
     with pytest.raises(StoreError, match="fewer --workers"):
         list(map_shards(die, [1, 2], 2, weight=float))
+
+
+def sleep_or_die(folder: Path | None) -> None:
+    if folder is None:
+        os._exit(9)
+    time.sleep(20)
+    (folder / "waited").touch()
+
+
+def test_the_last_worker_that_dies_is_noticed_before_another_one_has_a_result(tmp_path, monkeypatch):
+    start = BaseProcess.start
+    # Whoever watches the processes is awake before the last one is there.
+    monkeypatch.setattr(BaseProcess, "start", lambda process: time.sleep(0.1) or start(process))
+    with pytest.raises(StoreError, match="fewer --workers"):
+        list(map_shards(sleep_or_die, [tmp_path, None], 2, weight=lambda folder: folder is not None))
+    assert not (tmp_path / "waited").exists()
