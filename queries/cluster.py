@@ -1,4 +1,4 @@
-"""Map a function over sequences on a Ray cluster, whose machines see the folders of this one under the same paths.
+"""Run a function over sequences on a Ray cluster whose machines share this one's folders, under the same paths.
 
 Ray is an extra: `pip install 'jrdb-avr[ray]'`. A function whose worker or machine dies is run again, so it must bear
 that: it writes files whole (`files.write_atomic`), or returns what it found.

@@ -128,7 +128,7 @@ def known_plans():
 
 @pytest.fixture
 def every_plan(known_plans, monkeypatch):
-    """Plans are looked at in each graph: for tests of what is refused for its plan."""
+    """Check the plan of every statement in each graph again: for tests of statements that the guard refuses."""
     from jrdb_avr.queries.graph.handle import Graph
 
     monkeypatch.setattr(Graph, "_plan", known_plans)

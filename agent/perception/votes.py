@@ -153,9 +153,9 @@ class Tracks:
         return [one for one in self.people.get(who, ()) if one.frame == frame]
 
     def agreed(self, who: str, frame: int) -> PersonReading | None:
-        """The reading of a person at a frame whose box agrees with the most other readings; None without a reading.
+        """Choose, of a person's readings at a frame, the one whose box most others agree with; None without readings.
 
-        Of the largest cluster it is a whole one, as near to the others as possible.
+        Of equal ones a person who was wholly in the picture comes first, then the box that overlaps the others most.
         """
         readings = self.at(who, frame)
 

@@ -89,7 +89,12 @@ panoramas:
     shell_complete=complete_sequence,
     help="Only of this sequence; may be repeated.",
 )
-@click.option("--per-template", type=click.IntRange(1), metavar="N", help="At most N of each template.")
+@click.option(
+    "--per-template",
+    type=click.IntRange(1),
+    metavar="N",
+    help="At most N of each template; with --limit the same number of each, as far as there are so many.",
+)
 @click.option("--limit", type=click.IntRange(1), metavar="N", help="At most N in all, of those that have panoramas.")
 @click.option("--seed", type=int, help="Draw the questions at random; without it the first ones are taken.")
 @click.option(
@@ -177,11 +182,15 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **options: Any) 
     rows = filled([run.row() for run in results])
     print_rows(rows, title=f"{title} (synthetic: the simulated model)" if simulated else title, form=form)
     for run, row in zip(results, rows, strict=True):
-        if row["error"]:
-            reason, times = run.commonest_error()
-            about = f"{run.run_id}: " if len(epochs) > 1 else ""
-            ended = f"{row['error']} of {row['n']} questions ended in an error, {times} of them so: {reason[:300]}"
-            note(f"{about}{ended}; run the same command with --resume to ask them again")
+        about = f"{run.run_id}: " if len(epochs) > 1 else ""
+        for status, way, then in (
+            ("invalid", "as invalid", ""),
+            ("error", "in an error", "; run the same command with --resume to ask them again"),
+        ):
+            reason, times = run.commonest_reason(status)
+            if times:
+                ended = f"{row[status]} of {row['n']} questions ended {way}, {times} of them so: {reason[:300]}"
+                note(f"{about}{ended}{then}")
     if len(results) < len(epochs) or any(row["error"] for row in rows):
         sys.exit(1)
     if not form:
@@ -191,7 +200,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **options: Any) 
 
 
 def _check_names(runs: Sequence[Mapping[str, Any]]) -> None:
-    """Raise UsageError where two runs would have one name, of which the second would fail after the first."""
+    """Raise UsageError where two runs would have the same name: the second would fail once the first was made."""
     from jrdb_avr.engine.run.evaluate import default_run_id, player_of
 
     players = [(run["run_id"], player_of(run["method"], run["policy"]), run["model"]) for run in runs]

@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 @store_option()
 @click.option("--name", default="person", show_default=True, help="Who plays, for the run and its reports.")
 @click.option("--run-id", help="Name of the run; human-NAME if left out.")
-@click.option("--per-template", type=click.IntRange(1), metavar="N", help="At most N of each template.")
+@click.option(
+    "--per-template",
+    type=click.IntRange(1),
+    metavar="N",
+    help="At most N of each template; with --limit the same number of each, as far as there are so many.",
+)
 @click.option("--limit", type=click.IntRange(1), metavar="N", help="At most N questions.")
 @click.option("--seed", type=int, help="Draw the questions at random; without it the first ones are taken.")
 @click.option("--resume", is_flag=True, help="Go on with a run: play what it has not answered.")

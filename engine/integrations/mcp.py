@@ -92,7 +92,7 @@ class Desk:
         return {"done": False, "episode": token, "prompt": episode.prompt, "answer_schema": schema}
 
     def observe(self, episode: str, frame_id: _FrameId, angle_deg: _Angle) -> list[Any]:
-        """Make a look; returns where it was taken, what is left, and the picture."""
+        """Observe a frame; returns two lines (frame and angle; looks and turns left) and the picture as JPEG."""
         with self._playing(episode) as own:
             seen = own.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
             left = own.left
@@ -101,7 +101,7 @@ class Desk:
         return [where, Image(data=picture_of(seen).data, format="jpeg")]
 
     def submit_answer(self, episode: str, answer: _Answer, evidence_bboxes: _Boxes) -> str:
-        """Give the final answer; returns that it was taken."""
+        """Submit the final answer; returns a line that says it was accepted."""
         with self._playing(episode) as own:
             own.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
         return "taken; call next_question for another question"

@@ -22,11 +22,11 @@ import msgspec
 from jrdb_avr.schema.errors import StoreError
 
 _CREATE, _ADD, _RESTRICT = 444, 445, 446
-"""Numbers of system calls, which are the same on every machine but those that are refused."""
+"""Numbers of the system calls landlock_create_ruleset, _add_rule and _restrict_self, on every machine of `_CAPSET`."""
 _CAPSET: Final = (
     {"x86_64": 126, "aarch64": 91, "riscv64": 91}.get(platform.machine()) if sys.maxsize > 1 << 32 else None
 )
-"""That of a system call whose number is the machine's; None on machines where nobody has looked it up."""
+"""Number of the system call capset on this machine; None on machines that are not supported."""
 _DEATH_SIGNAL, _NO_NEW_PRIVILEGES = 1, 38
 _BENEATH: Final = 1
 

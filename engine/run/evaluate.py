@@ -84,9 +84,9 @@ class RunResult(Displayed):
             **({} if self.price is None else {"dollars": round(self.price.cost(*(sums[name] for name in _TOKENS)), 6)}),
         }
 
-    def commonest_error(self) -> tuple[str, int]:
-        """The reason of most errors, and how many questions ended with it; "" and 0 without any."""
-        ended = self.predictions.filter(pc.equal(self.predictions["status"], "error"))
+    def commonest_reason(self, status: str) -> tuple[str, int]:
+        """The commonest reason of a status, "error" or "invalid", and its number of questions; "" and 0 without any."""
+        ended = self.predictions.filter(pc.equal(self.predictions["status"], status))
         found = Counter(ended["reason"].to_pylist()).most_common(1)
         return found[0] if found else ("", 0)
 

@@ -10,6 +10,7 @@ import hashlib
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,8 +24,9 @@ class QuestionSelection(msgspec.Struct, frozen=True, kw_only=True, omit_defaults
     """Which questions a run answers; without arguments all of them.
 
     questions, families, templates, sequences: names, of which a question needs one of each that is not empty.
-    per_template, limit: at most so many of each template, and in all, of those that have panoramas. seed: draws them at
-    random; without one the first are taken, in the order of `questions` or of the file.
+    per_template, limit: at most so many of each template, and in all, of those that have panoramas; with both, `limit`
+    takes the same number of each template, as far as there are so many. seed: draws them at random; without one the
+    first are taken, in the order of `questions` or of the file.
     """
 
     questions: tuple[str, ...] = ()
@@ -74,7 +76,8 @@ def select_questions(
         found.sort(key=lambda question: _draw(selection.seed, question))
     if selection.per_template is not None:
         counts: Counter[str] = Counter()
-        found = [own for own in found if _counted(counts, own.template) <= selection.per_template]
+        ranked = sorted(((_counted(counts, own.template), own) for own in found), key=itemgetter(0))
+        found = [own for rank, own in ranked if rank <= selection.per_template]
     return found[: selection.limit]
 
 

@@ -30,7 +30,7 @@ REACH = {
 """Frames round a changed frame within which the facts of a kind may change; those of the others stay in their frame."""
 
 ELSEWHERE = frozenset({"absence", "segment", "closed segment", "object"})
-"""Kinds whose facts follow from more than a window: a person is only away between the first and the last box."""
+"""Kinds of facts that a change may alter at any distance: absence depends on a person's first and last box."""
 
 
 def certain_facts(tables):
@@ -74,7 +74,7 @@ def certain_facts(tables):
 
 
 def false_facts(tables, known):
-    """Facts that are false for certain, of those that `known` (another load's interval tables) names.
+    """Find the facts that a load denies for certain, among the names that the tables of another load, `known`, hold.
 
     A list that was read whole denies what it does not name, and so does a pose that is known.
     """

@@ -89,7 +89,7 @@ def _raw(value):
 
 
 def stays_apart(raw):
-    """Whether a text in the place of a record leaves the rest of its file readable."""
+    """Whether a file stays readable in its other records when `raw` replaces one of them."""
     try:
         raw.decode()
         return bool(list(elements(b"[" + raw + b"]")))
@@ -137,7 +137,7 @@ AWKWARD = {
 
 
 def changed(rng, file, raw):
-    """Another text in the place of a record: the record as tools, hands and ill will leave it."""
+    """Mutate one record's JSON text: bytes, another record, or values as in awkward and hostile files."""
     kind = rng.random()
     if file.layer == "calibration" or kind < 0.45:
         return mutate(rng, raw)[0]
@@ -191,7 +191,7 @@ def unreadable(rng, file, raw):
 
 
 def _marked(value):
-    """A value's text with what is unreadable in the place of each mark."""
+    """The JSON text of a value in which each mark is replaced by a text that no reader accepts."""
     text = json.dumps(value, separators=(",", ":"))
     return re.sub(_MARKED, lambda found: _UNREADABLE[int(found[1])].decode(), text).encode()
 

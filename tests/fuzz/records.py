@@ -70,7 +70,7 @@ class World:
 
 
 def _leave_some_out(rng, path):
-    """Some people who are in clear view are left out of evaluation: what is unreadable may not bring them back."""
+    """Set `no_eval` for a few boxes of a file, so that mutations can be seen to bring one back into clear view."""
     content = json.loads(path.read_bytes())
     for records in content["labels"].values():
         for record in records:

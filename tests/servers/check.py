@@ -157,7 +157,7 @@ def run(server, store, method, **options):
     row = result.row()
     ended = ", ".join(f"{row[name]} {name}" for name in ("answered", "invalid", "error") if row[name])
     calls = f"{row['model_calls']} calls, {row['observations']} looks, {row['prompt_tokens']} tokens read"
-    error = result.commonest_error()[0]
+    error = result.commonest_reason("error")[0]
     return f"{ended}; {calls}" + (f" ({error.removeprefix(server.url)})" if error else "")
 
 

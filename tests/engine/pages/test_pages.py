@@ -395,7 +395,7 @@ def test_filters_leave_questions_out_and_the_keyboard_goes_past_them(opened, ins
 
 @pytest.fixture(scope="module")
 def pictured(small_demo, tmp_path_factory):
-    """The page of a question whose frames have pictures, and the question's views."""
+    """An `inspect` page of one question with pictures: (path of the page, store, the inspected question)."""
     store = Store(small_demo.folder / "store")
     asked = store.questions("questions")["question_id"].to_pylist()
     one = next(one for one in inspect_questions(store, asked) if min(one.boxes) >= 15 and not one.counted)

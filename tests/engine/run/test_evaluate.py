@@ -265,8 +265,10 @@ def test_errors_are_rows_and_are_asked_again(store):
         assert [r["n_model_calls"] for r in table].count(0) == 2
         assert max(r["n_observations"] for r in table) > 0
         broken = False
-        (row,) = json.loads(evaluate(store, *options, "--resume").stdout)
+        resumed = evaluate(store, *options, "--resume")
+        (row,) = json.loads(resumed.stdout)
         assert (row["error"], row["invalid"]) == (0, 3)
+        assert "3 of 3 questions ended as invalid, 3 of them so: no looks are left" in resumed.stderr
 
 
 @pytest.mark.parametrize(
