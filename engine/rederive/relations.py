@@ -60,9 +60,20 @@ class SocialFacts(ActionFacts):
                     _add_label(self._handled[track][other, category, thing], frame, None)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
         numbers = sorted(self.layers.get("2d", []))
-        self._grid = range(numbers[0], numbers[-1] + 1, step_of(numbers)) if numbers else range(0)
+        self._unread = self._find_unread(numbers) if numbers else frozenset()
         layers = ("groups", "interactions", "handles")
         self._steps = {layer: step_of(sorted(self.layers.get(layer, []))) for layer in layers}
+
+    def _find_unread(self, numbers: list[int]) -> frozenset[int]:
+        """Frames that the 2D layer, of these frames, should know and does not, up to a second beyond its ends.
+
+        Beyond them it should know what lies within the frames of any box and any other layer of labels.
+        """
+        layers = (known for layer, known in self.layers.items() if layer not in ("images", "timestamps"))
+        others = set(self._people).union(*layers)
+        first, last = min(others), max(others)
+        near = range(numbers[0] - KEYFRAME_STEP, numbers[-1] + KEYFRAME_STEP + 1, step_of(numbers))
+        return frozenset(one for one in near if first <= one <= last and not self.knows(one))
 
     def _when(self, labels: _Labels, frame: int, layer: str) -> bool | None:
         """Whether a fact is labelled with certainty at a frame; a closed gap is not certain, None means not labelled.
@@ -114,7 +125,7 @@ class SocialFacts(ActionFacts):
         Whose membership or whole record could not be read there could be in any group.
         """
         near = range(frame - KEYFRAME_STEP, frame + KEYFRAME_STEP + 1)
-        if any(one in self._grid and not self.knows(one) for one in near):
+        if not self._unread.isdisjoint(near):
             return True
         return any(
             self.box(track, frame) is None and self._groups.get((one, track), (cluster,))[0] == cluster

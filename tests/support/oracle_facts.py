@@ -81,6 +81,9 @@ class Oracle:
                     self.listed.discard(("interactions", row["frame"], row[other]))
         self.stamps = {row["frame"]: row["timestamp"] for row in found.rows("timestamps") if row["sensor"] == "images"}
         self._times = {}
+        layers = {layer: frames for layer, frames in self.found.frames.items() if layer not in ("images", "timestamps")}
+        labelled = {f for frames in layers.values() for f in frames} | {f for f, _ in self.people}
+        self.first, self.last = min(labelled, default=0), max(labelled, default=0)
         self.keyframes = self._keyframes()
 
     def _span(self, first, last):
@@ -182,8 +185,9 @@ class Oracle:
         mine = [self.clusters[frame, t] for t in people if self.clusters[frame, t][0] == cluster]
         # Somebody may be hidden for a moment and belong to the group all the same.
         around = range(frame - 15, frame + 16)
-        grid = range(min(self.known_2d), max(self.known_2d) + 1, step_of(sorted(self.known_2d)))
-        if any(f in grid and f not in self.known_2d for f in around):
+        # What boxes or other labels show beyond the readable frames is part of the sequence, and unread.
+        grid = range(min(self.known_2d) - 15, max(self.known_2d) + 16, step_of(sorted(self.known_2d)))
+        if any(f in grid and self.first <= f <= self.last and f not in self.known_2d for f in around):
             return None
         near = {t for f in around for t in self.members.get((f, cluster), ())}
         near |= {t for f in around for t in self.in_frame(f) if (f, t) not in self.clusters}
