@@ -1,4 +1,5 @@
-"""Run a function over sequences on a Ray cluster whose machines share this one's folders, under the same paths.
+"""Connect to a Ray cluster whose machines share this one's folders, under the same paths, and run a function over
+sequences there.
 
 Ray is an extra: `pip install 'jrdb-avr[ray]'`. A function whose worker or machine dies is run again, so it must bear
 that: it writes files whole (`files.write_atomic`), or returns what it found.
@@ -18,7 +19,7 @@ from jrdb_avr.schema.errors import InputError, StoreError
 _A = TypeVar("_A")
 _R = TypeVar("_R")
 
-_RETRIES: Final = 3
+RETRIES: Final = 3
 """How often an item is given to another worker before its loss is an error."""
 
 
@@ -31,8 +32,8 @@ def map_on_cluster(
     "ray://HOST:PORT" for the client's port of another. Errors of the function are raised here. Raises InputError
     without Ray or where no cluster answers, StoreError where an item's workers died again and again.
     """
-    with _connected(address) as ray:
-        task = ray.remote(num_cpus=1, max_retries=_RETRIES)(_at_place)
+    with connected(address) as ray:
+        task = ray.remote(num_cpus=1, max_retries=RETRIES)(_at_place)
         place = str(Path.cwd())
         waiting = {task.remote(place, function, items[i]): i for i in order}
         try:
@@ -57,12 +58,15 @@ def _result(ray: Any, done: Any) -> Any:
     except ray.exceptions.RayTaskError as error:
         raise error.cause from None
     except ray.exceptions.RayError:
-        raise StoreError(f"workers of the cluster died {_RETRIES + 1} times on one sequence (out of memory?)") from None
+        raise StoreError(f"workers of the cluster died {RETRIES + 1} times on one sequence (out of memory?)") from None
 
 
 @contextlib.contextmanager
-def _connected(address: str) -> Iterator[Any]:
-    """The module `ray`, connected; disconnected afterwards where it was not before."""
+def connected(address: str) -> Iterator[Any]:
+    """The module `ray`, connected to the cluster at an address; disconnected afterwards where it was not before.
+
+    Raises InputError as `map_on_cluster`.
+    """
     # It reports its use to its makers unless it is told not to.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:

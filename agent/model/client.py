@@ -134,9 +134,10 @@ class Client:
         self._secrets = secrets_of(key, own.values())
         self._secret = secret_pattern(self._secrets)
         self._limit = RateLimit(options.rpm, options.tpm, clock, pause)
-        self._spent = 0.0
+        self.spent = self._spent_before = 0.0
+        """Dollars that the calls of this client have cost."""
         if options.price is not None and self._calls is not None:
-            self._spent = options.price.cost(*self._calls.tokens())
+            self._spent_before = options.price.cost(*self._calls.tokens())
         self._longer_name = False
         self._pause = pause
         self._served: dict[str, None] = {}
@@ -210,12 +211,7 @@ class Client:
         return reply
 
     def _check_cost(self) -> None:
-        most = self.options.max_cost
-        if most is not None and self._spent >= most:
-            raise RunStoppedError(
-                f"the calls have cost {self._spent:.4g} dollars, and --max-cost is {most:g}: "
-                "give more, then run again with --resume"
-            )
+        check_cost(self._spent_before + self.spent, self.options.max_cost)
 
     def _send(self, request: Mapping[str, Any], retries: int, most_s: float = math.inf) -> Reply:
         # Encoded once and sent as bytes: a request may hold megabytes of pictures.
@@ -299,7 +295,7 @@ class Client:
         self._limit.count(sent, reply.prompt_tokens + reply.completion_tokens)
         if (price := self.options.price) is not None:
             with self._lock:
-                self._spent += price.cost(reply.prompt_tokens, reply.completion_tokens)
+                self.spent += price.cost(reply.prompt_tokens, reply.completion_tokens)
         return reply
 
     def _post(self, body: bytes, timeout_s: float) -> tuple[httpx2.Response, bytes]:
@@ -337,6 +333,15 @@ class Client:
         for secret in self._secrets:
             text = text.replace(secret, "[key]")
         return " ".join(text.split())[:300] or type(error).__name__
+
+
+def check_cost(spent: float, most: float | None) -> None:
+    """Raise RunStoppedError where a run's calls have cost the dollars that they may cost at most."""
+    if most is not None and spent >= most:
+        raise RunStoppedError(
+            f"the calls have cost {spent:.4g} dollars, and --max-cost is {most:g}: "
+            "give more, then run again with --resume"
+        )
 
 
 def _encoded(request: Mapping[str, Any], longer: bool) -> bytes:

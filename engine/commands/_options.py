@@ -68,6 +68,22 @@ def form_option(function: _C) -> Callable[..., Any]:
 workers_option = click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")
 
 
+def cluster_option(instead: str) -> Callable[[_C], _C]:
+    """Add the option `--executor`, the address of a cluster."""
+
+    def check(ctx: click.Context, own: click.Parameter, value: str | None) -> str | None:
+        if value is None or value == "ray" or value.startswith("ray://"):
+            return value
+        raise click.BadParameter("write ray, or ray://HOST:PORT")
+
+    return click.option(
+        "--executor",
+        metavar="ray[://HOST:PORT]",
+        callback=check,
+        help=f"Work on a Ray cluster whose machines see the same folders, {instead}",
+    )
+
+
 def executor_option(function: _C) -> Callable[..., Any]:
     """Add the options `--workers` and `--executor`; the command gets `workers`, as `queries.workers.Workers`."""
 
@@ -75,18 +91,7 @@ def executor_option(function: _C) -> Callable[..., Any]:
     def command(*, workers: int, executor: str | None, **values: Any) -> Any:
         return function(**values, workers=executor or workers)
 
-    def check(ctx: click.Context, own: click.Parameter, value: str | None) -> str | None:
-        if value is None or value == "ray" or value.startswith("ray://"):
-            return value
-        raise click.BadParameter("write ray, or ray://HOST:PORT")
-
-    executor = click.option(
-        "--executor",
-        metavar="ray[://HOST:PORT]",
-        callback=check,
-        help="Work on a Ray cluster whose machines see the same folders, instead of in processes here.",
-    )
-    return workers_option(executor(command))
+    return workers_option(cluster_option("instead of in processes here.")(command))
 
 
 iou_option = click.option(

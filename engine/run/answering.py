@@ -127,7 +127,8 @@ def _reason(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def _for_many_threads() -> Iterator[None]:
+def for_many_threads() -> Iterator[None]:
+    """Set OpenCV and Python up for a block in which many questions are worked on at a time."""
     import cv2
 
     pool, interval = cv2.getNumThreads(), sys.getswitchinterval()
@@ -141,7 +142,7 @@ def _for_many_threads() -> Iterator[None]:
         sys.setswitchinterval(interval)
 
 
-@_for_many_threads()
+@for_many_threads()
 def answer_all(
     method: Method,
     questions: Sequence[Question],

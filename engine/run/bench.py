@@ -25,7 +25,8 @@ class Bench:
     """Questions of a store and their pictures, as a player gets them. Safe for many threads.
 
     `questions`: in order, with opaque names of sequences where those are used; `sequences`: by those names.
-    `observer`: their pictures. `synthetic`: whether any is about a sample world.
+    `observer`: their pictures, of the sequences `observed` in the `folders` of opaque ones. `synthetic`: whether any is
+    about a sample world.
 
         bench = Bench.open("store")
         episode = bench.episode(bench.questions[0].question_id)
@@ -39,11 +40,10 @@ class Bench:
         self.questions = [replace(question, sequence=names[question.sequence]) for question in questions]
         self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}
-        self.observer = Observer(
-            image_root,
-            [self.sequences[name] for name in {question.sequence for question in self.questions}],
-            folders={names[name]: name for name in found} if opaque else None,
-        )
+        chosen = {question.sequence for question in questions}
+        self.observed = [self.sequences[names[name]] for name in sorted(chosen)]
+        self.folders = {names[name]: name for name in chosen} if opaque else None
+        self.observer = Observer(image_root, self.observed, folders=self.folders)
 
     @classmethod
     def open(

@@ -32,7 +32,7 @@ class Endpoint:
 
     def __init__(
         self,
-        store: Store | None,
+        calibration: Calibration | None,
         model: str,
         base_url: str,
         options: Options = DEFAULTS,
@@ -43,28 +43,27 @@ class Endpoint:
         """Check a server. `cache`: the file for finished calls. `method`: whose run is refused, if `strict`, where a
         check fails that it needs; without a method, where any fails.
 
-        The convention is the model's declared one, with the store's calibration if there is one. Raises EndpointError
-        where the server does not reply, or the calibration was made with other options.
+        The convention is the model's declared one, with the `calibration` if there is one. Raises EndpointError where
+        the server does not reply, or the calibration was made with other options.
         """
         declared = convention_of(model)
-        found = None if store is None else read_calibration(store, model)
-        self.convention = declared if found is None else found.convention(declared)
+        self.convention = declared if calibration is None else calibration.convention(declared)
         self.client = Client(base_url, model, options, convention=self.convention, cache=cache)
         checks = preflight(self.client)
         if strict:
             require(checks, method)
         self.warnings = [check.line for check in checks if not check.passed]
         self.served = self.client.served[0]
-        if store is not None and found is not None:
+        if calibration is not None:
             wanted = (options.response_format, options.thinking, self.served)
-            before = (found.response_format, found.thinking, found.served_model)
+            before = (calibration.response_format, calibration.thinking, calibration.served_model)
             for what, now, then in zip(("response format", "thinking", "served model"), wanted, before, strict=True):
                 if now != then:
                     raise EndpointError(
                         f"{model} was calibrated with {what} {then!a}, not {now!a}: calibrate again with these "
-                        f"options, or delete {convention_path(store, model)}"
+                        "options, or delete its file in the store's folder conventions"
                     )
-        calibrated = {} if found is None else {"asked_sha256": found.asked_sha256}
+        calibrated = {} if calibration is None else {"asked_sha256": calibration.asked_sha256}
         self.settings = {
             "endpoint": self.client.settings(),
             "served_model": self.served,

@@ -13,7 +13,7 @@ import contextlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -23,14 +23,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
+from jrdb_avr.agent.model.cache import merge_calls
 from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.reference.method import Policy
 from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images
-from jrdb_avr.engine.run.endpoint import Endpoint, serving
-from jrdb_avr.engine.run.isolated import IsolatedMethod, Job
+from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
+from jrdb_avr.engine.run.isolated import IsolatedMethod
 from jrdb_avr.engine.run.journal import world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
@@ -42,17 +43,17 @@ from jrdb_avr.engine.run.methods import (
     CustomMethod,
     default_policy,
     is_custom,
-    load_custom_method,
-    make_method,
     open_world,
 )
+from jrdb_avr.engine.run.on_cluster import ClusterMethod
 from jrdb_avr.engine.run.opaque import key_fingerprint
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
 from jrdb_avr.engine.run.selection import QuestionSelection
+from jrdb_avr.engine.run.worker import Job, Runner, method_of
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
-from jrdb_avr.schema.method import ConfigurableMethod, Method, Question
+from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens", "seconds")
 """Columns of `predictions` that a run adds up."""
@@ -119,6 +120,7 @@ def evaluate(
     strict_preflight: bool = False,
     epoch: int | None = None,
     isolated: bool = False,
+    executor: str | None = None,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -134,7 +136,8 @@ def evaluate(
     `strict_preflight`: whether a failed check of the server refuses the run; else it is a warning, and in the manifest.
     `epoch`: the number of the run among those that answer the same questions again, which ends its id; the simulated
     model's seed moves with it. `isolated`: whether the method, given by name, runs in a process that can open the
-    public files alone (`run.isolated`).
+    public files alone (`run.isolated`). `executor`: "ray" or "ray://HOST:PORT", a cluster on whose workers the method,
+    given by name, answers `concurrency` questions at a time on each (`run.on_cluster`).
     `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
@@ -143,7 +146,7 @@ def evaluate(
         evaluate("store", "react", "simulated:noisy", limit=20)
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker is not None, world_db, policy, history, isolated)
+    check_arguments(method, model, base_url, marker is not None, world_db, policy, history, isolated, executor)
     simulated = profile_of(model)
     knobs = marker or simulated or PERFECT
     if epoch is not None:
@@ -161,12 +164,15 @@ def evaluate(
     bench = Bench(store, chosen, image_root, opaque)
     with contextlib.ExitStack() as stack:
         run = stack.enter_context(Run(store, run_id))
-        world = None if isolated else stack.enter_context(_world(store, run_id, name, world_db, run))
-        url, calls = None, folder / "calls.jsonl"
+        calls = folder / "calls.jsonl"
+        merge_calls(calls)
+        url, calibration = base_url, None
         if model != NO_MODEL:
-            url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
-        runner: IsolatedMethod | _InProcess
-        if isolated:
+            calibration = read_calibration(store, model)
+            if executor is None:
+                url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
+        runner: Runner
+        if isolated or executor is not None:
             job = Job(
                 run_id=run_id,
                 method=str(method),
@@ -175,19 +181,27 @@ def evaluate(
                 player=player,
                 model=model,
                 url=url,
+                marker=knobs,
                 options=options,
+                calibration=calibration,
                 strict=strict_preflight,
                 concurrency=concurrency,
                 images=image_root,
-                opaque=opaque,
                 calls=str(calls),
             )
-            runner = stack.enter_context(IsolatedMethod(store, job))
+            runner = IsolatedMethod(store, job) if executor is None else ClusterMethod(executor, job, bench)
+            stack.callback(runner.close)
         else:
+            world = stack.enter_context(_world(store, run_id, name, world_db, run))
             endpoint = None
             if url is not None:
-                endpoint = Endpoint(store, model, url, options, calls, player, strict_preflight)
-            runner = _InProcess(_runner(method, endpoint, world, policy, history), endpoint, world, bench, concurrency)
+                endpoint = Endpoint(calibration, model, url, options, calls, player, strict_preflight)
+            own = (
+                method_of(method, endpoint, world, policy, history)
+                if isinstance(method, str)
+                else CustomMethod(type(method).__name__, method)
+            )
+            runner = _InProcess(own, endpoint, world, concurrency)
         for line in runner.warnings:
             warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
         manifest = run.start(
@@ -207,7 +221,7 @@ def evaluate(
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
         advance = step_counter(progress, f"{name}, {model}", len(chosen))
-        runner.answer_all(run, bench.questions, advance)
+        runner.answer_all(run, bench, advance)
         if runner.counts is not None:
             # Before the tables: a run that has predictions is complete.
             add_world_counts(store, run_id, runner.counts)
@@ -218,17 +232,12 @@ def evaluate(
 
 
 class _InProcess:
-    """A method in this process, with the members of `IsolatedMethod`."""
+    """A `Runner`: a method in this process."""
 
     def __init__(
-        self,
-        method: ConfigurableMethod,
-        endpoint: Endpoint | None,
-        world: WorldModel | None,
-        bench: Bench,
-        concurrency: int,
+        self, method: ConfigurableMethod, endpoint: Endpoint | None, world: WorldModel | None, concurrency: int
     ) -> None:
-        self._method, self._endpoint, self._bench, self._concurrency = method, endpoint, bench, concurrency
+        self._method, self._endpoint, self._concurrency = method, endpoint, concurrency
         self.name, self.settings = method.name, method.settings()
         self.endpoint_settings = {} if endpoint is None else endpoint.settings
         self.warnings = [] if endpoint is None else endpoint.warnings
@@ -238,9 +247,9 @@ class _InProcess:
     def changed(self) -> str:
         return "" if self._endpoint is None else self._endpoint.changed()
 
-    def answer_all(self, run: Run, questions: Sequence[Question], advance: Callable[[int], None]) -> None:
-        see = self._bench.observer
-        answer_all(self._method, questions, self._bench.sequences, see, see.stored, run, self._concurrency, advance)
+    def answer_all(self, run: Run, bench: Bench, advance: Callable[[int], None]) -> None:
+        see = bench.observer
+        answer_all(self._method, bench.questions, bench.sequences, see, see.stored, run, self._concurrency, advance)
 
 
 def check_arguments(
@@ -252,6 +261,7 @@ def check_arguments(
     policy: Policy | None = None,
     history: int | None = None,
     isolated: bool = False,
+    executor: str | None = None,
 ) -> None:
     """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
@@ -268,10 +278,13 @@ def check_arguments(
         raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
     if history is not None and (method not in CHATS or chosen != "model"):
         raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
-    if isolated and not isinstance(method, str):
-        raise InputError("isolated: give the method by name, or as FILE.py:NAME", field="isolated")
-    if isolated and world_db is not None:
-        raise InputError("--isolated keeps the world model in memory: leave --world-db out", field="world_db")
+    if isolated and executor is not None:
+        raise InputError("--isolated: in one process of this machine only; leave --executor out", field="isolated")
+    for given, option in ((isolated, "isolated"), (executor is not None, "executor")):
+        if given and not isinstance(method, str):
+            raise InputError(f"{option}: give the method by name, or as FILE.py:NAME", field=option)
+        if given and world_db is not None:
+            raise InputError(f"--{option} keeps the world model in memory: leave --world-db out", field="world_db")
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
 
@@ -306,18 +319,3 @@ def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: R
             f"{path} is in use by {error.holder}: wait for it, or give this run a graph of its own by --world-db FILE",
             holder=error.holder,
         ) from None
-
-
-def _runner(
-    method: str | Method,
-    endpoint: Endpoint | None,
-    world: WorldModel | None,
-    policy: Policy | None,
-    history: int | None,
-) -> ConfigurableMethod:
-    if not isinstance(method, str):
-        return CustomMethod(type(method).__name__, method)
-    if is_custom(method):
-        return load_custom_method(method, None if endpoint is None else endpoint.client)
-    assert endpoint is not None, "built-in methods need a model: check_arguments"
-    return make_method(method, endpoint.client, endpoint.convention, world, policy, history)

@@ -201,23 +201,23 @@ def test_the_true_box_is_in_no_request():
 def test_what_was_found_is_taken_by_later_runs(tmp_path):
     store = Store(tmp_path)
     with FakeServer(sound(writer(order="yxyx"), model="fake-1")) as server:
-        before = Endpoint(store, "fake", server.url)
+        before = Endpoint(read_calibration(store, "fake"), "fake", server.url)
         assert before.convention == CONTRACT
         path = write_calibration(store, calibrate(before.client, N))
         assert path == tmp_path / "conventions" / "fake.json"
-        after = Endpoint(store, "fake", server.url)
+        after = Endpoint(read_calibration(store, "fake"), "fake", server.url)
         assert after.convention.boxes == {"bbox": "yxyx"}
         assert after.settings["convention"]["calibrated"]
         assert after.settings["convention"]["asked_sha256"] == read_calibration(store, "fake").asked_sha256
         assert json.loads(json.dumps(after.settings)) == after.settings
         for what, options in (("response format", {"response_format": "none"}), ("thinking", {"thinking": "template"})):
             with pytest.raises(EndpointError, match=f"calibrated with {what}"):
-                Endpoint(store, "fake", server.url, Options(**options))
+                Endpoint(read_calibration(store, "fake"), "fake", server.url, Options(**options))
     with (
         FakeServer(sound(writer(), model="fake-2")) as server,
         pytest.raises(EndpointError, match="served model 'fake-1', not 'fake-2'"),
     ):
-        Endpoint(store, "fake", server.url)
+        Endpoint(read_calibration(store, "fake"), "fake", server.url)
 
 
 @pytest.mark.parametrize("model", ["fake", "a/b", "a-b", "../../etc/passwd", "..", "", "x" * 300, "caf\u00e9", "a b"])

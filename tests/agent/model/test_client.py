@@ -18,7 +18,7 @@ from fake_server import Body, CutOff, Drip, FakeServer, Slow, Status, completion
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent.model.cache import Calls
+from jrdb_avr.agent.model.cache import Calls, call_files, merge_calls
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcript, wire
@@ -665,6 +665,23 @@ def test_what_cannot_be_read_leaves_no_file_open(tmp_path, monkeypatch):
     assert len(list(Path("/proc/self/fd").iterdir())) == before
     monkeypatch.undo()
     assert calls.read("a").content == "hi"
+
+
+def test_calls_of_other_workers_are_found_beside_ones_own_and_merged(tmp_path):
+    for number, text in enumerate("ab", 1):
+        calls = Calls(tmp_path / f"calls-{number}.jsonl")
+        calls.append(text, Reply(text, prompt_tokens=number))
+        # Whatever is kept or read first.
+        assert [calls.read(name) and calls.read(name).content for name in "ab"] == ["a", "b" if number == 2 else None]
+        calls.append("own", Reply("own"))
+        assert calls.read("own").content == "own"
+    with (tmp_path / "calls-1.jsonl").open("a") as file:
+        file.write("cut sho")
+    assert Calls(tmp_path / CALLS).tokens() == (3, 0)
+    merge_calls(tmp_path / CALLS)
+    assert [path.name for path in call_files(tmp_path)] == [CALLS]
+    assert [Calls(tmp_path / CALLS).read(name).content for name in ("a", "b", "own")] == ["a", "b", "own"]
+    assert Calls(tmp_path / CALLS).tokens() == (3, 0)
 
 
 def test_a_call_just_kept_is_found_by_whoever_reads_meanwhile(tmp_path):

@@ -19,7 +19,7 @@ ASK = [Message("user", ("hello",))]
 
 def test_what_a_run_is_told(tmp_path):
     with FakeServer(sound(lambda request, n: "hi"), version=b'{"version": "0.12.0"}') as server:
-        endpoint = Endpoint(Store(tmp_path), "fake", server.url, Options(max_tokens=99), tmp_path / "calls.jsonl")
+        endpoint = Endpoint(None, "fake", server.url, Options(max_tokens=99), tmp_path / "calls.jsonl")
         assert endpoint.client.complete(ASK).content == "hi"
         assert endpoint.client.complete(ASK).content == "hi"
         assert sum(texts(request) == "hello" for request in server.requests) == 1
