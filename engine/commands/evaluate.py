@@ -182,10 +182,12 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **options: Any) 
                 raise
             # One server that is away leaves the others their runs.
             note(f"jrdb-avr: {epoch['method']}, {epoch['model']}: {error}")
-    simulated = any(profile_of(run["model"]) is not None for run in runs)
     title = "Run" if len(epochs) == 1 else "Runs"
+    if any(run.synthetic for run in results):
+        simulated = any(profile_of(run["model"]) is not None for run in runs)
+        title += f" (synthetic: the {'simulated model' if simulated else 'sample world'})"
     rows = filled([run.row() for run in results])
-    print_rows(rows, title=f"{title} (synthetic: the simulated model)" if simulated else title, form=form)
+    print_rows(rows, title=title, form=form)
     for run, row in zip(results, rows, strict=True):
         about = f"{run.run_id}: " if len(epochs) > 1 else ""
         for status, way, then in (

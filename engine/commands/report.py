@@ -63,6 +63,8 @@ def score(
     print_rows(scores.rows, form=form)
     if not form:
         note(f"percent of n; evidence scores from IoU {iou:g} on")
+    if not form and bundle is None:
+        note(f"next: jrdb-avr report --store {store.path} && jrdb-avr view --store {store.path} --answers")
 
 
 @click.command(epilog=_EXAMPLE)

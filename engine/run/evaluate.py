@@ -55,7 +55,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import ConfigurableMethod, Method
 
-_SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens", "seconds")
+_SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
 """Columns of `predictions` that a run adds up."""
 _TOKENS: Final = ("prompt_tokens", "completion_tokens")
 
@@ -73,7 +73,7 @@ class RunResult(Displayed):
     price: Price | None = None
 
     def row(self) -> dict[str, Any]:
-        """Counts by status, sums of calls, looks, tokens and seconds, and the dollars of the tokens if known."""
+        """Counts by status, sums of calls, looks and tokens, mean seconds, and the dollars of the tokens if known."""
         status = self.predictions["status"].to_pylist()
         sums = {name.removeprefix("n_"): pc.sum(self.predictions[name]).as_py() or 0 for name in _SUMS}
         return {
@@ -81,7 +81,7 @@ class RunResult(Displayed):
             "n": len(status),
             **{name: status.count(name) for name in ("answered", "invalid", "error")},
             **sums,
-            "seconds": round(sums["seconds"], 3),
+            "seconds_per_question": round(pc.mean(self.predictions["seconds"]).as_py() or 0.0, 3),
             **({} if self.price is None else {"dollars": round(self.price.cost(*(sums[name] for name in _TOKENS)), 6)}),
         }
 
