@@ -19,7 +19,7 @@ import hashlib
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -286,13 +286,21 @@ class Store(Displayed):
 
 def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:
     """Write a table under a schema, atomically; equal tables give equal bytes. Returns the sha256 of the file."""
-    table = table.select(schema.names)
+    # Numbered texts are written out a row group at a time: all at once they would take many times the memory.
+    groups = (table.slice(start, ROW_GROUP) for start in range(0, table.num_rows, ROW_GROUP))
+    return write_groups(path, groups, schema, metadata)
+
+
+def write_groups(
+    path: Path, groups: Iterable[pa.Table], schema: pa.Schema, metadata: dict[str, str] | None = None
+) -> str:
+    """Write tables as the row groups of one file, as `write_table` does; only one of them is in memory at a time."""
 
     def write(temporary: Path) -> None:
-        # Numbered texts are written out a row group at a time: all at once they would take many times the memory.
         with pq.ParquetWriter(temporary, schema.with_metadata(metadata or None), **_written(schema)) as writer:
-            for start in range(0, table.num_rows, ROW_GROUP):
-                writer.write_table(table.slice(start, ROW_GROUP).cast(schema).replace_schema_metadata(metadata or None))
+            for group in groups:
+                table = group.select(schema.names).cast(schema)
+                writer.write_table(table.replace_schema_metadata(metadata or None))
 
     write_atomic(path, write)
     return file_hash(path)

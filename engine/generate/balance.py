@@ -14,7 +14,7 @@ import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -98,17 +98,16 @@ class Option:
     """A candidate with one of its sets of choices.
 
     row: of the pool; answer: its text, or the number of its bin; cell: the action words that its question states, with
-    the bins of its waits; choices: None where the pool holds no sets; set: their texts, sorted; order: decides between
-    options of one cell and set.
+    the bins of its waits; set: the texts of its choices, sorted, none where the pool holds no sets; order: decides
+    between options of one cell and set, and begins with the number of the set among the candidate's own.
     """
 
     row: int
     subject: Subject
     answer: str | int
     cell: tuple[str, tuple[int, ...]]
-    choices: Choices | None
     set: tuple[str, ...]
-    order: tuple[int, str]
+    order: tuple[int, bytes]
 
 
 _READ: Final = ["answer_text", "times", "sequence", "target_track", "read_frames", "event", "stated", "key", "sets"]
@@ -118,16 +117,19 @@ def _options(table: pa.Table, rows: Sequence[int], name: str, seed: int) -> Iter
     """The options of some rows, all of one form."""
     form = TEMPLATES[name]
     mode, read = form.spec.mode, form.spec.read
+    # One of each is held, not one per option.
+    known: dict[Any, Any] = {}
     for row, line in zip(rows, table.select(_READ).take(pa.array(rows)).to_pylist(), strict=True):
         times, answer = line["times"], line["answer_text"]
         person = line["sequence"], line["target_track"]
         subject = Subject(person, form.name, tuple(line["read_frames"]), line["event"])
         bin_or_text = answer if mode == "multiple_choice" else answer_bin(mode, answer, times, read)
         cell = " | ".join(line["stated"]), tuple(wait_bin(time - times[0]) for time in times[1:])
-        drawn = hashlib.sha256(f"{seed} {line['key']}".encode()).hexdigest()
-        for number, choices in enumerate(map(_CHOICES.decode, line["sets"]) if line["sets"] else [None]):
-            texts = tuple(sorted(choices.texts)) if choices else ()
-            yield Option(row, subject, bin_or_text, cell, choices, texts, (number, drawn))
+        cell = known.setdefault(cell, cell)
+        drawn = hashlib.sha256(f"{seed} {line['key']}".encode()).digest()
+        sets = [tuple(sorted(choices.texts)) for choices in map(_CHOICES.decode, line["sets"] or ())] or [()]
+        for number, texts in enumerate(sets):
+            yield Option(row, subject, bin_or_text, cell, known.setdefault(texts, texts), (number, drawn))
 
 
 class Form:

@@ -3,6 +3,9 @@
 All tables of one generation carry the same mark, a hash of the questions and answers, in their Parquet metadata. They
 are written to temporary files first and then moved in one after the other, the questions last: after a crash in
 between, the marks differ, so that the tables do not belong together, and generating again completes them.
+
+The tables are in the order of the question ids, in which sequences lie mixed. So the questions are first appended to
+scratch files, one sequence after the other, and then read back in that order, a row group at a time.
 """
 
 from __future__ import annotations
@@ -10,70 +13,154 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.files import write_atomic
-from jrdb_avr.queries.store import Store, write_table
+from jrdb_avr.queries.store import Store, write_groups
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 
 PUBLISHED: Final = ("answers", "evidence", "rejected", "sequences", "questions")
 """The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
 
+QUESTION_GROUP: Final = 1 << 12
+"""Questions in a row group: with their proofs they take some kilobytes each."""
+
 EVIDENCE_BLOCK: Final = 500
-"""Questions whose evidence is held in memory at once."""
+"""Questions whose evidence is in one row group."""
 
-_EVIDENCE: Final = ["frame", "x", "y", "w", "h"]
-
-
-def evidence_blocks(store: Store, questions: pa.Table, answers: pa.Table) -> Iterator[pa.Table]:
-    """Every box of each question's target, by question and frame, a block of questions at a time.
-
-    Thousands of questions with a thousand boxes each would not fit into memory comfortably as one table.
-    """
-    boxes: dict[str, pa.Table] = {}
-    for sequence in pc.unique(questions["sequence"]).to_pylist():
-        table = store.interval("sightings", sequence).select(["track", *_EVIDENCE])
-        boxes[sequence] = table.sort_by([("track", "ascending"), ("frame", "ascending")]).combine_chunks()
-    track_of = dict(zip(answers["question_id"].to_pylist(), answers["target_track"].to_pylist(), strict=True))
-    where = questions.select(["question_id", "sequence"]).sort_by("question_id").to_pylist()
-    for start in range(0, len(where), EVIDENCE_BLOCK):
-        parts = []
-        for line in where[start : start + EVIDENCE_BLOCK]:
-            table, track = boxes[line["sequence"]], track_of[line["question_id"]]
-            low, high = np.searchsorted(table["track"].to_numpy(), [track, track + 1])
-            owner = pa.repeat(pa.scalar(line["question_id"], pa.string()), high - low)
-            parts.append(table.select(_EVIDENCE).slice(low, high - low).add_column(0, "question_id", owner))
-        yield pa.concat_tables(parts).cast(QUESTIONS["evidence"]).combine_chunks()
+_EVIDENCE: Final = np.dtype(
+    [(field.name, field.type.to_pandas_dtype()) for field in QUESTIONS["evidence"] if field.name != "question_id"]
+)
 
 
-def publish(store: Store, tables: Mapping[str, pa.Table], training: Mapping[str, str] | None = None) -> None:
+class _Records:
+    """Records in a scratch file, numbered as they are added; memory holds where each one ends."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w+b")
+        self._ends = array("q", [0])
+
+    def add(self, record: bytes) -> None:
+        self._file.write(record)
+        self._ends.append(self._ends[-1] + len(record))
+
+    def __getitem__(self, number: int) -> bytes:
+        self._file.seek(self._ends[number])
+        return self._file.read(self._ends[number + 1] - self._ends[number])
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Chosen:
+    """The chosen questions of a generation with all that is published of them, in scratch files of a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True)
+        self._records = {name: _Records(folder / f"{name}.records") for name in ("questions", "answers", "evidence")}
+        self._ids: list[str] = []
+        self._numbers: dict[str, list[int]] = {}
+
+    def add(self, rows: Sequence[Mapping[str, Any]], sightings: pa.Table) -> None:
+        """Add the questions of one sequence; the evidence is every box of each question's target, by frame."""
+        track = sightings["track"].to_numpy()
+        order = np.lexsort((sightings["frame"].to_numpy(), track))
+        boxes = np.empty(len(order), _EVIDENCE)
+        for name in _EVIDENCE.names or ():
+            boxes[name] = sightings[name].to_numpy()[order]
+        for row in rows:
+            low, high = np.searchsorted(track, [row["target_track"], row["target_track"] + 1], sorter=order)
+            self._records["evidence"].add(boxes[low:high].tobytes())
+            for name in ("questions", "answers"):
+                own = {column: row[column] for column in QUESTIONS[name].names}
+                self._records[name].add(msgspec.json.encode(own, order="sorted"))
+            self._numbers.setdefault(row["template"], []).append(len(self._ids))
+            self._ids.append(row["question_id"])
+
+    def digest(self) -> str:
+        """A hash of all questions and answers, which marks their generation."""
+        found, order = hashlib.sha256(), self._order(range(len(self._ids)))
+        for name in ("questions", "answers"):
+            found.update(b"[")
+            for place, number in enumerate(order):
+                found.update(b"," * (place > 0) + self._records[name][number])
+            found.update(b"]")
+        return found.hexdigest()
+
+    def tables(self, name: str) -> Iterator[pa.Table]:
+        """The row groups of `questions` or `answers`."""
+        order = self._order(range(len(self._ids)))
+        for start in range(0, len(order), QUESTION_GROUP):
+            yield self._table(name, order[start : start + QUESTION_GROUP])
+
+    def by_template(self, answers: Sequence[str]) -> Iterator[tuple[pa.Table, pa.Table]]:
+        """The questions of each template, by its name, and these columns of their answers."""
+        for _, numbers in sorted(self._numbers.items()):
+            order = self._order(numbers)
+            yield self._table("questions", order), self._table("answers", order, answers)
+
+    def evidence(self) -> Iterator[pa.Table]:
+        """The row groups of `evidence`: by question and frame."""
+        order = self._order(range(len(self._ids)))
+        for start in range(0, len(order), EVIDENCE_BLOCK):
+            block = order[start : start + EVIDENCE_BLOCK]
+            parts = [np.frombuffer(self._records["evidence"][number], _EVIDENCE) for number in block]
+            boxes, ids = np.concatenate(parts), pa.array([self._ids[number] for number in block], pa.string())
+            owner = np.repeat(np.arange(len(block)), list(map(len, parts)))
+            columns = [
+                ids.take(pa.array(owner)),
+                *(np.ascontiguousarray(boxes[name]) for name in _EVIDENCE.names or ()),
+            ]
+            yield pa.table(columns, QUESTIONS["evidence"].names).cast(QUESTIONS["evidence"])
+
+    def close(self) -> None:
+        for records in self._records.values():
+            records.close()
+
+    def _order(self, numbers: Sequence[int]) -> list[int]:
+        return sorted(numbers, key=self._ids.__getitem__)
+
+    def _table(self, name: str, numbers: Sequence[int], columns: Sequence[str] | None = None) -> pa.Table:
+        schema = pa.schema([field for field in QUESTIONS[name] if columns is None or field.name in columns])
+        found = (msgspec.json.decode(self._records[name][number]) for number in numbers)
+        return pa.Table.from_pylist([{column: row[column] for column in schema.names} for row in found], schema=schema)
+
+
+def publish(
+    store: Store,
+    scratch: Path,
+    questions: Iterable[tuple[str, Sequence[Mapping[str, Any]]]],
+    tables: Mapping[str, Iterable[pa.Table]],
+    training: Mapping[str, str] | None = None,
+) -> Chosen:
     """Write the tables of a generation so that they are all there, or known to be incomplete. Under the writer lock.
 
-    `tables` holds all but the evidence, which follows from questions and answers. `training`: the metadata of a
-    training set, which stand in place of the canary.
+    `questions` are the rows of both tables, each sequence with its own; `tables` the row groups of all other tables but
+    the evidence, which follows from them. `training`: the metadata of a training set, which stand in place of the
+    canary. `scratch` is a folder for the questions, which stay readable until they are closed.
     """
-    digest = hashlib.sha256()
-    for name in ("questions", "answers"):
-        digest.update(msgspec.json.encode(tables[name].to_pylist(), order="sorted"))
-    metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: digest.hexdigest()}
     folder = store.question_path("questions").parent
     pending = folder / ".pending"
     try:
         # Files of a killed run.
         shutil.rmtree(pending, ignore_errors=True)
-        for name, table in tables.items():
-            write_table(pending / f"{name}.parquet", table, QUESTIONS[name], metadata)
-        blocks = evidence_blocks(store, tables["questions"], tables["answers"])
-        write_atomic(pending / "evidence.parquet", lambda path: _write_blocks(path, blocks, metadata))
+        chosen = Chosen(scratch)
+        for sequence, rows in questions:
+            chosen.add(rows, store.interval("sightings", sequence, ["track", *(_EVIDENCE.names or ())]))
+        metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: chosen.digest()}
+        written = {name: chosen.tables(name) for name in ("questions", "answers")} | dict(tables)
+        for name, groups in written.items():
+            write_groups(pending / f"{name}.parquet", groups, QUESTIONS[name], metadata)
+        write_atomic(pending / "evidence.parquet", lambda path: _write_blocks(path, chosen.evidence(), metadata))
         for name in PUBLISHED:
             (pending / f"{name}.parquet").replace(store.question_path(name))
         handle = os.open(folder, os.O_RDONLY)
@@ -85,6 +172,7 @@ def publish(store: Store, tables: Mapping[str, pa.Table], training: Mapping[str,
         raise StoreError(f"cannot write {folder}: {error.strerror}; free some space and generate again") from None
     finally:
         shutil.rmtree(pending, ignore_errors=True)
+    return chosen
 
 
 def _write_blocks(path: Path, blocks: Iterator[pa.Table], metadata: dict[str, str]) -> None:

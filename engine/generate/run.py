@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.blind import Guesser, blind_check, question_texts
-from jrdb_avr.engine.generate.diagnostics import REFUSALS, refusal_row, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
+from jrdb_avr.engine.generate.found import Found, Refusals, chosen_rows, heads, scratch_folder, search_into, slim_pool
 from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
-from jrdb_avr.engine.generate.selection import POOL, TRAIN, Selection, select
-from jrdb_avr.engine.generate.sequence import EXAMPLES, SequenceJob, SequenceResult, search_sequence
+from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
+from jrdb_avr.engine.generate.sequence import SequenceJob
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.graph.handle import Graph
@@ -35,6 +37,12 @@ from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
 
 Advance = Callable[[int], None]
+
+REFUSALS_AT_ONCE: Final = 1 << 16
+"""Rows of `rejected` in a row group: half a kilobyte each."""
+
+HEADS_AT_ONCE: Final = 1 << 10
+"""Rows of `sequences` in a row group: with the numbers of their frames they take some kilobytes each."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,7 +111,7 @@ def generate(
     guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
-    with store.writing("generate"), _scratch(store) as scratch:
+    with store.writing("generate"), scratch_folder(store) as scratch:
         manifest = check_load_rules(store, rules)
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
@@ -116,27 +124,13 @@ def generate(
         advance = step_counter(progress, "searching", len(sequences))
         # Held open, so that this process plans a statement once for all sequences.
         with Graph.open(store.graph_path, read_only=True):
-            results = _search(jobs, workers, advance)
+            found = _search(scratch, jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
-        return _publish(store, results, lambda pool: select(pool, rules, profile, seed, n), excluded, guesser, training)
-
-
-@contextlib.contextmanager
-def _scratch(store: Store) -> Iterator[Path]:
-    """The folder of the sequences' candidates, where every worker sees it; gone afterwards."""
-    place = store.path / ".candidates"
-    # What a killed run left behind.
-    shutil.rmtree(place, ignore_errors=True)
-    try:
-        place.mkdir()
-    except OSError as error:
-        raise StoreError(f"cannot write to {store.path}: {error.strerror}") from None
-    try:
-        yield place
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
+        return _publish(
+            store, scratch, found, lambda pool: select(pool, rules, profile, seed, n), excluded, guesser, training
+        )
 
 
 def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
@@ -194,10 +188,10 @@ def check_intervals(store: Store, manifest: Manifest) -> None:
                 )
 
 
-def _search(jobs: Sequence[SequenceJob], workers: Workers, advance: Advance) -> list[SequenceResult]:
-    """Every sequence's candidates, in the order of the jobs."""
-    results: dict[int, SequenceResult] = {}
-    for index, result in map_shards(search_sequence, jobs, workers, lambda job: job.weight):
+def _search(folder: Path, jobs: Sequence[SequenceJob], workers: Workers, advance: Advance) -> list[Found]:
+    """Search every sequence into the folder; what each returns, in the order of the jobs."""
+    results: dict[int, Found] = {}
+    for index, result in map_shards(partial(search_into, folder), jobs, workers, lambda job: job.weight):
         results[index] = result
         advance(1)
     return [results[index] for index in range(len(jobs))]
@@ -218,64 +212,51 @@ def _gather(parts: Sequence[Path], place: Path) -> None:
 
 def _publish(
     store: Store,
-    results: Sequence[SequenceResult],
+    folder: Path,
+    found: Sequence[Found],
     choose: Callable[[pa.Table], Selection],
     excluded: frozenset[str],
     learned: Guesser | None,
     training: Mapping[str, str] | None,
 ) -> Generation:
-    pool = pa.concat_tables([POOL.empty_table(), *(result.pool for result in results)])
-    selection = _select(pool, choose, excluded)
-    public = {
-        name: selection.table.select(QUESTIONS[name].names).sort_by("question_id") for name in ("questions", "answers")
-    }
-    rejected = _rejected(results, pool, selection)
-    heads = pa.Table.from_pylist([result.head for result in results], schema=QUESTIONS["sequences"])
-    publish(store, {**public, "rejected": rejected, "sequences": heads}, training)
-    rows = tallies(rejected, public["questions"])
-    lacking = Counter(
-        (name, layer) for result in results for name, layers in result.lacking.items() for layer in layers
-    )
+    sequences = [one.sequence for one in found]
+    pool = slim_pool(folder, sequences)
+    selection = _select(folder, pool, choose, excluded)
+    refusals = Refusals(folder, sequences, pool, selection)
+    # The greatest part of what is in memory.
+    del pool
+    tables = {"rejected": refusals.groups(REFUSALS_AT_ONCE), "sequences": heads(folder, sequences, HEADS_AT_ONCE)}
+    with contextlib.closing(
+        publish(store, folder / "chosen", chosen_rows(folder, selection.table), tables, training)
+    ) as chosen:
+        known = chosen.by_template(["question_id", "answer"])
+        blind = [row for texts in known for row in blind_check(question_texts(*texts), learned)]
+    counts = [
+        {"kind": "count", "template": name, "rule": rule, "candidates": count}
+        for (name, rule), count in refusals.totals.items()
+    ]
+    rows = tallies(pa.Table.from_pylist(counts, schema=QUESTIONS["rejected"]), selection.table)
+    lacking = Counter((name, layer) for one in found for name, layers in one.lacking.items() for layer in layers)
     return Generation(
         templates=tuple(rows),
-        shortfalls=tuple(shortfalls(rows, lacking, len(results), selection.report)),
+        shortfalls=tuple(shortfalls(rows, lacking, len(found), selection.report)),
         selection=selection.report,
-        blind=tuple(blind_check(question_texts(public["questions"], public["answers"]), learned)),
-        faults=tuple(fault for result in results for fault in result.faults),
+        blind=tuple(blind),
+        faults=tuple(fault for one in found for fault in one.faults),
     )
 
 
-def _select(pool: pa.Table, choose: Callable[[pa.Table], Selection], excluded: frozenset[str]) -> Selection:
+def _select(
+    folder: Path, pool: pa.Table, choose: Callable[[pa.Table], Selection], excluded: frozenset[str]
+) -> Selection:
     """The selection, none of whose questions is excluded: what is chosen and excluded leaves the pool, and the choice
     is made anew."""
-    unwanted = pa.array(sorted(excluded), pa.string())
     while True:
         selection = choose(pool)
-        gone = selection.table.filter(pc.is_in(selection.table["question_id"], value_set=unwanted))
-        if not len(gone):
+        if not excluded:
             return selection
-        pool = _without(pool, gone)
-
-
-def _without(pool: pa.Table, gone: pa.Table) -> pa.Table:
-    return pool.filter(pc.invert(pc.is_in(pool["key"], value_set=gone["key"].combine_chunks())))
-
-
-def _rejected(results: Sequence[SequenceResult], pool: pa.Table, selection: Selection) -> pa.Table:
-    """Refusals per sequence, template and rule, each with its examples."""
-    counts = {(one.sequence, *what): count for one in results for what, count in one.counts.items()}
-    examples = [example for one in results for example in one.examples]
-    dropped: Counter[tuple[str, str, str]] = Counter()
-    # Excluded questions are counted as dropped by balance.
-    for line in _without(pool, selection.table).sort_by("key").to_pylist():
-        what = (line["sequence"], line["template"], "balance")
-        dropped[what] += 1
-        if dropped[what] <= EXAMPLES:
-            examples.append(refusal_row(line, "balance"))
-    rows = [
-        refusal_row({"sequence": sequence, "template": name}, rule, count=count)
-        for (sequence, name, rule), count in (counts | dropped).items()
-        if rule in REFUSALS and count
-    ]
-    table = pa.Table.from_pylist(rows + examples, schema=QUESTIONS["rejected"])
-    return table.sort_by([(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")])
+        rows = chain.from_iterable(rows for _, rows in chosen_rows(folder, selection.table))
+        gone = [row["key"] for row in rows if row["question_id"] in excluded]
+        if not gone:
+            return selection
+        pool = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=pa.array(gone, pa.string()))))

@@ -16,8 +16,9 @@ from typing import Any, Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.balance import Form, Option
+from jrdb_avr.engine.generate.balance import Form
 from jrdb_avr.engine.generate.blind import FEW
+from jrdb_avr.engine.generate.distractors import Choices
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.rules import Rules
@@ -62,12 +63,15 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
 }
 """Questions per family, in the order of the paper's table; a family not named keeps all that balance leaves."""
 
+_CHOICES: Final = msgspec.json.Decoder(Choices)
+
 _PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The selected rows by sequence, template and key, and one report row per template."""
+    """The selected rows by sequence, template and key, each with the number of its set of choices in a column `set`
+    (null where it has none), and one report row per template."""
 
     table: pa.Table
     report: tuple[dict[str, Any], ...]
@@ -117,20 +121,23 @@ def select(table: pa.Table, rules: Rules, profile: str, seed: int, n: int | None
         for name in sorted(names)
     )
     chosen = [form.options[number] for form in chain(*forms.values()) for number in form.chosen]
-    order = [(name, "ascending") for name in ("sequence", "template", "key", "plan")]
-    return Selection(_with_choices(table, chosen).sort_by(order), report)
+    selected = table.take(pa.array([option.row for option in chosen], pa.int64()))
+    sets = pa.array([option.order[0] if option.set else None for option in chosen], pa.int64())
+    order = [(name, "ascending") for name in ("sequence", "template", "key")]
+    return Selection(selected.append_column("set", sets).sort_by(order), report)
 
 
-def _with_choices(table: pa.Table, options: Sequence[Option]) -> pa.Table:
-    """The rows of these options with their sets of choices, and so with other ids."""
-    rows = table.take(pa.array([option.row for option in options], pa.int64())).to_pylist()
-    for row, choices in zip(rows, (option.choices for option in options), strict=True):
-        if choices:
+def with_choices(pool: pa.Table, chosen: pa.Table) -> list[dict[str, Any]]:
+    """Rows of the pool with their sets of choices, and so with other ids; `chosen` has the columns `row` and `set`."""
+    rows: list[dict[str, Any]] = pool.take(chosen["row"]).to_pylist()
+    for row, number in zip(rows, chosen["set"].to_pylist(), strict=True):
+        if number is not None:
+            choices = _CHOICES.decode(row["sets"][number])
             row["choices"] = list(choices.texts)
             row["question_id"] = question_id(**{name: row[name] for name in _PUBLIC})
             row["answer"] = encode_answer(Choice(choices.true))
             row["distractors"] = msgspec.json.encode(choices.perturbations).decode()
-    return pa.Table.from_pylist(rows, schema=table.schema)
+    return rows
 
 
 def _kept(forms: Iterable[Form]) -> int:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.blind import FEW
 from jrdb_avr.engine.generate.distractors import APART
-from jrdb_avr.engine.generate.selection import POOL, select
+from jrdb_avr.engine.generate.selection import POOL, select, with_choices
 from jrdb_avr.schema.labels import POSES, answer_of_choice, choice_text, overlapping
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording.text import question_id
@@ -48,7 +48,9 @@ def chosen(counts, profile="all", **more):
     rows = [
         candidate(100 * i + n, pose, **more) for i, (pose, count) in enumerate(counts.items()) for n in range(count)
     ]
-    return select(pa.Table.from_pylist(rows, schema=POOL), Rules(), profile, 0).table.to_pylist()
+    pool = pa.Table.from_pylist(rows, schema=POOL)
+    numbered = pool.append_column("row", pa.array(range(len(rows)), pa.int64()))
+    return with_choices(pool, select(numbered, Rules(), profile, 0).table)
 
 
 def guessed(rows):

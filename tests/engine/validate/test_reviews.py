@@ -15,7 +15,7 @@ from keyframe_layer import layers_in_memory
 from lively_worlds import lively_world
 from quick_store import graphless_store
 
-from jrdb_avr.engine.generate import run as generating
+from jrdb_avr.engine.generate import found
 from jrdb_avr.engine.validate.reviews import read_reviews, rejected
 from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.statements import read_statement
@@ -110,7 +110,7 @@ def in_memory():
 
 def test_generate_leaves_out_what_was_rejected(tmp_path, monkeypatch, in_memory):
     # What is found does not depend on the reviews, so it is searched for once.
-    monkeypatch.setattr(generating, "search_sequence", cache(generating.search_sequence))
+    monkeypatch.setattr(found, "search_sequence", cache(found.search_sequence))
     worlds = [lively_world(random.Random(seed), f"yard-2020-01-0{seed}_0") for seed in (5, 8)]
     store = graphless_store(tmp_path, worlds[0] | worlds[1])
     assert run("generate", "--store", store.path, "--workers", 1)[0] == 0
