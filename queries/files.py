@@ -80,7 +80,10 @@ def _beside(path: Path, *, folder: bool) -> Iterator[Path]:
             # pyarrow raises its own OSError without a number; its text then is the reason.
             reason = os.strerror(error.errno) if error.errno else (str(error).splitlines() or [type(error).__name__])[0]
             hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) else ""
-            raise StoreError(f"cannot write {path}: {reason}{hint}") from None
+            # What is copied into a new folder may be what cannot be read.
+            other = str(error.filename or path)
+            named = "" if path.is_relative_to(other) or f".{path.name}." in other else f"{other}: "
+            raise StoreError(f"cannot write {path}: {named}{reason}{hint}") from None
 
 
 def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:

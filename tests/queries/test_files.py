@@ -54,6 +54,19 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
         raise OSError
 
 
+def test_a_file_that_cannot_be_read_is_named_beside_the_folder_that_it_was_for(tmp_path):
+    with (
+        pytest.raises(StoreError, match=f"cannot write {tmp_path}/made: {tmp_path}/source: "),
+        new_folder(tmp_path / "made"),
+    ):
+        (tmp_path / "source").read_bytes()
+    with (
+        pytest.raises(StoreError, match=f"cannot write {tmp_path}/made: No such"),
+        new_folder(tmp_path / "made") as made,
+    ):
+        (made / "gone").read_bytes()
+
+
 def test_a_folder_that_cannot_be_replaced_is_refused_before_the_work(tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     (tmp_path / "link").symlink_to("empty")
