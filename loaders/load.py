@@ -36,7 +36,7 @@ from jrdb_avr.loaders.sequence import NOT_LABELS, annotate, stamps_of
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
-from jrdb_avr.queries.graph.handle import build_graph, remove_graph
+from jrdb_avr.queries.graph.handle import Graph, build_graph, remove_graph
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store, file_hash
@@ -89,7 +89,7 @@ def load(
     """
     store, rules = Store.of(store), rules or LoadRules()
     if not isinstance(root, Root):
-        root = find_root(Path(root), layer_dirs or {})
+        root = find_root(root, layer_dirs or {})
     advance = step_counter(progress, "loading", len(root.sequences))
     refuse_newer(store.path)
     with store.writing("load"), _staging(store) as staging:
@@ -102,8 +102,7 @@ def load(
         entries = {name: result.entry for name, result in sorted(results.items()) if result.entry is not None}
         if not entries:
             raise InputError(_nothing(root, reports))
-        image_root = str(root.image_root.resolve()) if root.image_root else None
-        left_out = _finish(store, staging, image_root, rules, entries, PARTS)
+        left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             warnings.warn(
                 f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: there every box of legal "
@@ -275,10 +274,7 @@ def _finish(
     parts: Sequence[str],
 ) -> list[str]:
     """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
-    place = store.path.resolve()
-    if image_root is not None and Path(image_root).is_relative_to(place):
-        image_root = Path(image_root).relative_to(place).as_posix()
-    manifest = Manifest(image_root, rules, rules_hash(rules), entries, {})
+    manifest = Manifest(image_root and store.relative(image_root), rules, rules_hash(rules), entries, {})
     left_out = write_graph(store, partial(_build, store, staging, manifest))
     _move(store, staging, parts)
     return left_out
@@ -309,13 +305,35 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
     Returns a line per run whose world model was left out.
     """
     with build_graph(store.graph_path) as graph:
-        rows = build_scene(graph, staging, list(manifest.sequences))
-        make_world_tables(graph)
-        left_out = copy_all(graph, store, run_ids(store))
+        rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
         # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
+
+
+def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
+    rows = build_scene(graph, tables, list(manifest.sequences))
+    make_world_tables(graph)
+    return rows, copy_all(graph, store, run_ids(store))
+
+
+def ensure_graph(store: Store) -> None:
+    """Build the graph of a store at a URL on this machine from its tables, where it is not there.
+
+    Raises StoreError where nothing is loaded, LockedError where another process writes the store here.
+    """
+    if store.remote is None or store.graph_path.exists():
+        return
+    with store.writing("the graph"):
+        manifest = store.manifest()
+        for line in write_graph(store, partial(_build_alone, store, manifest)):
+            warnings.warn(line, AvrWarning, stacklevel=2)
+
+
+def _build_alone(store: Store, manifest: Manifest) -> list[str]:
+    with build_graph(store.graph_path) as graph:
+        return _fill(graph, store, store, manifest)[1]
 
 
 def _swap(place: Path, new: Path, old: Path) -> None:

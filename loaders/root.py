@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Final
 
 from jrdb_avr.loaders.problems import Problem, Problems, shorten
+from jrdb_avr.queries.manifest import is_url
+from jrdb_avr.queries.remote import Mirror, child_url
 from jrdb_avr.queries.store import safe_sequence
 from jrdb_avr.schema.errors import InputError
 
@@ -72,7 +74,8 @@ class Root:
     """What a JRDB root holds."""
 
     path: Path
-    image_root: Path | None
+    image_root: str | None
+    """A path or URL."""
     sequences: tuple[SequenceFiles, ...]
     """By name."""
     problems: tuple[Problem, ...]
@@ -82,13 +85,16 @@ class Root:
 
 
 def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None = None) -> Root:
-    """Look through a JRDB root.
+    """Look through a JRDB root, a folder or one at a URL, whose label files are fetched first.
 
     `layer_dirs` gives folders, relative to the root or absolute, that are looked in instead of the usual ones of a
     layer; no folder at all leaves the layer out. Raises InputError where the root is missing or holds no label files,
     where a given folder is missing, and for a layer that is none of `LAYER_FILES`.
     """
-    root = Path(path)
+    mirror = Mirror(path) if isinstance(path, str) and is_url(path) else None
+    if mirror is not None:
+        mirror.fetch_root()
+    root = Path(path) if mirror is None else mirror.folder
     search = _Search(root)
     if not search.is_folder(root):
         raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
@@ -103,7 +109,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
     if not files and not search.problems:
         wanted = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
         raise InputError(f"{root} holds nothing to load: no .json files in {wanted}, with or without labels/")
-    image_root = next((folder for name in IMAGE_DIRS if search.is_folder(folder := root / name)), None)
+    images_in = next((name for name in IMAGE_DIRS if search.is_folder(root / name)), None)
     sequences = []
     for sequence in sorted(files):
         found = files[sequence]
@@ -116,8 +122,11 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
             for folder in chosen[layer] if layer in chosen else (root / layer, root / "labels" / layer):
                 if search.exists(folder / name):
                     found.setdefault(layer, str(folder / name))
-        images = image_root / sequence if image_root else None
+        images = root / images_in / sequence if images_in else None
         sequences.append(SequenceFiles(sequence, found, str(images) if images and search.is_folder(images) else None))
+    image_root = None
+    if images_in is not None:
+        image_root = str((root / images_in).resolve()) if mirror is None else child_url(mirror.url, images_in)
     return Root(root, image_root, tuple(sequences), tuple(search.problems), tuple(search.notes))
 
 

@@ -20,8 +20,9 @@ from typing import Final
 import numpy as np
 
 from jrdb_avr.queries.questions import loaded_sequence
+from jrdb_avr.queries.remote import image_path
 from jrdb_avr.queries.store import Store, safe_sequence
-from jrdb_avr.schema.errors import ObserveError
+from jrdb_avr.schema.errors import ObserveError, StoreError
 from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
@@ -42,6 +43,7 @@ _SIZE_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 class Observer:
     """Serves observations of `sequences`, whose panoramas lie in `image_root/<sequence>/<six digits>.jpg`.
 
+    `image_root` is a path or a URL, whose panoramas are fetched when they are looked at, and kept.
     `folders`: sequence -> name of its folder where that is another; no message then says where the folder is.
     May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas and `CACHED_FILES`
     files stay in memory; the least recently used is dropped first.
@@ -55,7 +57,7 @@ class Observer:
         cached: int = CACHED_PANORAMAS,
         folders: Mapping[str, str] | None = None,
     ) -> None:
-        self._root = None if image_root is None else Path(image_root)
+        self._root = image_root
         self._folders = {name: safe_sequence(folder) for name, folder in (folders or {}).items()}
         self._sequences = {safe_sequence(info.sequence): info for info in sequences}
         self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
@@ -135,8 +137,12 @@ class Observer:
         """The bytes of a panorama's file, and its name for messages."""
         if self._root is None:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
-        path = self._root / self._folders.get(sequence, sequence) / f"{frame:06d}.jpg"
-        name = f"{sequence}/{path.name}" if sequence in self._folders else str(path)
+        folder, file = self._folders.get(sequence, sequence), f"{frame:06d}.jpg"
+        name = f"{sequence}/{file}" if sequence in self._folders else f"{self._root}/{folder}/{file}"
+        try:
+            path = image_path(self._root, f"{folder}/{file}")
+        except StoreError as error:
+            raise ObserveError(f"cannot read {name}: {error}") from None
         try:
             # Reading a pipe or a device might never end.
             data = path.read_bytes() if path.is_file() or not path.exists() else b""

@@ -145,9 +145,10 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     """
     store = Store.of(store)
     rows = []
-    for run, scores in _scored(store, read_index(store), runs, iou):
-        write_scores(store, run.manifest.run_id, scores, iou)
-        rows.append(score_row(run, iou))
+    with store.sending("runs/"):
+        for run, scores in _scored(store, read_index(store), runs, iou):
+            write_scores(store, run.manifest.run_id, scores, iou)
+            rows.append(score_row(run, iou))
     return Scores(rows)
 
 

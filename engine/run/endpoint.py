@@ -125,5 +125,6 @@ def read_calibration(store: Store, model: str) -> Calibration | None:
 def write_calibration(store: Store, calibration: Calibration) -> Path:
     """Write a calibration atomically; returns its path."""
     path = convention_path(store, calibration.model)
-    write_json(path, calibration)
+    with store.sending("conventions/"):
+        write_json(path, calibration)
     return path

@@ -47,6 +47,7 @@ class Run(Journal):
     def __init__(self, store: Store, run_id: str) -> None:
         """Take the run's lock. Raises LockedError, or StoreError for a run that is damaged."""
         super().__init__(store.run_path(run_id) / "journal.jsonl")
+        self.enter_context(store.sending(f"runs/{run_id}/", "conventions/", "opaque.key"))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
         self._over = False

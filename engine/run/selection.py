@@ -11,11 +11,11 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from operator import itemgetter
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.queries.remote import has_images
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
 from jrdb_avr.schema.method import Question
 
@@ -121,7 +121,7 @@ def _draw(seed: int | None, question: Question) -> bytes:
 
 def _with_panoramas(questions: Sequence[Question], image_root: str | None) -> list[Question]:
     sequences = sorted({question.sequence for question in questions})
-    without = [name for name in sequences if not _has_images(image_root, name)]
+    without = [name for name in sequences if image_root is None or not has_images(image_root, name)]
     found = [question for question in questions if question.sequence not in without]
     if not questions:
         raise StoreError("no question is of all the chosen families, templates and sequences: choose fewer")
@@ -134,7 +134,3 @@ def _with_panoramas(questions: Sequence[Question], image_root: str | None) -> li
         left = f"{len(questions) - len(found)} of {len(questions)} questions are left out: {lacking}"
         warnings.warn(f"{left}; {len(found)} can be asked", AvrWarning, stacklevel=4)
     return found
-
-
-def _has_images(image_root: str | None, sequence: str) -> bool:
-    return image_root is not None and any(Path(image_root, sequence).glob("*.jpg"))
