@@ -59,12 +59,14 @@ def ensure_layer(store: Store, rules: Rules, workers: Workers, progress: Progres
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
     advance = step_counter(progress, "keyframes", 2 * len(jobs))
     try:
-        for make, copy in ((_stage_tables, _copy_tables), (_stage_derived, _copy_derived)):
-            # Held open, so that this process opens it and plans a statement once for all sequences.
-            with Graph.open(store.graph_path, read_only=True):
-                for _ in map_shards(make, jobs, workers, lambda job: job.weight):
-                    advance(1)
-            write_graph(store, partial(copy, jobs))
+        for _ in map_shards(_stage_tables, jobs, workers, lambda job: job.weight):
+            advance(1)
+        write_graph(store, partial(_copy_tables, jobs))
+        # Held open, so that this process opens it and plans a statement once for all sequences.
+        with Graph.open(store.graph_path, read_only=True):
+            for _ in map_shards(_stage_derived, jobs, workers, lambda job: job.weight):
+                advance(1)
+        write_graph(store, partial(_copy_derived, jobs))
     finally:
         shutil.rmtree(stage, ignore_errors=True)
     return {job.sequence: job.low for job in jobs}

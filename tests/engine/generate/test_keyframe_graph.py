@@ -69,6 +69,12 @@ def made(loaded, tmp_path_factory):
     return store
 
 
+@pytest.fixture(scope="module")
+def made_rows(made):
+    """Every row of its layer."""
+    return layer_rows(made)
+
+
 def copied(store, tmp_path):
     return Store(shutil.copytree(store.path, tmp_path / "store"))
 
@@ -109,13 +115,13 @@ def test_a_layer_that_fits_is_reused(made, tmp_path):
     assert store.graph_path.read_bytes() == before
 
 
-def test_other_rules_give_the_questions_of_a_fresh_store(loaded, made, tmp_path):
+def test_other_rules_give_the_questions_of_a_fresh_store(loaded, made, made_rows, tmp_path):
     store, fresh = copied(made, tmp_path), copied(loaded, tmp_path / "fresh")
     for one in (store, fresh):
         generate(one, OTHER, workers=1)
         assert stamp(one)[1] == OTHER
     assert files(store) == files(fresh) != files(made)
-    assert layer_rows(store) == layer_rows(fresh) != layer_rows(made)
+    assert layer_rows(store) == layer_rows(fresh) != made_rows
 
 
 class NewLayerError(Exception):
@@ -149,14 +155,14 @@ def test_a_layer_of_other_sequences_is_not_reused(made, no_new_layer, monkeypatc
 
 
 @pytest.mark.parametrize("command", ["generate", "validate --replay"])
-def test_a_rebuild_leaves_no_layer_and_what_searches_makes_it_again(made, tmp_path, command):
+def test_a_rebuild_leaves_no_layer_and_what_searches_makes_it_again(made, made_rows, tmp_path, command):
     store = copied(made, tmp_path)
     rebuild(store, LoadRules(), 1)
     assert stamp(store) == ({}, None)
     code, _, err = run(*command.split(), "--store", store.path, "--workers", "1")
     assert code == 0, err
     assert files(store) == files(made)
-    assert layer_rows(store) == layer_rows(made)
+    assert layer_rows(store) == made_rows
 
 
 def test_a_dropped_world_model_does_not_stop_generate(made, tmp_path):
@@ -251,7 +257,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_the_world_model_of_a_run_stays(loaded, made, tmp_path):
+def test_the_world_model_of_a_run_stays(loaded, made, made_rows, tmp_path):
     store = copied(loaded, tmp_path)
     # What a killed run wrote last lies in the log beside the graph.
     assert warm.run(warm.script, BELIEVER, store.graph_path, SUPPORT).returncode == -signal.SIGKILL
@@ -259,7 +265,7 @@ def test_the_world_model_of_a_run_stays(loaded, made, tmp_path):
     assert log.stat().st_size
     generate(store, workers=1)
     assert files(store) == files(made)
-    assert layer_rows(store) == layer_rows(made)
+    assert layer_rows(store) == made_rows
     with WorldGraph.open(store.graph_path) as world:
         written = tables_of(world)
         assert [row["name"] for row in written["Entity"]] == ["p1", "p2"] and written["Related"]
@@ -304,26 +310,26 @@ generate(sys.argv[1], workers=1)
 """
 
 
-def check_survived(store, made):
+def check_survived(store, made, made_rows):
     code, _, err = run("load", "--verify", "--store", store.path)
     assert code == 0, err
     generate(store, workers=1)
     assert files(store) == files(made)
-    assert layer_rows(store) == layer_rows(made)
+    assert layer_rows(store) == made_rows
     assert sorted(path.name for path in store.path.iterdir()) == sorted(path.name for path in made.path.iterdir())
 
 
 @pytest.mark.parametrize(
     "step", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow), 4]
 )
-def test_a_kill_while_the_graph_is_published_leaves_a_sound_one(loaded, made, tmp_path, step):
+def test_a_kill_while_the_graph_is_published_leaves_a_sound_one(loaded, made, made_rows, tmp_path, step):
     store = copied(loaded, tmp_path)
     assert warm.run(warm.script, KILLED, store.path, step).returncode == -signal.SIGKILL
-    check_survived(store, made)
+    check_survived(store, made, made_rows)
 
 
 @pytest.mark.parametrize("moment", range(examples(1)))
-def test_a_kill_at_any_moment_leaves_a_sound_graph(loaded, made, tmp_path, moment):
+def test_a_kill_at_any_moment_leaves_a_sound_graph(loaded, made, made_rows, tmp_path, moment):
     store = copied(loaded, tmp_path)
     process = warm.started(warm.script, KILLED, store.path, 0, folder=tmp_path)
     building = store.path / ".graph.kuzu.building"
@@ -332,4 +338,4 @@ def test_a_kill_at_any_moment_leaves_a_sound_graph(loaded, made, tmp_path, momen
     time.sleep(random.uniform(0, 0.6))
     process.kill()
     process.join()
-    check_survived(store, made)
+    check_survived(store, made, made_rows)
