@@ -45,7 +45,8 @@ _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "plat
 class Entries(Protocol):
     """Where finished questions go: a journal, or another process that has one."""
 
-    finished: dict[str, Finished]
+    @property
+    def finished(self) -> Mapping[str, Finished]: ...
 
     def append(self, entry: Finished) -> None:
         """Add a finished question."""

@@ -318,7 +318,7 @@ def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: R
         )
     path = world_db or store.graph_path
     try:
-        with open_world(path, run_id, world_rows(run_id, run.finished.values())) as world:
+        with open_world(path, run_id, world_rows(run_id, run.finished)) as world:
             yield world
     except LockedError as error:
         raise LockedError(

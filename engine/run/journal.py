@@ -11,14 +11,14 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, get_args
 
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.store import Store, write_groups
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import LockedError, StoreError
@@ -42,6 +42,11 @@ class Finished(msgspec.Struct, frozen=True):
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
 _FINISHED: Final = msgspec.json.Decoder(Finished)
+
+_DAMAGE: Final = (
+    *(msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError),
+    pa.ArrowException,
+)
 
 _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.string(): str,
@@ -133,6 +138,38 @@ def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) 
     return [own for own in questions if (entry := finished.get(own.question_id)) is None or entry.failed]
 
 
+class KeptEntries(Mapping[str, Finished]):
+    """The entries of a journal by question, each read from the file when it is looked up: their transcripts may be a
+    hundred kilobytes each. Raises StoreError where one cannot be read again."""
+
+    def __init__(self, path: Path, places: dict[str, tuple[int, int]]) -> None:
+        """`places`: the first byte and length of each question's line."""
+        self._path, self._places = path, places
+
+    def add(self, question_id: str, at: int, size: int) -> None:
+        """Add the place of a line, in place of the question's earlier one."""
+        self._places[question_id] = at, size
+
+    def of(self, question_ids: Iterable[str]) -> KeptEntries:
+        """The entries of these questions, as far as they are finished, in this order."""
+        return KeptEntries(self._path, {name: self._places[name] for name in question_ids if name in self._places})
+
+    def __getitem__(self, question_id: str) -> Finished:
+        at, size = self._places[question_id]
+        try:
+            with self._path.open("rb") as file:
+                return _FINISHED.decode(os.pread(file.fileno(), size, at))
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            raise StoreError(f"{self._path} was changed while it is in use: run again with --resume") from None
+
+    def __iter__(self) -> Iterator[str]:
+        # Another thread may add one meanwhile.
+        return iter(list(self._places))
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
 class Journal(contextlib.ExitStack):
     """Finished questions on disk, in the order in which they finished; the last line of a question counts.
 
@@ -165,25 +202,31 @@ class Journal(contextlib.ExitStack):
                 holder=str(self._path),
             ) from None
 
-    def _replay(self) -> dict[str, Finished]:
-        self._file.seek(0)
-        data = self._file.read()
-        whole = data.rfind(b"\n") + 1
-        if whole < len(data):
-            self._file.truncate(whole)
-        found: dict[str, Finished] = {}
-        for number, line in enumerate(data[:whole].splitlines(), 1):
-            try:
-                entry = _FINISHED.decode(line)
-                run_tables("", [entry])
-            except (msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError, pa.ArrowException):
-                raise StoreError(f"{self._path}, line {number}, is damaged: evaluate under another --run-id") from None
-            found[entry.question_id] = entry
-        return found
+    def _replay(self) -> KeptEntries:
+        places: dict[str, tuple[int, int]] = {}
+        whole = 0
+        # By a reader with a buffer, line by line: the file may be larger than memory.
+        with self._path.open("rb") as lines:
+            for number, line in enumerate(lines, 1):
+                if not line.endswith(b"\n"):
+                    self._file.truncate(whole)
+                    break
+                try:
+                    entry = _FINISHED.decode(line)
+                    for name in _TABLES:
+                        run_table("", name, [entry])
+                except _DAMAGE:
+                    raise StoreError(
+                        f"{self._path}, line {number}, is damaged: evaluate under another --run-id"
+                    ) from None
+                places[entry.question_id] = whole, len(line)
+                whole += len(line)
+        return KeptEntries(self._path, places)
 
     def append(self, entry: Finished) -> None:
         """Add a finished question; returns when it is on disk."""
         line = msgspec.json.encode(entry) + b"\n"
+        size = len(line)
         end = self._file.seek(0, os.SEEK_END)
         try:
             while line:
@@ -194,34 +237,47 @@ class Journal(contextlib.ExitStack):
             with contextlib.suppress(OSError):
                 self._file.truncate(end)
             raise StoreError(f"cannot write {self._path}: {error.strerror}; then run again with --resume") from None
-        self.finished[entry.question_id] = entry
+        self.finished.add(entry.question_id, end, size)
 
 
-def run_tables(run_id: str, entries: Sequence[Finished]) -> dict[str, pa.Table]:
-    """The tables of a run, sorted by question and step. Raises pyarrow's errors, ValueError and the like where an entry
-    does not fit."""
-    entries = sorted(entries, key=lambda entry: entry.question_id)
-    rows = {
-        "predictions": [entry.prediction for entry in entries],
-        "steps": [step for entry in entries for step in entry.steps],
-        "world": [write for entry in entries for write in entry.world],
-    }
+_TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
+    "world": lambda entry: entry.world,
+    "steps": lambda entry: entry.steps,
+    "predictions": lambda entry: [entry.prediction],
+}
+"""The tables of a run, and an entry's rows of each."""
+
+_GROUP: Final = 200
+"""Questions whose transcripts are in memory together while their table is written: a row group of the file."""
+
+
+def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
+    """A table of a run: the entries' rows, in their order. Raises pyarrow's errors, ValueError and the like where an
+    entry does not fit."""
+    rows = [{"run_id": run_id, **row} for entry in entries for row in _TABLES[name](entry)]
     # Only the cast finds a null in a column that allows none.
-    return {
-        name: pa.Table.from_pylist([{"run_id": run_id, **row} for row in found], RUNS[name]).cast(RUNS[name])
-        for name, found in rows.items()
-    }
+    return pa.Table.from_pylist(rows, RUNS[name]).cast(RUNS[name])
 
 
-def write_tables(store: Store, run_id: str, entries: Iterable[Finished]) -> pa.Table:
-    """Write a run's `world`, `steps` and `predictions`; returns the predictions."""
-    tables = run_tables(run_id, list(entries))
-    # Predictions come last: a run that has them is complete.
-    for name in ("world", "steps", "predictions"):
-        store.write_run(run_id, name, tables[name])
-    return tables["predictions"]
+def write_tables(store: Store, run_id: str, finished: Mapping[str, Finished]) -> pa.Table:
+    """Write a run's `world`, `steps` and `predictions`, sorted by question and step; returns the predictions."""
+    names = sorted(finished)
+
+    def groups(table: str) -> Iterator[pa.Table]:
+        for start in range(0, len(names), _GROUP):
+            group = run_table(run_id, table, map(finished.__getitem__, names[start : start + _GROUP]))
+            if group.num_rows:
+                yield group
+
+    for table in ("world", "steps"):
+        write_groups(store.run_path(run_id) / f"{table}.parquet", groups(table), RUNS[table])
+    # Last: a run that has predictions is complete.
+    predictions = pa.concat_tables([RUNS["predictions"].empty_table(), *groups("predictions")]).combine_chunks()
+    store.write_run(run_id, "predictions", predictions)
+    return predictions
 
 
-def world_rows(run_id: str, entries: Iterable[Finished]) -> pa.Table:
+def world_rows(run_id: str, finished: Mapping[str, Finished]) -> pa.Table:
     """The rows of `world` of all entries but failed ones, which a resumed run answers again."""
-    return run_tables(run_id, [entry for entry in entries if not entry.failed])["world"]
+    entries = (finished[name] for name in sorted(finished))
+    return run_table(run_id, "world", (entry for entry in entries if not entry.failed))

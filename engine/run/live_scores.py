@@ -9,8 +9,9 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from jrdb_avr.engine.run.journal import Finished
 from jrdb_avr.engine.run.judge import Judge, QuestionScore
@@ -41,9 +42,10 @@ def report_scores(
     `before`: what was finished earlier; yields a function that takes what finishes. The last entry of a question
     counts; an error scores nothing.
     """
-    entries: queue.SimpleQueue[Finished | None] = queue.SimpleQueue()
+    # Predictions alone: transcripts may be a hundred kilobytes each, and judging may fall behind.
+    entries: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
     for entry in before:
-        entries.put(entry)
+        entries.put(entry.prediction)
     judges: list[Judge] = []
 
     def work() -> None:
@@ -52,7 +54,7 @@ def report_scores(
             scored: dict[str, QuestionScore] = {}
             last: LiveScore | None = None
             while (entry := entries.get()) is not None:
-                scored[entry.question_id] = judge.score_row(entry.prediction)
+                scored[entry["question_id"]] = judge.score_row(entry)
                 answer, evidence, combined, _ = map(sum, zip(*scored.values(), strict=True))
                 score = LiveScore(len(scored), answer, evidence, combined)
                 if score != last and entries.empty():
@@ -62,7 +64,7 @@ def report_scores(
     reader = threading.Thread(target=work, name="live scores", daemon=True)
     reader.start()
     try:
-        yield entries.put
+        yield lambda entry: entries.put(entry.prediction)
     finally:
         entries.put(None)
         for judge in judges:

@@ -101,7 +101,7 @@ class Run(Journal):
         with self._writing:
             self._over = True
         ids = read_run_manifest(self.store, self.run_id).question_ids
-        return write_tables(self.store, self.run_id, [self.finished[name] for name in ids if name in self.finished])
+        return write_tables(self.store, self.run_id, self.finished.of(ids))
 
 
 def check_manifest(store: Store, manifest: RunManifest) -> None:

@@ -20,8 +20,8 @@ def run(store, run_id, asked=ASKED, path=None, finish=True, turns=20, **options)
         store, RunManifest(run_id, "believer", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")
     )
     with journals.Journal(store.run_path(run_id) / "journal.jsonl") as journal:
-        record = journals.world_rows(run_id, journal.finished.values())
+        record = journals.world_rows(run_id, journal.finished)
         with open_world(path or store.graph_path, run_id, record) as world:
             answering.answer_all(Believer(world, turns, **options), asked, INFO, None, None, journal, 4)
         if finish:
-            journals.write_tables(store, run_id, journal.finished.values())
+            journals.write_tables(store, run_id, journal.finished)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from decimal import Decimal
 
 import cv2
@@ -438,6 +439,28 @@ def test_the_journal_keeps_what_was_appended(tmp_path):
         assert journal.finished == {"a": entry("a"), "b": entry("b")}
 
 
+def test_twenty_times_the_questions_take_no_more_memory(tmp_path, monkeypatch):
+    """Of transcripts; what is known of each question besides is small."""
+    monkeypatch.setattr(journals, "_GROUP", 10)
+    step = {"step": 0, "kind": "model", "request": "x" * 50_000, "response": "", "seconds": 0.0}
+    peaks = []
+    for n in (20, 400):
+        path = Store(tmp_path / str(n)).run_path("r") / "journal.jsonl"
+        tracemalloc.start()
+        with journals.Journal(path) as journal:
+            for number in range(n):
+                name = f"{number:04}"
+                journal.append(msgspec.structs.replace(entry(name), steps=[step | {"question_id": name}]))
+        with journals.Journal(path) as journal:
+            assert len(journals.world_rows("r", journal.finished)) == 0
+            journals.write_tables(Store(tmp_path / str(n)), "r", journal.finished)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        groups = pq.ParquetFile(path.with_name("steps.parquet")).metadata
+        assert (groups.num_rows, groups.num_row_groups) == (n, n // 10)
+    assert peaks[1] < 1.2 * peaks[0]
+
+
 def test_a_line_that_the_disk_took_in_part_is_none(tmp_path):
     path = tmp_path / "journal.jsonl"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -548,7 +571,7 @@ def test_whatever_a_method_raises_is_an_error_row(error):
 def test_what_is_no_prediction_is_an_error_row(tmp_path, returned):
     finished = answering.answer_one(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     assert finished.failed
-    journals.write_tables(Store(tmp_path), "r", [finished])
+    journals.write_tables(Store(tmp_path), "r", {finished.question_id: finished})
 
 
 NAN = float("nan")
@@ -627,7 +650,7 @@ def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, beha
 def test_a_verdict_is_kept(verdict):
     method = Scripted(lambda task: Prediction("answered", Choice(1), verdict=verdict))
     entry = answering.answer_one(method, QUESTIONS_ASKED[0], INFO, no_look, no_look)
-    assert journals.run_tables("r", [entry])["predictions"]["verdict"].to_pylist() == [verdict]
+    assert journals.run_table("r", "predictions", [entry])["verdict"].to_pylist() == [verdict]
 
 
 def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
@@ -661,7 +684,7 @@ def test_what_utf8_cannot_hold_is_written_out(tmp_path):
 
     finished = answering.answer_one(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     store = Store(tmp_path)
-    journals.write_tables(store, "r", [finished])
+    journals.write_tables(store, "r", {finished.question_id: finished})
     assert predictions(store, "r")["raw"].to_pylist() == ["\\ud800"]
 
 

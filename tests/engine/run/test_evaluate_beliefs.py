@@ -200,7 +200,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
         manifest = RunManifest(run_id, method, "m", "0" * 64, (), True, {}, "")
         write_run_manifest(store, manifest)
     for run_id in ("base", "silent"):
-        journals.write_tables(store, run_id, [])
+        journals.write_tables(store, run_id, {})
     for run_id, words in (
         ("none", r"has no run 'none': did you mean one"),
         ("half", r"'half' is not finished: repeat its 'jrdb-avr evaluate' with --resume"),
@@ -230,7 +230,7 @@ def test_a_resumed_run_brings_back_what_a_new_graph_lacks(store, live):
     (store.run_path("one") / "world.parquet").unlink()
     assert jrdb_avr("load", "--rebuild", "--store", store.path).exit_code == 0
     assert dump(store.graph_path) == of_run(live, "two")
-    with open_world(store.graph_path, "one", journals.world_rows("one", [])) as world:
+    with open_world(store.graph_path, "one", journals.world_rows("one", {})) as world:
         Believer(world, 20).answer(Task(ASKED[5]))
     run(store, "one")
     assert dump(store.graph_path) == live

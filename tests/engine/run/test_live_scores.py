@@ -33,7 +33,7 @@ def judged(store):
     write_run_manifest(store, RunManifest("r", "reader", "m", questions_hash(store), ids, True, {}, "2026-01-01"))
     with journals.Journal(store.run_path("r") / "journal.jsonl") as journal:
         answering.answer_all(Reader(), QUESTIONS_ASKED, {SEQUENCE: info}, None, None, journal, 4)
-        journals.write_tables(store, "r", journal.finished.values())
+        journals.write_tables(store, "r", journal.finished)
     return store
 
 
