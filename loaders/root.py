@@ -18,7 +18,8 @@ from typing import Final
 
 from jrdb_avr.loaders.problems import Problem, Problems, shorten
 from jrdb_avr.queries.manifest import is_url
-from jrdb_avr.queries.remote import Mirror, child_url
+from jrdb_avr.queries.mirror import Mirror
+from jrdb_avr.queries.remote import child_url
 from jrdb_avr.queries.store import safe_sequence
 from jrdb_avr.schema.errors import InputError
 

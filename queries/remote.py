@@ -1,53 +1,23 @@
-"""Stores and panoramas at a URL: files are fetched into a folder of this machine's cache, and changes sent back.
+"""Files below a URL, by `pyarrow.fs` or, for schemes that it does not speak, by fsspec where that is installed.
 
-A `Mirror` is a store's folder in the cache. Opening fetches what differs there; whoever changes the store sends what
-differs here: the tables first and the manifests last, so that a reader elsewhere takes no half of a change for a whole.
-What is told apart by its hash in the manifest is sent and fetched only where that differs; everything else by its size
-and time, of the question files also by the server's own tag. The graph is never sent.
-
-The URL is one of `pyarrow.fs`, or of fsspec where that is installed. Names in a listing are untrusted: only plain ones
-in the folders of a store are fetched, so that nothing is written outside the mirror.
+Names in a listing are untrusted: only plain ones are returned, so that no file is written outside a folder that it is
+fetched into. Whatever a file system raises becomes a StoreError of one line.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import functools
-import hashlib
-import itertools
-import os
 import re
-import threading
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit, urlunsplit
 
-import msgspec
-
-from jrdb_avr.queries.files import write_atomic, write_bytes
-from jrdb_avr.queries.graph.file import STORE_GRAPH, remove_files
-from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, is_url
+from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.schema.errors import AvrError, InputError, StoreError
 
-TABLES: Final = ("annotations/", "intervals/", "questions/", MANIFEST_NAME)
-"""What the holder of a store's writer lock sends."""
-
-RUNS: Final = ("runs/", "conventions/", "opaque.key")
-"""What runs write. A change that a killed run could not send is kept, and sent by the next one."""
-
-SEND_EVERY_S: Final = 60.0
-"""Seconds between two times at which a run that goes on sends its journal."""
-
-_AT_ONCE: Final = 8
-_FIRST: Final = "run.json"
-_LAST: Final = ("predictions.parquet", "scores.parquet", "questions.parquet", MANIFEST_NAME)
-"""Names of the files that make others valid, in the order in which they are sent after those."""
-
-_ABSENT: Final = (-1, 0)
-_PART: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ +@=-]{0,199}")
+_PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ +@=-]{0,199}")
 
 
 def child_url(url: str, path: str) -> str:
@@ -64,288 +34,94 @@ def path_below(url: str, parent: str) -> str | None:
     return place.path.removeprefix(folder) if inside else None
 
 
-def image_path(root: str | Path, name: str) -> Path:
-    """The path of a panorama below a folder or URL; of a URL it is fetched when it is first asked for.
-
-    Raises StoreError where it cannot be fetched.
-    """
-    if not is_url(root):
-        return Path(root, name)
-    mirror = Mirror(str(root))
-    if not (mirror.folder / name).exists():
-        mirror.fetch_file(name)
-    return mirror.folder / name
+def is_plain_path(name: str) -> bool:
+    """Whether all parts of a relative path are plain names: none is hidden, empty, or leads upwards."""
+    return all(_PLAIN.fullmatch(part) for part in name.split("/"))
 
 
-def has_images(root: str | Path, sequence: str) -> bool:
-    """Whether a sequence has a panorama below a folder or URL. Raises StoreError where a URL cannot be reached."""
-    if is_url(root):
-        return any(name.endswith(".jpg") for name in Mirror(str(root)).names(sequence))
-    return any(Path(root, sequence).glob("*.jpg"))
-
-
-class Known(msgspec.Struct, array_like=True):
-    """What a file was there, and here (bytes and time of change in ns), when both were last the same."""
-
-    there: str
-    here: tuple[int, int]
-
-
-class Mirror:
-    """A folder of the cache that stands for a URL. Making one checks the URL and reaches nothing."""
+class RemoteFolder:
+    """The folder at a URL. Making one checks the URL and reaches nothing; all methods raise StoreError."""
 
     def __init__(self, url: str) -> None:
+        """Raises InputError for a URL that holds a key."""
         if urlsplit(url).password is not None:
             raise InputError("keep keys out of the URL: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY", field="store")
         self.url = url.rstrip("/")
-        self._place = _cache() / hashlib.sha256(self.url.encode()).hexdigest()[:20]
-        self.folder = self._place / "files"
 
-    # -- there to here ----------------------------------------------------------------------------------------
+    def files(self, part: str, *, below: bool = True) -> dict[str, str]:
+        """The files of a folder "NAME/", of the whole ("") or of one file, each with its size and time of change.
 
-    def fetch(self) -> None:
-        """Make the folder what the store at the URL is, but for what runs wrote here and could not send.
-
-        While another process here writes the store, its files stay as they are. Raises StoreError.
+        `below`: also those in its folders.
         """
-        with self._known() as known:
-            if self._is_written():
-                return
-            there, here = self._there((*TABLES, *RUNS)), self._here((*TABLES, *RUNS))
-            unsent = {name for name, at in here.items() if name.startswith(RUNS) and not _same(known, name, here=at)}
-            news = {name for name, at in there.items() if not _same(known, name, there=at)}
-            for path in (self.folder / name for name in unsent & news):
-                # Both went on: what was sent counts, and the answers here are not lost.
-                path.rename(path.with_name(f".{path.name}.unsent"))
-            differing = news | {n for n in there if n not in unsent and not _same(known, n, here=here.get(n, _ABSENT))}
-            gone = here.keys() - there.keys() - unsent
-            if MANIFEST_NAME in differing | gone:
-                remove_files((self.folder / STORE_GRAPH).resolve())
-            for name in gone:
-                (self.folder / name).unlink()
-            for name in known.keys() - there.keys():
-                del known[name]
-            self._fetch(there, differing, known)
-
-    def fetch_root(self) -> None:
-        """Fetch the label files of a JRDB root; its panoramas become empty files of their names. Raises StoreError."""
-        with self._known() as known:
-            there, here = self._there(("",)), self._here(("",))
-            for name in here.keys() - there.keys():
-                (self.folder / name).unlink()
-            for name in there:
-                if name.lower().endswith(".jpg"):
-                    (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
-                    (self.folder / name).touch()
-            labels = [name for name in there if name.lower().endswith((".json", ".yaml", ".txt"))]
-            stale = [name for name in labels if not _same(known, name, there[name], here.get(name, _ABSENT))]
-            self._fetch(there, stale, known)
-
-    def names(self, folder: str) -> list[str]:
-        """Names of the files in a folder at the URL. Raises StoreError."""
         from pyarrow.fs import FileSelector, FileType
 
-        with _reaching(self.url):
-            system, root = _connect(self.url)
-            found = system.get_file_info(FileSelector(f"{root}/{folder}", allow_not_found=True))
-            return [info.base_name for info in found if info.type == FileType.File]
+        with self._reached() as (system, root):
+            place = f"{root}/{part}".rstrip("/")
+            asked: Any = [place]
+            if not part or part.endswith("/"):
+                asked = FileSelector(place, recursive=below, allow_not_found=True)
+            found = system.get_file_info(asked)
+        named = ((info.path.removeprefix(f"{root}/"), info) for info in found if info.type == FileType.File)
+        return {
+            name: f"{info.size} {info.mtime_ns}"
+            for name, info in named
+            if name.startswith(part) and is_plain_path(name)
+        }
 
-    # -- here to there ----------------------------------------------------------------------------------------
+    def tag(self, name: str) -> str | None:
+        """The server's tag of a file's content; None where it has none."""
+        with self._reached() as (system, root), system.open_input_stream(f"{root}/{name}") as file:
+            found = {key.lower(): value for key, value in (file.metadata() or {}).items()}.get("etag")
+            return None if found is None else str(found)
 
-    def send(self, parts: Iterable[str]) -> None:
-        """Make those parts of the store at the URL what they are here.
+    def read(self, name: str) -> bytes:
+        """The content of a file."""
+        with self._reached() as (system, root), system.open_input_stream(f"{root}/{name}") as file:
+            content: bytes = file.read()
+            return content
 
-        Raises StoreError, and changes nothing, where another writer changed one of those files since it was fetched.
-        """
-        parts = tuple(parts)
-        with self._known() as known:
-            here = self._here(parts)
-            changed = [name for name, at in here.items() if not _same(known, name, here=at)]
-            gone = [name for name in known if name.startswith(parts) and name not in here]
-            if not changed and not gone:
-                return
-            there = self._there(parts)
-            manifest = self.folder / MANIFEST_NAME
-            hashes = _table_hashes(manifest.read_bytes() if manifest.exists() else b"")
-            # Tables that a load made anew are most often what they were.
-            changed = [name for name in changed if name not in hashes or hashes[name] != there.get(name)]
-            guard = [MANIFEST_NAME] if MANIFEST_NAME in parts else []
-            for name in sorted({*changed, *gone, *guard}):
-                self._refuse(name, there.get(name), known[name].there if name in known else None)
-            if MANIFEST_NAME in {*changed} & there.keys() and any(n.startswith(TABLES[:2]) for n in [*changed, *gone]):
-                # Until the new one is there, nobody takes the tables of two loads for a store.
-                self._delete(MANIFEST_NAME)
-                del there[MANIFEST_NAME]
-            for wave, names in itertools.groupby(sorted(changed, key=_wave), _wave):
-                sent = list(names)
-                if wave > 1 and sent[0].startswith(TABLES):
-                    self._refuse(sent[0], self._there(sent).get(sent[0]), there.get(sent[0]))
-                list(_each(self._send_one, sent))
-            for name in gone:
-                if name in there:
-                    self._delete(name)
-                del known[name]
-            there = self._there(parts)
-            known.update({name: Known(there[name], stamp) for name, stamp in here.items() if name in there})
-
-    @contextlib.contextmanager
-    def sending(self, parts: Iterable[str]) -> Iterator[None]:
-        """Send those parts every minute, and when the block ends, also where an error ends it."""
-        ended = threading.Event()
-
-        def regularly() -> None:
-            while not ended.wait(SEND_EVERY_S):
-                # What cannot be sent now may be sent the next time.
-                with contextlib.suppress(StoreError):
-                    self.send(parts)
-
-        thread = threading.Thread(target=regularly, name="send", daemon=True)
-        thread.start()
-        try:
-            yield
-        except BaseException:
-            with contextlib.suppress(StoreError):
-                self.send(parts)
-            raise
-        else:
-            self.send(parts)
-        finally:
-            ended.set()
-            thread.join()
-
-    def _refuse(self, name: str, there: str | None, expected: str | None) -> None:
-        if there != expected:
-            raise StoreError(
-                f"{self.url} was changed by another writer since it was read ({name}): run the command again, a run "
-                "under another --run-id"
-            )
-
-    # -- files ------------------------------------------------------------------------------------------------
-
-    def _there(self, parts: Iterable[str]) -> dict[str, str]:
-        """The files of those parts at the URL, each with what tells its content from another."""
-        from pyarrow.fs import FileSelector, FileType
-
-        found: dict[str, str] = {}
-        with _reaching(self.url):
-            system, root = _connect(self.url)
-            for part in parts:
-                whole = not part or part.endswith("/")
-                place = f"{root}/{part}".rstrip("/")
-                asked = FileSelector(place, recursive=True, allow_not_found=True) if whole else [place]
-                for info in system.get_file_info(asked):
-                    name = info.path.removeprefix(f"{root}/")
-                    plain = name.startswith(part) and all(_PART.fullmatch(own) for own in name.split("/"))
-                    if plain and info.type == FileType.File:
-                        found[name] = f"{info.size} {info.mtime_ns}"
-            for name in found:
-                if name.startswith("questions/"):
-                    with system.open_input_stream(f"{root}/{name}") as file:
-                        tag = {key.lower(): value for key, value in (file.metadata() or {}).items()}.get("etag")
-                    found[name] = found[name] if tag is None else str(tag)
-        if MANIFEST_NAME in parts:
-            manifest = b""
-            if MANIFEST_NAME in found:
-                with _reaching(self.url), system.open_input_stream(f"{root}/{MANIFEST_NAME}") as file:
-                    manifest = file.read()
-                found[MANIFEST_NAME] = hashlib.sha256(manifest).hexdigest()
-            hashes = _table_hashes(manifest)
-            # Tables that the manifest does not name are no part of the store.
-            found = {n: hashes.get(n, at) for n, at in found.items() if n in hashes or not n.startswith(TABLES[:2])}
-        return found
-
-    def _here(self, parts: tuple[str, ...]) -> dict[str, tuple[int, int]]:
-        """The files of those parts in the folder; hidden ones are nobody else's."""
-        found = {}
-        for folder, folders, files in os.walk(self.folder):
-            folders[:] = [name for name in folders if _PART.fullmatch(name)]
-            for path in (Path(folder, name) for name in files if _PART.fullmatch(name)):
-                name = path.relative_to(self.folder).as_posix()
-                if name.startswith(parts):
-                    found[name] = _stamp(path)
-        return found
-
-    def _fetch(self, there: dict[str, str], names: Collection[str], known: dict[str, Known]) -> None:
-        # The manifest comes last, as everywhere.
-        for _, wave in itertools.groupby(sorted(names, key=_wave), _wave):
-            for name in _each(self.fetch_file, list(wave)):
-                known[name] = Known(there[name], _stamp(self.folder / name))
-
-    def fetch_file(self, name: str) -> str:
-        """Fetch one file; returns its name. Raises StoreError."""
+    def fetch(self, name: str, path: Path) -> None:
+        """Write a file to a path here, whole."""
         from pyarrow.fs import LocalFileSystem, copy_files
 
-        def fetch(temporary: Path) -> None:
-            with _reaching(self.url):
-                system, root = _connect(self.url)
-                copy_files(
-                    f"{root}/{name}",
-                    str(temporary),
-                    source_filesystem=system,
-                    destination_filesystem=LocalFileSystem(),
-                )
+        def write(temporary: Path) -> None:
+            with self._reached() as (system, root):
+                here = LocalFileSystem()
+                copy_files(f"{root}/{name}", str(temporary), source_filesystem=system, destination_filesystem=here)
 
-        write_atomic(self.folder / name, fetch)
-        return name
+        write_atomic(path, write)
 
-    def _send_one(self, name: str) -> str:
+    def send(self, path: Path, name: str) -> None:
+        """Write a file here to the URL, whole."""
         from pyarrow.fs import LocalFileSystem, copy_files
 
-        with _reaching(self.url):
-            system, root = _connect(self.url)
+        with self._reached() as (system, root):
             place = f"{root}/{name}"
             if system.type_name not in ("s3", "gcs"):
                 system.create_dir(place.rpartition("/")[0], recursive=True)
             # A folder shows a file while it is written; elsewhere one is there when it is whole.
             first = f"{place}.part" if system.type_name == "local" else place
-            copy_files(
-                str(self.folder / name), first, source_filesystem=LocalFileSystem(), destination_filesystem=system
-            )
+            copy_files(str(path), first, source_filesystem=LocalFileSystem(), destination_filesystem=system)
             if first != place:
                 system.move(first, place)
-        return name
 
-    def _delete(self, name: str) -> None:
-        with _reaching(self.url):
-            system, root = _connect(self.url)
+    def delete(self, name: str) -> None:
+        """Delete a file."""
+        with self._reached() as (system, root):
             system.delete_file(f"{root}/{name}")
 
-    # -- state ------------------------------------------------------------------------------------------------
-
     @contextlib.contextmanager
-    def _known(self) -> Iterator[dict[str, Known]]:
-        """What was the same at both ends, written back at the end; one process at a time."""
-        state = self._place / "state.json"
+    def _reached(self) -> Iterator[tuple[Any, str]]:
         try:
-            self._place.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self.folder.mkdir(exist_ok=True)
-            lock = (self._place / "lock").open("a")
-        except OSError as error:
-            raise StoreError(f"cannot write to {self._place}: {error.strerror}; set JRDB_AVR_CACHE") from None
-        with lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            try:
-                known = msgspec.json.decode(state.read_bytes(), type=dict[str, Known])
-            except (OSError, msgspec.DecodeError, UnicodeDecodeError):
-                known = {}
-            try:
-                yield known
-            finally:
-                write_bytes(state, msgspec.json.encode(known))
-
-    def _is_written(self) -> bool:
-        """Whether a process holds the writer lock of the folder's store (`Store.writing`)."""
-        with contextlib.suppress(FileNotFoundError), (self.folder / ".writing").open("a") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                return True
-        return False
-
-
-def _cache() -> Path:
-    own = os.environ.get("JRDB_AVR_CACHE")
-    return Path(own) if own else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jrdb-avr"
+            yield _connect(self.url)
+        except AvrError:
+            raise
+        except Exception as error:
+            # Any library's error.
+            reason = (str(error).splitlines() or [type(error).__name__])[0][:300]
+            raise StoreError(
+                f"cannot reach {self.url}: {reason}; check the address, the keys and the network"
+            ) from None
 
 
 @functools.lru_cache
@@ -361,46 +137,3 @@ def _connect(url: str) -> tuple[Any, str]:
             raise
         system, root = FileSystem.from_uri(f"fsspec+{url}")
     return system, root.rstrip("/")
-
-
-@contextlib.contextmanager
-def _reaching(url: str) -> Iterator[None]:
-    """Raise StoreError for whatever a file system raises, which may be any library's error."""
-    try:
-        yield
-    except AvrError:
-        raise
-    except Exception as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:300]
-        raise StoreError(f"cannot reach {url}: {reason}; check the address, the keys and the network") from None
-
-
-def _each(function: Callable[[str], str], names: Collection[str]) -> Iterator[str]:
-    """Call a function for every name, several at a time."""
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        yield from pool.map(function, names)
-
-
-def _wave(name: str) -> int:
-    last = name.rpartition("/")[2]
-    return 0 if last == _FIRST else 2 + _LAST.index(last) if last in _LAST else 1
-
-
-def _same(known: Mapping[str, Known], name: str, there: str | None = None, here: tuple[int, int] | None = None) -> bool:
-    """Whether a file is known, and is what it was where it is given what it is now."""
-    entry = known.get(name)
-    return entry is not None and there in (None, entry.there) and here in (None, entry.here)
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    found = path.lstat()
-    return found.st_size, found.st_mtime_ns
-
-
-def _table_hashes(manifest: bytes) -> dict[str, str]:
-    """The hashes of the tables that a manifest names; none of one that does not read, which its readers refuse."""
-    try:
-        entries = msgspec.json.decode(manifest, type=Manifest).sequences.values()
-    except (msgspec.DecodeError, UnicodeDecodeError):
-        return {}
-    return {name: digest for entry in entries for name, digest in entry.tables.items()}

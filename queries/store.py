@@ -34,8 +34,9 @@ from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import STAMP, keyframe_values
 from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, is_url, read_manifest
+from jrdb_avr.queries.mirror import TABLES, Mirror
 from jrdb_avr.queries.named import find_query
-from jrdb_avr.queries.remote import TABLES, Mirror, child_url, path_below
+from jrdb_avr.queries.remote import child_url, path_below
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
@@ -65,7 +66,7 @@ def write_json(path: Path, value: msgspec.Struct) -> None:
 
 
 class Store(Displayed):
-    """A store folder, or one at a URL by its mirror on this machine (`queries/remote.py`).
+    """A store folder, or one at a URL by its mirror on this machine (`queries/mirror.py`).
 
     Opening a folder checks nothing; `manifest()` raises StoreError where nothing has been loaded. Opening a URL fetches
     what changed there, and raises StoreError where it cannot be reached.

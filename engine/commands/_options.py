@@ -24,7 +24,7 @@ class Place(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         from jrdb_avr.engine.text_table import PRINTED_AS
         from jrdb_avr.queries.manifest import is_url
-        from jrdb_avr.queries.remote import Mirror
+        from jrdb_avr.queries.mirror import Mirror
 
         if not is_url(value):
             return super().convert(value, param, ctx)
@@ -41,7 +41,7 @@ def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | str 
     Raises StoreError where a newer version wrote it, or its URL cannot be reached.
     """
     from jrdb_avr.queries.manifest import refuse_newer
-    from jrdb_avr.queries.remote import Mirror
+    from jrdb_avr.queries.mirror import Mirror
     from jrdb_avr.queries.store import Store
 
     if path is None:

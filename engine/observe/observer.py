@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from jrdb_avr.queries.mirror import image_path
 from jrdb_avr.queries.questions import loaded_sequence
-from jrdb_avr.queries.remote import image_path
 from jrdb_avr.queries.store import Store, safe_sequence
 from jrdb_avr.schema.errors import ObserveError, StoreError
 from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.queries.remote import has_images
+from jrdb_avr.queries.mirror import has_images
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
 from jrdb_avr.schema.method import Question
 

@@ -9,9 +9,9 @@ import pytest
 from entry import run
 from fsspec.implementations.local import LocalFileSystem
 
-from jrdb_avr.queries import remote
+from jrdb_avr.queries import mirror, remote
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry
-from jrdb_avr.queries.remote import Mirror
+from jrdb_avr.queries.mirror import Mirror
 from jrdb_avr.queries.store import Store, file_hash
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules
@@ -162,7 +162,7 @@ def test_answers_that_a_killed_run_could_not_send_are_kept(machine, there):
 
 
 def test_a_run_sends_its_journal_while_it_goes_on_and_when_it_fails(machine, there, monkeypatch):
-    monkeypatch.setattr(remote, "SEND_EVERY_S", 0.01)
+    monkeypatch.setattr(mirror, "SEND_EVERY_S", 0.01)
     store = machine("a")
     with pytest.raises(ZeroDivisionError), store.sending("runs/mine/"):
         write(store, "runs/mine/journal.jsonl", "one\n")

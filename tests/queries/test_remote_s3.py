@@ -95,7 +95,7 @@ def test_another_machine_reads_it_all(made, bucket, tmp_path, monkeypatch):
 KILLED = """
 import os, signal, sys
 from jrdb_avr.engine.cli import main
-from jrdb_avr.queries.remote import Mirror
+from jrdb_avr.queries.mirror import Mirror
 last, send = sys.argv.pop(1), Mirror._send_one
 def cut(self, name):
     if name.endswith(last):
