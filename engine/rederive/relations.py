@@ -127,10 +127,12 @@ class SocialFacts(ActionFacts):
         near = range(frame - KEYFRAME_STEP, frame + KEYFRAME_STEP + 1)
         if not self._unread.isdisjoint(near):
             return True
+        there = set(self.people(frame))
         return any(
-            self.box(track, frame) is None and self._groups.get((one, track), (cluster,))[0] == cluster
+            self._groups.get((one, track), (cluster,))[0] == cluster
             for one in near
             for track in self.people(one)
+            if track not in there
         )
 
     def same_group(self, track: int, other: int, frame: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -49,9 +50,10 @@ class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer is o
         self.outcome: OutcomeKind = outcome
 
 
-def also_said(label: str) -> list[str]:
+@functools.cache
+def also_said(label: str) -> tuple[str, ...]:
     """Labels whose words may also be said of somebody with this one: unknown of that person, not false."""
-    return [other for own, other in ALSO if own == label]
+    return tuple(other for own, other in ALSO if own == label)
 
 
 def rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:

@@ -299,11 +299,11 @@ class Graph:
 @contextlib.contextmanager
 def worker_graph(path: Path) -> Iterator[Graph]:
     """A session for reading, which a worker process leaves open for its next item: opening and planning take longer
-    than most statements. Raises as `Graph.open`."""
+    than most statements, which are parsed once for all items. Raises as `Graph.open`."""
     with contextlib.ExitStack() as closing:
         graph = _left_open.get(path)
         if graph is None:
-            graph = Graph.open(path, read_only=True)
+            graph = Graph.open(path, read_only=True, prepares=True)
             if workers.is_worker:
                 _left_open[path] = graph
             else:
