@@ -7,6 +7,9 @@ sent public data alone: the job, the questions, and where these questions' pictu
 from __future__ import annotations
 
 import contextlib
+import functools
+import threading
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -27,9 +30,12 @@ from jrdb_avr.engine.run.run import Run
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.manifest import is_url
 from jrdb_avr.schema.errors import AvrError, EndpointError, InputError, RunStoppedError, StoreError
-from jrdb_avr.schema.method import ConfigurableMethod, Question, SequenceInfo
+from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Question, SequenceInfo, Task
 
 _ERRORS: Final = {kind.__name__: kind for kind in (InputError, StoreError, EndpointError, RunStoppedError)}
+
+
+_PER_WORLD: Final = 200
 
 
 class Runner(Protocol):
@@ -149,6 +155,53 @@ def read_message(data: bytes) -> Ready | Done | End:
     return message
 
 
+class _World:
+    """A world model in memory with its method, the questions begun in it, and those at work."""
+
+    def __init__(self, make: Callable[[WorldModel], ConfigurableMethod], run_id: str) -> None:
+        self.graph = WorldGraph.memory()
+        self.method = make(WorldModel(self.graph, run_id))
+        self.begun = self.working = 0
+
+
+class _Worlds(contextlib.ExitStack):
+    """A method whose world model is in memory and made anew every `_PER_WORLD` questions, none of which reads another
+    one's beliefs: the engine's memory is limited, and takes some 3,000 questions."""
+
+    def __init__(self, make: Callable[[WorldModel], ConfigurableMethod], run_id: str) -> None:
+        super().__init__()
+        self._make = functools.partial(_World, make, run_id)
+        self._lock = threading.Lock()
+        self._counts: list[Counter[str]] = []
+        self._renew()
+        self.callback(lambda: self._world.graph.close())
+        self.name, self.settings = self._world.method.name, self._world.method.settings
+
+    def _renew(self) -> None:
+        self._world = self._make()
+        self._counts.append(self._world.graph.counts)
+
+    def answer(self, task: Task) -> Prediction:
+        with self._lock:
+            if self._world.begun == _PER_WORLD:
+                if not self._world.working:
+                    self._world.graph.close()
+                self._renew()
+            own = self._world
+            own.begun, own.working = own.begun + 1, own.working + 1
+        try:
+            return own.method.answer(task)
+        finally:
+            with self._lock:
+                own.working -= 1
+                if own is not self._world and not own.working:
+                    own.graph.close()
+
+    def counts(self) -> dict[str, int]:
+        """Statements that read and that wrote, in all worlds."""
+        return {kind: sum(own[kind] for own in self._counts) for kind in ("reads", "writes")}
+
+
 class Worker(contextlib.ExitStack):
     """A job's method with its client and its world model, which is in memory: its record goes into the journal, and
     from there into any graph.
@@ -159,19 +212,25 @@ class Worker(contextlib.ExitStack):
     def __init__(self, job: Job) -> None:
         super().__init__()
         self._endpoint: Endpoint | None = None
-        self.world: WorldModel | None = None
+        self._worlds: _Worlds | None = None
         try:
             if job.model != NO_MODEL:
                 url = self.enter_context(serving(job.model, job.url, None, job.marker))
                 self._endpoint = Endpoint(
                     job.calibration, job.model, url, job.options, Path(job.calls), job.player, job.strict
                 )
-            if job.method in WORLD_METHODS:
-                self.world = WorldModel(self.enter_context(WorldGraph.memory()), job.run_id)
-            self.method = method_of(job.method, self._endpoint, self.world, job.policy, job.history)
+
+            def make(world: WorldModel | None) -> ConfigurableMethod:
+                return method_of(job.method, self._endpoint, world, job.policy, job.history)
+
+            self.method = make(None) if job.method not in WORLD_METHODS else self._in_worlds(make, job.run_id)
         except BaseException:
             self.close()
             raise
+
+    def _in_worlds(self, make: Callable[[WorldModel], ConfigurableMethod], run_id: str) -> ConfigurableMethod:
+        self._worlds = self.enter_context(_Worlds(make, run_id))
+        return self._worlds
 
     def ready(self) -> Ready:
         """The first message."""
@@ -186,7 +245,7 @@ class Worker(contextlib.ExitStack):
     def end(self) -> End:
         """The last message."""
         changed = "" if self._endpoint is None else self._endpoint.changed()
-        return End(changed, None if self.world is None else dict(self.world.graph.counts))
+        return End(changed, None if self._worlds is None else self._worlds.counts())
 
 
 def method_of(
