@@ -59,6 +59,10 @@ class Shard:
     staging: str
     rules: LoadRules
 
+    @property
+    def sequence(self) -> str:
+        return self.files.sequence
+
 
 @dataclass(frozen=True)
 class ShardResult:

@@ -43,6 +43,9 @@ _LAST: Final = ("predictions.parquet", "scores.parquet", "questions.parquet", MA
 
 _ABSENT: Final = (-1, 0)
 
+OPENED: Final[dict[Path, tuple[str, tuple[str, ...]]]] = {}
+"""The folders of the mirrors that this process has fetched, each with its URL and the parts that sequences need."""
+
 
 def image_path(root: str | Path, name: str) -> Path:
     """The path of a panorama below a folder or URL; of a URL it is fetched when it is first asked for.
@@ -74,11 +77,11 @@ class Known(msgspec.Struct, array_like=True):
 class Mirror:
     """A folder of the cache that stands for a URL. Making one checks the URL and reaches nothing."""
 
-    def __init__(self, url: str) -> None:
-        """Raises InputError as `RemoteFolder`."""
+    def __init__(self, url: str, place: Path | None = None) -> None:
+        """`place` is another folder than that of the cache. Raises InputError as `RemoteFolder`."""
         self._remote = RemoteFolder(url)
         self.url = self._remote.url
-        self._place = _cache() / hashlib.sha256(self.url.encode()).hexdigest()[:20]
+        self._place = place or _cache() / hashlib.sha256(self.url.encode()).hexdigest()[:20]
         self.folder = self._place / "files"
 
     # -- there to here ----------------------------------------------------------------------------------------
@@ -88,6 +91,7 @@ class Mirror:
 
         While another process here writes the store, its files stay as they are. Raises StoreError.
         """
+        OPENED[self.folder] = self.url, (*TABLES[:2], MANIFEST_NAME)
         with self._known() as known:
             if self._is_written():
                 return
@@ -109,17 +113,26 @@ class Mirror:
 
     def fetch_root(self) -> None:
         """Fetch the label files of a JRDB root; its panoramas become empty files of their names. Raises StoreError."""
+        OPENED[self.folder] = self.url, ("",)
         with self._known() as known:
-            there, here = self._there(("",)), self._here(("",))
-            for name in here.keys() - there.keys():
+            there = self._there(("",))
+            for name in self._here(("",)).keys() - there.keys():
                 (self.folder / name).unlink()
-            for name in there:
-                if name.lower().endswith(".jpg"):
-                    (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
-                    (self.folder / name).touch()
-            labels = [name for name in there if name.lower().endswith((".json", ".yaml", ".txt"))]
-            stale = [name for name in labels if not _same(known, name, there[name], here.get(name, _ABSENT))]
-            self._fetch(there, stale, known)
+            self._fetch_some(there, known)
+
+    def fetch_sequence(self, parts: tuple[str, ...], sequence: str, graph: Mapping[str, bytes]) -> None:
+        """Fetch what a sequence has in those parts, and what all sequences share; and put the files of a graph there.
+
+        Raises StoreError.
+        """
+        with self._known() as known:
+            there = self._there(parts)
+            own = {name: at for name, at in there.items() if sequence in _words(name) or not _words(name)}
+            self._fetch_some(own, known)
+            for name, data in graph.items():
+                path = self.folder / name
+                if not path.exists() or path.read_bytes() != data:
+                    write_bytes(path, data)
 
     # -- here to there ----------------------------------------------------------------------------------------
 
@@ -228,6 +241,16 @@ class Mirror:
             for name in _each(self.fetch_file, list(wave)):
                 known[name] = Known(there[name], _stamp(self.folder / name))
 
+    def _fetch_some(self, there: dict[str, str], known: dict[str, Known]) -> None:
+        """Fetch files that differ; of pictures an empty file."""
+        here = self._here(("",))
+        for name in there:
+            if name.lower().endswith(".jpg"):
+                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (self.folder / name).touch()
+        read = [name for name in there if name.lower().endswith((".json", ".yaml", ".txt", ".parquet"))]
+        self._fetch(there, [n for n in read if not _same(known, n, there[n], here.get(n, _ABSENT))], known)
+
     def fetch_file(self, name: str) -> str:
         """Fetch one file; returns its name. Raises StoreError."""
         self._remote.fetch(name, self.folder / name)
@@ -284,6 +307,15 @@ def _each(function: Callable[[str], str], names: Collection[str]) -> Iterator[st
 def _wave(name: str) -> int:
     last = name.rpartition("/")[2]
     return 0 if last == _FIRST else 2 + _LAST.index(last) if last in _LAST else 1
+
+
+_SHARED: Final = ("calibration", MANIFEST_NAME)
+
+
+def _words(name: str) -> set[str]:
+    """The names of folders and files, also without suffix, in a path; none of a file that all sequences share."""
+    parts = name.split("/")
+    return set() if any(own in _SHARED for own in parts) else {*parts, Path(name).stem}
 
 
 def _same(known: Mapping[str, Known], name: str, there: str | None = None, here: tuple[int, int] | None = None) -> bool:
