@@ -163,7 +163,7 @@ def test_limits_are_those_of_the_run_and_finished_calls_are_found_again(store, o
         with pytest.raises(RunStoppedError, match=r"--max-cost is 2\.45"):
             evaluate(store, own(line), **chosen, options=options, executor="ray", concurrency=1)
         assert read_run_manifest(store, "r").settings["endpoint"]["rpm"] == 1000
-        assert 3 <= len(seen(tmp_path)) <= 5
+        assert 0 < len(seen(tmp_path)) <= 5
         kept = call_files(store.run_path("r"))
         assert kept and all(path.name != "calls.jsonl" for path in kept)
         options = Options(price=Price(10_000, 0))
