@@ -92,7 +92,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
     layer; no folder at all leaves the layer out. Raises InputError where the root is missing or holds no label files,
     where a given folder is missing, and for a layer that is none of `LAYER_FILES`.
     """
-    mirror = Mirror(path) if isinstance(path, str) and is_url(path) else None
+    mirror = Mirror(path) if is_url(path) else None
     if mirror is not None:
         mirror.fetch_root()
     root = Path(path) if mirror is None else mirror.folder

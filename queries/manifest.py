@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeGuard
 
 import msgspec
 
@@ -19,7 +19,7 @@ MANIFEST_VERSION: Final = 1
 _URL: Final = re.compile(r"[a-z][a-z0-9+.-]*://")
 
 
-def is_url(place: object) -> bool:
+def is_url(place: object) -> TypeGuard[str]:
     """Whether a text is the URL of a store or folder, and no path."""
     return isinstance(place, str) and bool(_URL.match(place))
 

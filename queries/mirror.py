@@ -54,7 +54,7 @@ def image_path(root: str | Path, name: str) -> Path:
     """
     if not is_url(root):
         return Path(root, name)
-    mirror = Mirror(str(root))
+    mirror = Mirror(root)
     if not (mirror.folder / name).exists():
         mirror.fetch_file(name)
     return mirror.folder / name
@@ -63,7 +63,7 @@ def image_path(root: str | Path, name: str) -> Path:
 def has_images(root: str | Path, sequence: str) -> bool:
     """Whether a sequence has a panorama below a folder or URL. Raises StoreError where a URL cannot be reached."""
     if is_url(root):
-        return any(name.endswith(".jpg") for name in RemoteFolder(str(root)).files(f"{sequence}/", below=False))
+        return any(name.endswith(".jpg") for name in RemoteFolder(root).files(f"{sequence}/", below=False))
     return any(Path(root, sequence).glob("*.jpg"))
 
 

@@ -73,7 +73,7 @@ class Store(Displayed):
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.remote = Mirror(path) if isinstance(path, str) and is_url(path) else None
+        self.remote = Mirror(path) if is_url(path) else None
         self.path = Path(path) if self.remote is None else self.remote.folder
         if self.remote is not None:
             self.remote.fetch()

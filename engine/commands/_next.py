@@ -7,6 +7,8 @@ import shlex
 from pathlib import Path
 
 from jrdb_avr.engine.commands._options import STORE_VARIABLE
+from jrdb_avr.queries.manifest import is_url
+from jrdb_avr.queries.mirror import Mirror
 
 
 def next_steps(folder: Path) -> list[str]:
@@ -15,7 +17,9 @@ def next_steps(folder: Path) -> list[str]:
     The store is that of the environment variable, or a folder in `folder`, or this itself.
     """
     named = os.environ.get(STORE_VARIABLE)
-    places = [Path(named)] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
+    # Of a URL what is here of it: this waits for no server.
+    own = Mirror(named).folder if is_url(named) else Path(named or "")
+    places = [own] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
     stores = [place for place in places if (place / "store.json").exists()]
     if not stores:
         where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."
@@ -25,10 +29,10 @@ def next_steps(folder: Path) -> list[str]:
             "  jrdb-avr demo                            everything once on a synthetic world, in a minute",
             f"  jrdb-avr load ROOT --store {shlex.quote(store)}            your copy of JRDB",
         ]
-    return [line for place in stores for line in _of_store(place, folder, bool(named))]
+    return [line for place in stores for line in _of_store(place, folder, named)]
 
 
-def _of_store(store: Path, folder: Path, named: bool) -> list[str]:
+def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:
     """Lines about one store."""
     runs = [path.parent for path in sorted(store.glob("runs/*/run.json"))]
     open_runs = [run.name for run in runs if not (run / "predictions.parquet").exists()]
@@ -45,5 +49,5 @@ def _of_store(store: Path, folder: Path, named: bool) -> list[str]:
     else:
         state = f"has {len(runs)} run{'s' if len(runs) > 1 else ''}"
         steps = [f"score{option}", f"report{option}", f"evaluate{option} {model}"]
-    place = store if named else store.relative_to(folder.parent)
+    place = named or store.relative_to(folder.parent)
     return [f"{place} {state}.", *(f"  jrdb-avr {step}" for step in steps)]
