@@ -210,6 +210,7 @@ class ClusterMethod(contextlib.ExitStack):
                 case Ready(), None:
                     self._check(message)
                     seat.ready, seat.failures = True, 0
+                    self._spent[seat.file] = message.spent
                 case Done(), Question() as question:
                     assert self._finish is not None, "questions are handed out by answer_all"
                     self._spent[seat.file] = max(message.spent, self._spent.get(seat.file, 0.0))

@@ -107,12 +107,13 @@ class Assignment(msgspec.Struct, frozen=True):
 
 
 class Ready(msgspec.Struct, frozen=True, tag="ready"):
-    """The method is made and its server checked."""
+    """The method is made and its server checked, which has cost `spent` dollars."""
 
     name: str
     settings: dict[str, Any]
     endpoint: dict[str, Any]
     warnings: list[str]
+    spent: float = 0.0
 
 
 class Done(msgspec.Struct, frozen=True, tag="done"):
@@ -236,11 +237,14 @@ class Worker(contextlib.ExitStack):
         """The first message."""
         known = self._endpoint
         settings, warned = ({}, []) if known is None else (known.settings, known.warnings)
-        return Ready(self.method.name, self.method.settings(), settings, warned)
+        return Ready(self.method.name, self.method.settings(), settings, warned, self._spent())
 
     def done(self, entry: Finished) -> Done:
         """The message of a finished question."""
-        return Done(entry, 0.0 if self._endpoint is None else self._endpoint.client.spent)
+        return Done(entry, self._spent())
+
+    def _spent(self) -> float:
+        return 0.0 if self._endpoint is None else self._endpoint.client.spent
 
     def end(self) -> End:
         """The last message."""
