@@ -67,10 +67,9 @@ class SocialFacts(ActionFacts):
     def _find_unread(self, numbers: list[int]) -> frozenset[int]:
         """Frames that the 2D layer, of these frames, should know and does not, up to a second beyond its ends.
 
-        Beyond them it should know what lies within the frames of any box and any other layer of labels.
+        Beyond them it should know what lies within the frames of any box and of the layer of groups.
         """
-        layers = (known for layer, known in self.layers.items() if layer not in ("images", "timestamps"))
-        others = set(self._people).union(*layers)
+        others = set(self._people).union(numbers, self.layers.get("groups", ()))
         first, last = min(others), max(others)
         near = range(numbers[0] - KEYFRAME_STEP, numbers[-1] + KEYFRAME_STEP + 1, step_of(numbers))
         return frozenset(one for one in near if first <= one <= last and not self.knows(one))

@@ -20,7 +20,6 @@ from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, ROBOT_SECTORS, PersonSector
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
-from jrdb_avr.schema.tables import LAYERS
 
 
 def robot_sector(angle_deg: Floats, rules: LoadRules) -> Ints:
@@ -134,9 +133,8 @@ def _away(line: Timeline, boxes: Boxes, groups: Facts, bare_frame: Ints, bare_tr
     row, frame = _gone(line, boxes, groups.frame, groups.track)
     _, doubtful = _gone(line, boxes, bare_frame, bare_track)
     near = np.arange(grid.first - KEYFRAME_STEP, grid.last + KEYFRAME_STEP + 1, grid.step)
-    # Beyond the ends of the 2D layer only where boxes or other layers of labels show that labelling goes on.
-    others = [line.frames_of(layer) for layer in LAYERS if layer not in ("images", "timestamps")]
-    labelled = np.concatenate([boxes.frame, *others])
+    # Beyond the ends of the 2D layer only where boxes or groups show that labelling goes on.
+    labelled = np.concatenate([boxes.frame, *(line.frames_of(layer) for layer in ("2d", "groups"))])
     near = near[(near >= labelled.min()) & (near <= labelled.max())]
     unread = np.setdiff1d(near, line.frames_of("2d"))
     around = unread[:, None] + np.arange(-KEYFRAME_STEP, KEYFRAME_STEP + 1)

@@ -32,6 +32,7 @@ class World:
         self.attributes = attributes
         self.images = images
         self.action_frames = set(self.frames)
+        self.group_frames = self.frames
         self.rows = {name: [] for name in ANNOTATIONS}
         self.more = set()
 
@@ -112,6 +113,8 @@ class World:
         """The annotation tables, each in the order in which its rows were written."""
         layers = {"2d": self.frames, "actions": sorted(self.action_frames)}
         layers |= dict.fromkeys(sorted(self.more), self.frames)
+        if "groups" in layers:
+            layers["groups"] = self.group_frames
         if self.images is not None:
             layers["images"] = self.images
         for layer, frames in layers.items():

@@ -81,8 +81,7 @@ class Oracle:
                     self.listed.discard(("interactions", row["frame"], row[other]))
         self.stamps = {row["frame"]: row["timestamp"] for row in found.rows("timestamps") if row["sensor"] == "images"}
         self._times = {}
-        layers = {layer: frames for layer, frames in self.found.frames.items() if layer not in ("images", "timestamps")}
-        labelled = {f for frames in layers.values() for f in frames} | {f for f, _ in self.people}
+        labelled = {f for layer in ("2d", "groups") for f in self._known(layer)} | {f for f, _ in self.people}
         self.first, self.last = min(labelled, default=0), max(labelled, default=0)
         self.keyframes = self._keyframes()
 
@@ -185,7 +184,7 @@ class Oracle:
         mine = [self.clusters[frame, t] for t in people if self.clusters[frame, t][0] == cluster]
         # Somebody may be hidden for a moment and belong to the group all the same.
         around = range(frame - 15, frame + 16)
-        # What boxes or other labels show beyond the readable frames is part of the sequence, and unread.
+        # What boxes or groups show beyond the readable frames is part of the sequence, and unread.
         grid = range(min(self.known_2d) - 15, max(self.known_2d) + 16, step_of(sorted(self.known_2d)))
         if any(f in grid and self.first <= f <= self.last and f not in self.known_2d for f in around):
             return None
