@@ -46,7 +46,7 @@ class Own:
 @pytest.fixture(scope="module", autouse=True)
 def ray():
     if "REQUIRE_EXTRAS" not in os.environ:
-        pytest.importorskip("ray")
+        pytest.importorskip("ray", minversion="2")  # not a mere folder of that name
     import ray
 
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
