@@ -86,7 +86,7 @@ class Root:
 
 
 def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None = None) -> Root:
-    """Look through a JRDB root, a folder or one at a URL, whose label files are fetched first.
+    """Find the label files of a JRDB root, which is a folder or a URL; those at a URL are fetched first.
 
     `layer_dirs` gives folders, relative to the root or absolute, that are looked in instead of the usual ones of a
     layer; no folder at all leaves the layer out. Raises InputError where the root is missing or holds no label files,

@@ -1,6 +1,6 @@
-"""Connect to a Ray cluster whose machines share this one's folders, under the same paths, and run a function over
-sequences there.
+"""Run a function over sequences on a Ray cluster.
 
+Its machines see the command's folders under the same paths; a store at a URL needs no such folders (`lent.py`).
 Ray is an extra: `pip install 'jrdb-avr[ray]'`. A function whose worker or machine dies is run again, so it must bear
 that: it writes files whole (`files.write_atomic`), or returns what it found.
 """

@@ -54,9 +54,10 @@ def take_back(lent: list[Lent]) -> None:
 def away(
     lent: list[Lent], function: Callable[[_A], _R], item: _A, get: Callable[[Any], Mapping[str, bytes]]
 ) -> tuple[_R, dict[Path, bytes]]:
-    """Call a function, on a worker, for an item that has a `sequence`; returns also the files to hand back.
+    """Fetch the files of an item's `sequence` on a worker, and call a function for the item.
 
-    Raises StoreError where a mirror's URL cannot be reached from here.
+    Returns its result, and the files that it wrote for the sequence, which are removed here. Raises StoreError
+    where a mirror's URL cannot be reached from here.
     """
     lent = [own for own in lent if not own.mark.exists()]
     sequence: str = getattr(item, "sequence", "")

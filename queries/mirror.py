@@ -48,7 +48,7 @@ OPENED: Final[dict[Path, tuple[str, tuple[str, ...]]]] = {}
 
 
 def image_path(root: str | Path, name: str) -> Path:
-    """The path of a panorama below a folder or URL; of a URL it is fetched when it is first asked for.
+    """The path on this machine of a panorama that lies in a folder or at a URL, from where it is fetched once.
 
     Raises StoreError where it cannot be fetched.
     """
@@ -208,7 +208,6 @@ class Mirror:
 
     def _there(self, parts: Iterable[str]) -> dict[str, str]:
         """The files of those parts at the URL, each with what tells its content from another."""
-
         found: dict[str, str] = {}
         for part in parts:
             found |= self._remote.files(part)

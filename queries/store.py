@@ -310,7 +310,7 @@ class Store(Displayed):
                 self.remote.send(TABLES)
 
     def sending(self, *parts: str) -> contextlib.AbstractContextManager[None]:
-        """A block whose changes to those parts of a store at a URL are sent, even where an error ends it."""
+        """Send what a block changes in those parts of a store at a URL, even where an error ends it."""
         return contextlib.nullcontext() if self.remote is None else self.remote.sending(parts)
 
 

@@ -153,7 +153,7 @@ class Tracks:
         return [one for one in self.people.get(who, ()) if one.frame == frame]
 
     def agreed(self, who: str, frame: int) -> PersonReading | None:
-        """Choose, of a person's readings at a frame, the one whose box most others agree with; None without readings.
+        """Return the reading of a person at a frame whose box agrees with the most other readings; None without any.
 
         Of equal ones a person who was wholly in the picture comes first, then the box that overlaps the others most.
         """

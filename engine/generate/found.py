@@ -45,7 +45,7 @@ class Found:
 
 @contextlib.contextmanager
 def scratch_folder(store: Store) -> Iterator[Path]:
-    """A folder for what is found, where every worker sees it; gone afterwards."""
+    """Make a scratch folder in the store for what the workers' searches find, and remove it when the block ends."""
     place = store.path / ".candidates"
     # What a killed run left behind.
     shutil.rmtree(place, ignore_errors=True)

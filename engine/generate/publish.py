@@ -32,10 +32,10 @@ PUBLISHED: Final = ("answers", "evidence", "rejected", "sequences", "questions")
 """The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
 
 QUESTION_GROUP: Final = 1 << 12
-"""Questions in a row group: with their proofs they take some kilobytes each."""
+"""How many questions one row group of a table holds: each takes some kilobytes with its proofs."""
 
 EVIDENCE_BLOCK: Final = 500
-"""Questions whose evidence is in one row group."""
+"""How many questions' evidence boxes one row group of `evidence.parquet` holds."""
 
 _EVIDENCE: Final = np.dtype(
     [(field.name, field.type.to_pandas_dtype()) for field in QUESTIONS["evidence"] if field.name != "question_id"]

@@ -227,7 +227,7 @@ def _content(part: Part) -> Content:
 
 @metric
 def hallucination() -> Metric:
-    """Make the metric: of the questions answered right, the share whose box is wrong; 0 where none is right."""
+    """Return Inspect's metric of hallucination: the share of right answers with a wrong box; 0 if none is right."""
 
     def compute(scores: list[SampleScore]) -> float:
         right = [own.score.value for own in scores if own.score.value["answer"]]

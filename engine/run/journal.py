@@ -248,7 +248,7 @@ _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
 """The tables of a run, and an entry's rows of each."""
 
 _GROUP: Final = 200
-"""Questions whose transcripts are in memory together while their table is written: a row group of the file."""
+"""How many questions' transcripts are held in memory at a time while a table is written, as one row group of it."""
 
 
 def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:

@@ -221,7 +221,7 @@ class ClusterMethod(contextlib.ExitStack):
         return True
 
     def _replace(self, seat: _Seat) -> None:
-        """Give a seat whose actor died to a new one, with the questions that it was at work on."""
+        """Start a new worker in place of one that died, and hand it the questions that were being answered."""
         self._kill_actor(seat)
         for result in list(seat.working):
             # Some had ended before.
@@ -277,13 +277,13 @@ class ClusterMethod(contextlib.ExitStack):
 
 
 def _share(job: Job, workers: int) -> Any:
-    """The request settings of one of so many workers, whose limits together are those of the run."""
+    """The request settings of one worker: the run's limits per minute, divided by the number of workers."""
     shares = {name: getattr(job.options, name) for name in ("rpm", "tpm")}
     return replace(job.options, **{name: most and max(1, most // workers) for name, most in shares.items()})
 
 
 def _shape(ready: Ready) -> Any:
-    """What is equal in all workers of a run."""
+    """The method's name and settings, and those of the server, which must be the same in all workers of a run."""
     endpoint = {name: value for name, value in ready.endpoint.items() if name not in _OF_ONE_WORKER}
     if endpoint:
         endpoint["endpoint"] = endpoint["endpoint"] | {"base_url": ""}

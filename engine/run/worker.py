@@ -34,8 +34,8 @@ from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Question, Seq
 
 _ERRORS: Final = {kind.__name__: kind for kind in (InputError, StoreError, EndpointError, RunStoppedError)}
 
-
 _PER_WORLD: Final = 200
+"""How many questions share a world model in memory."""
 
 
 class Runner(Protocol):
@@ -166,8 +166,10 @@ class _World:
 
 
 class _Worlds(contextlib.ExitStack):
-    """A method whose world model is in memory and made anew every `_PER_WORLD` questions, none of which reads another
-    one's beliefs: the engine's memory is limited, and takes some 3,000 questions."""
+    """A method that writes into world models in memory, a new one for every `_PER_WORLD` questions.
+
+    The memory of one is limited, and is full after some 3,000 questions; none reads another one's beliefs.
+    """
 
     def __init__(self, make: Callable[[WorldModel], ConfigurableMethod], run_id: str) -> None:
         super().__init__()

@@ -145,7 +145,9 @@ def test_answers_that_a_killed_run_could_not_send_are_kept(machine, there):
     with store.sending("runs/mine/"):
         write(store, "runs/mine/journal.jsonl", "one\n")
     write(store, "runs/mine/journal.jsonl", "one\ntwo\n")
+    write(store, "runs/young/journal.jsonl", "killed before it sent anything\n")
     store = machine("a")
+    assert (store.path / "runs/young/journal.jsonl").exists()
     with store.sending("runs/mine/"):
         pass
     assert files(there)["runs/mine/journal.jsonl"] == "one\ntwo\n"

@@ -21,7 +21,7 @@ from jrdb_avr.schema.rules import Rules
 NAME = "yard-2020-01-01_0"
 
 PADDING = " " * (1 << 17)
-"""Makes every record as large as many: what is held of each sequence stands out from what Python takes."""
+"""Padding of every record, so that the memory for sequences stands out from what Python itself takes."""
 
 
 def test_twenty_times_the_sequences_take_the_same_memory(tmp_path):
