@@ -48,6 +48,8 @@ _SLOWED: Final = 45
 _ASTRAY: Final = 0.05
 """The chance that a box is wrong or a person has done the unexpected; they are then this near all the same."""
 
+_ASTRAY_HERE: Final = 0.005
+
 _ASTRAY_DEG: Final = 30.0
 _ANYWHERE: Final = 0.001
 
@@ -153,7 +155,8 @@ def _cost(tracks: Tracks, who: str, reading: PersonReading) -> float:
     off = angle_error(reading.angle, place.angle)
     goes_on, astray = _normal(off, spread), _normal(off, max(spread, _ASTRAY_DEG))
     stays = _normal(angle_error(reading.angle, nearest.angle), still)
-    near = (1 - _ASTRAY) * (goes_on + stays) / 2 + _ASTRAY * astray + _ANYWHERE / 360.0
+    share = _ASTRAY if nearest.frame != reading.frame else _ASTRAY_HERE
+    near = (1 - share) * (goes_on + stays) / 2 + share * astray + _ANYWHERE / 360.0
     grown = math.log(reading.box.h) - place.log_height
     sized = (1 - _ASTRAY) * _normal(grown, place.height_spread) / _normal(grown, 0.8) + _ASTRAY
     return -(math.log(near * 360.0) + math.log(sized) + sum(_same(tracks, who, reading, topic) for topic in _VALUES))
