@@ -49,6 +49,7 @@ _ASTRAY: Final = 0.05
 """The chance that a box is wrong or a person has done the unexpected; they are then this near all the same."""
 
 _ASTRAY_HERE: Final = 0.005
+"""The same at a frame at which the person was seen before: only a wrong box moves somebody within a frame."""
 
 _ASTRAY_DEG: Final = 30.0
 _ANYWHERE: Final = 0.001

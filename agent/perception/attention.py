@@ -7,6 +7,7 @@ then the target is followed, events are bracketed, absences shown, and the box t
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +17,15 @@ from jrdb_avr.agent.perception.association import expected_place
 from jrdb_avr.agent.perception.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
 from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
 from jrdb_avr.agent.perception.readings import USUAL, PersonReading
-from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, parts_of, slot_supports
-from jrdb_avr.agent.perception.votes import SETTLING, UNIT, Tracks, settled
+from jrdb_avr.agent.perception.support import (
+    PlanPart,
+    RankedHypothesis,
+    best_of_each,
+    frames_of,
+    parts_of,
+    slot_supports,
+)
+from jrdb_avr.agent.perception.votes import SETTLING, UNIT, Support, Tracks, settled
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
@@ -28,11 +36,11 @@ Purpose = Literal["identify", "verify", "follow", "bracket", "absence", "evidenc
 
 RESERVES: Final[dict[Read, int]] = {
     "presence": 18,
-    "span": 16,
-    "seconds_between": 16,
-    "start": 14,
-    "start_view": 14,
-    "next_action": 14,
+    "span": 18,
+    "seconds_between": 18,
+    "start": 17,
+    "start_view": 17,
+    "next_action": 16,
     "count": 12,
     "distance_change": 10,
     "action": 5,
@@ -89,8 +97,14 @@ _TRIES: Final = 3
 _NEARBY: Final = 24
 """Frames after which somebody is still near the place where they were seen."""
 
-_STEP: Final = round(3 * FPS)
-_WAIT: Final = round(3 * FPS)
+_STEP: Final = round(2 * FPS)
+"""Frames by which somebody is followed: what a question waits for lasts as long."""
+_SHORTEST: Final = round(1.2 * FPS)
+"""Frames between two looks in which something may have begun and ended unseen."""
+_CLOSING: Final = 4
+"""Looks that are kept for closing in on what was passed."""
+_EARLY: Final = 0.75
+"""Steps are this share of even ones, as what is waited for comes sooner rather than late."""
 _SECTOR_REACH: Final = LoadRules().sector_false_deg
 
 
@@ -229,7 +243,7 @@ class _Attention:
         bits: dict[tuple[str, int], float] = {}
         for one, chance in zip(best, (each / (sum(odds) + others) for each in odds), strict=True):
             for part, support in slot_supports(self.plan, self.tracks, one):
-                if support.settled:
+                if support.settled or self._silent(part, support, one):
                     continue
                 told = max(_learned(chance), chance * _learned(1 / (1 + math.exp(-support.log_odds))))
                 for who in (one.nodes[node] for node in part.nodes if node in one.nodes):
@@ -239,6 +253,13 @@ class _Attention:
             yield from self._views(frame, {who: told for (who, at), told in bits.items() if at == frame})
         yield from self._together()
 
+    def _silent(self, part: PlanPart, support: Support, one: RankedHypothesis) -> bool:
+        """Whether two readings of a person leave a condition open: a third will hardly tell it."""
+        if len(part.nodes) > 1 or support.votes or support.against:
+            return False
+        who, frame = one.nodes.get(part.nodes[0], ""), frames_of(self.plan, part.nodes[0])[0]
+        return len(self.tracks.at(who, self.legal(frame if part.frame is None else part.frame))) >= SETTLING
+
     def _views(self, frame: int, bits: Mapping[str, float]) -> Iterator[NextLook]:
         """Looks at people who are worth these bits: one may show several of them."""
         places = {}
@@ -246,7 +267,7 @@ class _Attention:
             if not self.tracks.at(who, frame):
                 if (found := self._search(who, frame, told, "verify")) is not None:
                     yield found
-            elif self.tracks.looks_at(who, frame) < MOST_READINGS:
+            elif max(self.tracks.looks_at(who, frame), len(self.tracks.at(who, frame))) < MOST_READINGS:
                 places[who] = self._angle(who, frame)
         for angle in [place + turn for turn in (0.0, -_ASIDE_DEG, _ASIDE_DEG) for place in places.values()]:
             shown = [who for who, place in places.items() if angle_error(angle, place) < FOV_DEG / 2 - EDGE_DEG]
@@ -326,7 +347,7 @@ class _Attention:
         close = _CLOSER.get(self.plan.answer.read, _CLOSE_FRAMES)
         tried = self.tracks.looks
         if high is None:
-            yield from self._step(who, low, self.frames[-1])
+            yield from self._step(who, event, self.frames[-1])
             return
         if high - low > close:
             inside = [self.legal(low + share * (high - low)) for share in (0.5, 0.35, 0.65)]
@@ -338,16 +359,16 @@ class _Attention:
             if 0 < len(self.tracks.at(who, end)) < 2:
                 yield NextLook(end, self._angle(who, end), "verify", _ANSWER_BITS * _learned(USUAL))
 
-    def _step(self, who: str, low: int, last: int) -> Iterator[NextLook]:
-        """Follow somebody on from a frame.
+    def _step(self, who: str, event: Bracket, last: int) -> Iterator[NextLook]:
+        """Follow somebody on from a frame; at the end, look where the change may have been passed.
 
         Whoever is missed is looked for where the newest sighting leads, and halfway; after a sighting just before they
         are taken for hidden, after two misses for lost: they are then looked for to the sides.
         """
-        seen = max(low, *(one.frame for one in self.tracks.people[who]))
+        seen = max(event.low, *(one.frame for one in self.tracks.people[who]))
         lost = sorted(at for at in self.tracks.looks if at > seen)
         newest = max([seen, *lost])
-        even = (last - newest) // (2 * self.left)
+        even = round(_EARLY * (last - newest) / max(self.left - _CLOSING, 1))
         at = min(newest + min(max(_STEP, even), 2 * _STEP), last)
         if lost and not covered(self.tracks.looks[lost[0]], around(self._angle(who, lost[0]), EDGE_DEG)):
             at = lost[0]
@@ -356,7 +377,18 @@ class _Attention:
         elif len(lost) > 1 and len(self.tracks.looks[newest]) < _TRIES:
             at = newest
         at = self.legal(at)
-        if at > low and (found := self._search(who, at, 1.0, "bracket")) is not None:
+        if at > event.low and (found := self._search(who, at, 1.0, "bracket")) is not None:
+            yield found
+        if newest >= last - KEYFRAME_STEP:
+            yield from self._between(who, event.after)
+
+    def _between(self, who: str, after: int) -> Iterator[NextLook]:
+        """A look into the longest time without a look from a frame on, the earliest of equal ones."""
+        frames = sorted({after, *(at for at in self.tracks.looks if at > after)})
+        before, then = max(itertools.pairwise(frames), key=lambda both: (both[1] - both[0], -both[0]), default=(0, 0))
+        # More bits than of whoever is looked for beside the last place.
+        found = self._search(who, self.legal((before + then) / 2), 1.5, "bracket")
+        if found is not None and then - before > _SHORTEST:
             yield found
 
     # -- the box --------------------------------------------------------------------------------------------------

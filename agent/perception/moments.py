@@ -24,10 +24,14 @@ ABSENT_REACH: Final = 60.0
 
 
 class Bracket(NamedTuple):
-    """A change that lies after frame `low` and by frame `high`; None where it has not been seen yet."""
+    """A change that lies after frame `low` and by frame `high`; None where it has not been seen yet.
+
+    after: the frame from which on it is looked for.
+    """
 
     low: int
     high: int | None
+    after: int = 0
 
     @property
     def middle(self) -> float | None:
@@ -112,9 +116,9 @@ def change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
     low = after
     for frame in sorted(frame for frame in states if frame > after):
         if states[frame] is wanted:
-            return Bracket(low, frame)
+            return Bracket(low, frame, after)
         low = frame
-    return Bracket(low, None)
+    return Bracket(low, None, after)
 
 
 def brackets(plan: Plan, tracks: Tracks, who: str) -> dict[str, Bracket]:

@@ -71,7 +71,7 @@ def test_a_reading_amid_others_is_no_change_and_the_last_one_is():
 def test_a_posture_ends_where_it_stays_away():
     plan = reading_at(WOMAN, "next_action", "multiple_choice", event="end")
     course = woman(read(15, "standing"), read(60, "cycling"), read(105, "standing"), read(150, "sitting"))
-    assert [*brackets(plan, course, "p1").values()] == [Bracket(105, 150)]
+    assert [*brackets(plan, course, "p1").values()] == [Bracket(105, 150, 15)]
     assert answer(plan, course, ("cycling", "sitting", "standing", "walking")) == Choice(2)
 
 

@@ -100,13 +100,13 @@ def test_whoever_a_relation_leads_from_is_shown_with_those_beside():
 @pytest.mark.parametrize(
     ("looks", "frame", "aside"),
     [
-        ({}, 60, 0),
+        ({}, 51, 0),
         # Missed once after a long step: halfway; just after a sighting: hidden, so on.
         ({60: 1}, 37, 0),
-        ({30: 1}, 75, 0),
+        ({30: 1}, 64, 0),
         # Missed twice: beside, and on after three looks.
         ({37: 1, 60: 1}, 60, 40),
-        ({37: 1, 60: 3}, 105, 0),
+        ({37: 1, 60: 3}, 90, 0),
     ],
 )
 def test_whoever_is_missed_is_looked_for_halfway_beside_and_on(looks, frame, aside):
@@ -138,7 +138,7 @@ def test_a_start_is_passed_bracketed_and_read_again():
     assert on.purpose == "bracket" and on.frame >= 150
     walks = tuple(read(180, ("action", "walking"), observation=o) for o in "ab")
     passed = Tracks({"p1": (*tracks.people["p1"], *walks)}, {**tracks.looks, 180: ALL})
-    assert brackets(START, passed, "p1") == {"t1": Bracket(120, 180)}
+    assert brackets(START, passed, "p1") == {"t1": Bracket(120, 180, 15)}
     assert look(START, passed)[:3] == (150, pytest.approx(100), "bracket")
     closed = Tracks({"p1": (*passed.people["p1"], read(150, ("action", "walking")))}, {**passed.looks, 150: ALL})
     (event,) = brackets(START, closed, "p1").values()
@@ -148,7 +148,8 @@ def test_a_start_is_passed_bracketed_and_read_again():
 
 @given(st.dictionaries(st.integers(0, 50), st.booleans()), st.integers(0, 50), st.booleans())
 def test_a_change_lies_between_its_sightings(states, after, wanted):
-    low, high = change(states, after, wanted)
+    low, high, begin = change(states, after, wanted)
+    assert begin == after
     later = sorted(frame for frame in states if frame > after)
     assert low >= after and all(states[frame] is not wanted for frame in later if frame <= low)
     if high is None:
@@ -162,10 +163,10 @@ def test_the_end_of_an_action_waits_for_its_start():
     plan = Plan("a", "a", {"t2": end, **START.times}, WOMAN.nodes, (), AnswerSpec("span", "span", "a", ("t1", "t2")))
     validate(plan)
     tracks = known_woman((15, 60, 120))
-    assert brackets(plan, tracks, "p1") == {"t1": Bracket(120, None)}
+    assert brackets(plan, tracks, "p1") == {"t1": Bracket(120, None, 15)}
     walks = [read(frame, ("action", "walking")) for frame in (75, 90)]
     during = Tracks({"p1": (*tracks.people["p1"], *walks)}, {**tracks.looks, 75: ALL, 90: ALL})
-    assert brackets(plan, during, "p1") == {"t1": Bracket(60, 75), "t2": Bracket(90, 120)}
+    assert brackets(plan, during, "p1") == {"t1": Bracket(60, 75, 15), "t2": Bracket(90, 120, 75)}
 
 
 @given(st.integers(0, 10_000), st.sampled_from(("action", "presence", "start")), st.sampled_from((Noise(), NOISY)))
@@ -210,3 +211,11 @@ def test_a_start_is_found_to_a_second():
         event = brackets(plan, tracks, who).get("t1")
         right += event is not None and event.middle is not None and abs(event.middle - world.later[target][0]) <= 15
     assert right >= 7
+
+
+def test_who_was_followed_to_the_end_is_looked_for_where_the_change_may_have_been_passed():
+    tracks = known_woman((15, 45, 75, 150, 180, 210))
+    found = look(START, tracks, left=10, frames=range(0, 211, 5))
+    assert (found.frame, found.purpose) == (110, "bracket")
+    steps = known_woman((15, 30, 45, 60))
+    assert look(START, steps, left=10, frames=range(0, 61, 5)) is None
