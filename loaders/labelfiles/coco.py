@@ -25,15 +25,9 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Refusals
-from jrdb_avr.loaders.labelfiles.frames import (
-    MAX_RECORDS,
-    Frame,
-    RecordReader,
-    byte_batches,
-    read_file,
-    scanned_sections,
-)
+from jrdb_avr.loaders.labelfiles.frames import byte_batches, read_file, scanned_sections
 from jrdb_avr.loaders.labelfiles.json import BROKEN, NOTHING, MalformedError, elements
+from jrdb_avr.loaders.labelfiles.record_reader import MAX_RECORDS, Frame, RecordReader
 from jrdb_avr.loaders.labelfiles.records import Rule
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools, Ints

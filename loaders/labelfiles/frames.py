@@ -1,6 +1,7 @@
-"""A JRDB label file, `{"labels": {"<frame>.<suffix>": [record, ...]}}`, read frame by frame into columns.
+"""A JRDB label file, `{"labels": {"<frame>.<suffix>": [record, ...]}}`, read some frames at a time into columns.
 
-The file is cut into raw frames and each frame is decoded alone: what is broken stays in its own frame or record.
+The file is cut into texts of several frames. A text that is clean is decoded at once; any other is cut into frames, and
+each is decoded alone: what is broken stays in its own frame or record.
 Decoded records are the largest thing in memory, so they live for a batch of frames only. What repeats from record to
 record (label ids, raw label objects) is numbered; the numbers are the columns. A file that cannot be used as a whole
 raises InputError.
@@ -11,35 +12,36 @@ from __future__ import annotations
 import codecs
 import contextlib
 import errno
+import functools
 import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, islice, repeat
-from operator import attrgetter, is_not
+from itertools import chain, islice
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, numbered
-from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, elements, keys_exceed, members
-from jrdb_avr.loaders.labelfiles.records import TWICE, Rules, read_fields, record_parts
+from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, members
+from jrdb_avr.loaders.labelfiles.record_reader import FIRST_KEY, Frame, RecordReader, is_utf8
+from jrdb_avr.loaders.labelfiles.records import TWICE
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.errors import InputError
 
 MAX_FILE: Final = 320 << 20
 """Bytes of the largest file that is read: twice those of JRDB's fullest sequence."""
 _PIECE: Final = 1 << 20
-_WINDOW: Final = 8 << 20
+_WINDOW: Final = 1 << 20
+"""Bytes read at once: what is larger than the processor's cache takes twice as long to read and cut."""
 _MAX_FRAME: Final = 4 << 20
-MAX_RECORDS: Final = 1000
-"""Records of one frame: JRDB's fullest have about a hundred, and pairs of people grow with the square."""
 MAX_GATHERED: Final = 400_000
 """Records of one file; twice as many as JRDB's fullest sequence has boxes."""
-BATCH_BYTES: Final = 1 << 19
-"""Bytes of text of the frames that are read together."""
+BATCH_BYTES: Final = 1 << 17
+"""Bytes of text of the frames that are read together: so few that their records stay in the processor's cache."""
 
 _BLANK: Final = b" \t\r\n"
 _OPENING: Final = re.compile(
@@ -49,121 +51,9 @@ _CLOSING: Final = re.compile(rb"\}[ \t\r\n]*\}[ \t\r\n]*\Z")
 _VALUE: Final = msgspec.json.Decoder(msgspec.Raw)
 
 _R = TypeVar("_R", bound=msgspec.Struct)
-Keys = tuple[str | tuple[str, ...], ...]
 
-
-class Frame(NamedTuple):
-    """One frame of a label file."""
-
-    number: int
-    key: str
-    raw: bytes
-    """Its value."""
-    records: list[Any] | None
-    """The value decoded, where it is a list of records that all decode; repeated keys may be lost."""
-
-
-def _nothing_more(parts: dict[str, bytes], place: str, problems: Problems) -> dict[str, Any]:
-    return {}
-
-
-class RecordReader(Generic[_R]):
-    """Decodes records of type R: many frames at once where they are clean, else frame by frame or record by record.
-
-    `rules` say how fields of a record that does not decode are read; raw fields need none. `once` names the fields that
-    a record has at most once, fields of one meaning together: where a text holds their keys more often than decoded
-    records have them, a record repeats one (JSON leaves open which of the two counts). `inner_keys` gives keys inside
-    decoded records with their number; None where a record must be looked at alone. `place` names a record in the
-    report, where that is not its frame; `more` reads fields that no rule can, and those that refused ones fall back to.
-    """
-
-    def __init__(
-        self,
-        record: type[_R],
-        rules: Rules,
-        once: Keys,
-        inner_keys: Callable[[list[_R]], list[tuple[int, tuple[bytes, ...]]] | None] = lambda records: [],
-        place: Callable[[dict[str, bytes], str], str] = lambda parts, frame: frame,
-        more: Callable[[dict[str, bytes], str, Problems], dict[str, Any]] = _nothing_more,
-        within: str = "",
-    ) -> None:
-        self._frame = msgspec.json.Decoder(list[record])  # type: ignore[valid-type]
-        self._type, self._rules, self._inner_keys, self._place, self._more = record, rules, inner_keys, place, more
-        self._within = within
-        info = {field.name: field for field in msgspec.structs.fields(record)}
-        self._raw = [name for name, field in info.items() if field.type is msgspec.Raw]
-        groups = [[info[name] for name in ((group,) if isinstance(group, str) else group)] for group in once]
-        self._once = [(tuple(f'"{field.encode_name}"'.encode() for field in group), group) for group in groups]
-
-    def read(self, frames: Sequence[Frame], problems: Problems) -> Iterator[tuple[Frame, list[_R], bool]]:
-        """Frames that are lists, the usable records of each, and whether every record of it is usable."""
-        decoded = [frame.records if len(frame.records or ()) <= MAX_RECORDS else None for frame in frames]
-        # Looking for repeated keys in few long texts takes half the time of looking in many short ones.
-        clean = [(frame.raw, records) for frame, records in zip(frames, decoded, strict=True) if records is not None]
-        all_plain = self._plain(list(chain.from_iterable(item[1] for item in clean)), b",".join(i[0] for i in clean))
-        for frame, records in zip(frames, decoded, strict=True):
-            if records is not None and (all_plain or self._plain(records, frame.raw)):
-                yield frame, records, True
-            else:
-                yield from self._one_by_one(frame, problems)
-
-    def decode(self, raw: bytes, most: int) -> list[_R] | None:
-        """All records of a list, where decoding loses nothing and they are no more than `most`."""
-        records = self.decode_quickly(raw)
-        return records if records is not None and len(records) <= most and self._plain(records, raw) else None
-
-    def decode_quickly(self, raw: bytes) -> list[_R] | None:
-        """All records of a list, where they decode; repeated keys may be lost."""
-        try:
-            records: list[_R] = self._frame.decode(raw)
-        except BROKEN:
-            return None
-        return records
-
-    def _plain(self, records: list[_R], text: bytes) -> bool:
-        """Whether no key is repeated, none being written with escapes, so that decoding lost nothing."""
-        # Looking for one byte is many times as fast as for two.
-        inner = None if b"\\" in text and b"\\u" in text else self._inner_keys(records)
-        return inner is not None and not keys_exceed(
-            text, [(sum(_having(records, field) for field in group), keys) for keys, group in self._once] + inner
-        )
-
-    def _one_by_one(self, frame: Frame, problems: Problems) -> Iterator[tuple[Frame, list[_R], bool]]:
-        try:
-            raws: list[bytes] = []
-            for raw in elements(frame.raw):
-                raws.append(bytes(raw))
-                if len(raws) > MAX_RECORDS:
-                    problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=frame.key)
-                    return
-        except MalformedError as error:
-            problems.add("frame", "frame is no list of records", frame=frame.key, value=str(error))
-            return
-        found = []
-        for record in raws:
-            found += self.decode(b"[" + record + b"]", 1) or self._repair(record, frame.key, problems)
-        yield frame, found, len(found) == len(raws)
-
-    def _repair(self, raw: bytes, frame: str, problems: Problems) -> list[_R]:
-        """What can be used of a record that does not decode as it stands; nothing, with the reason counted, if none."""
-        try:
-            parts = record_parts(raw, frame, problems)
-        except MalformedError:
-            problems.add("record", "record is no object", frame=frame, value=raw)
-            return []
-        place = self._place(parts, frame)
-        values = read_fields(parts, self._rules, place, problems, self._within)
-        if values is None:
-            return []
-        values |= {name: msgspec.Raw(parts[name]) for name in self._raw if name in parts}
-        return [self._type(**(self._more(parts, place, problems) | values))]
-
-
-def _having(records: list[Any], field: msgspec.structs.FieldInfo) -> int:
-    """Records that have a field; one with the default written out counts as lacking it."""
-    if field.required:
-        return len(records)
-    return sum(map(is_not, map(attrgetter(field.name), records), repeat(field.default)))
+_Members = Iterable[tuple[str, bytes, list[Any] | None]]
+"""Key, raw value and decoded records of frames, as `Frame` has them."""
 
 
 @contextlib.contextmanager
@@ -213,16 +103,18 @@ def read_file(path: Path) -> bytes:
 
 def read_frames(
     path: Path, suffixes: tuple[str, ...], reader: RecordReader[Any], problems: Problems
-) -> Iterator[Frame]:
-    """The frames of a label file; the first of equal keys.
+) -> Iterator[tuple[list[Frame], bool]]:
+    """The frames of a label file in batches, of equal keys the first; and whether the records of a batch are all there
+    is of it.
 
     Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
     yielded: whoever reads uses nothing of such a file.
     """
     key_form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     seen: set[int] = set()
-    with _named_errors(path.name):
-        for key, raw, records in _frame_texts(path, reader, problems):
+
+    def usable(found: _Members) -> Iterator[Frame]:
+        for key, raw, records in found:
             match = key_form.fullmatch(key)
             if match is None:
                 problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
@@ -234,25 +126,28 @@ def read_frames(
                 seen.add(int(match[1]))
                 yield Frame(int(match[1]), key, raw, records)
 
+    with _named_errors(path.name):
+        for found, whole in _members_of(path, reader, problems):
+            for batch in byte_batches(usable(found), lambda frame: len(frame.raw)):
+                yield batch, whole
 
-def _frame_texts(
-    path: Path, reader: RecordReader[Any], problems: Problems
-) -> Iterator[tuple[str, bytes, list[Any] | None]]:
-    """Keys, raw values and decoded records of frames, in the order of the file, repeated keys included."""
 
-    def decoded(raw: bytes) -> list[Any] | None:
-        return reader.decode_quickly(raw) if len(raw) <= _MAX_FRAME else None
-
-    found = 0
+def _members_of(path: Path, reader: RecordReader[Any], problems: Problems) -> Iterator[tuple[_Members, bool]]:
+    """All frames in the order of the file, repeated keys included, and whether their records are all there is."""
+    count = 0
     _check_file(path)
-    for key, raw in _usual_frames(path):
-        records = decoded(raw)
-        if not _is_utf8(raw) or (records is None and not _is_json(raw)):
+    for text in _usual_texts(path):
+        if len(text) <= _MAX_FRAME and (frames := reader.decode_frames(text)):
+            yield [(key, b"", records) for key, records in frames.items()], True
+            count += len(frames)
+            continue
+        cut, usual = _cut(text, reader)
+        yield cut, False
+        count += len(cut)
+        if not usual:
             break
-        yield key, raw, records
-        found += 1
     else:
-        if found:
+        if count:
             return
     # The frames found until here are those that the scanner finds first.
     labels = scanned_sections(read_file(path), ("labels",), problems).get("labels")
@@ -260,52 +155,73 @@ def _frame_texts(
         raise InputError(f'{path.name}: there is no object "labels"', file=path.name)
     if bytes(labels[:1]) != b"{":
         raise InputError(f'{path.name}: "labels" is not an object', file=path.name)
-    for key, value in islice(members(labels), found, None):
-        yield key, bytes(value), decoded(bytes(value))
+    yield ((key, bytes(raw), _decoded(bytes(raw), reader)) for key, raw in islice(members(labels), count, None)), False
 
 
-def _usual_frames(path: Path) -> Iterator[tuple[str, bytes]]:
-    """Keys and raw values of a file that is laid out as usual: of frames only, under keys with one suffix.
+def _decoded(raw: bytes, reader: RecordReader[Any]) -> list[Any] | None:
+    return reader.decode_quickly(raw) if len(raw) <= _MAX_FRAME else None
+
+
+def _usual_texts(path: Path) -> Iterator[bytes]:
+    """Texts of about BATCH_BYTES, each of some whole frames with their keys, of a file that is laid out as usual: of
+    frames only, under keys with one suffix.
 
     A quote before six digits begins a key, at whatever depth. So where each value is one whole JSON value and a comma
-    follows, the text has no other reading; any other text ends in a value that is none. The file is read window by
-    window: it need not be in memory while the columns grow.
+    follows, the text has no other reading; of any other file a text is empty, or has a value that is none. The file is
+    read window by window: it need not be in memory while the columns grow.
     """
     with path.open("rb") as file:
         text = file.read(_WINDOW)
         opening = _OPENING.match(text)
         if opening is None:
             return
-        # A search that begins with a literal is many times as fast.
-        suffix, width = re.escape(opening[1]), len(opening[1])
-        later = re.compile(suffix + rb'(?<="[0-9]{6}' + suffix + rb')"[ \t\r\n]*:[ \t\r\n]*')
-        place, begin = opening.start(1), opening.end()
-        search = begin
-        name = text[place - 6 : place + width].decode()
+        key_form = _later_key(opening[1])
+        begin, search = opening.start(1) - 7, opening.end() + BATCH_BYTES
         while len(text) - begin <= _MAX_FRAME + 2 * _WINDOW:
-            if key := later.search(text, search):
-                raw = text[begin : key.start() - 7].rstrip(_BLANK)
-                # Without its comma a value is broken.
-                yield name, raw[:-1].rstrip(_BLANK) if raw.endswith(b",") else b""
-                name = text[key.start() - 6 : key.start() + width].decode()
-                begin = search = key.end()
+            if key := key_form.search(text, search):
+                end = key.start() - 7
+                yield _before_comma(text[begin:end])
+                begin, search = end, key.end() + BATCH_BYTES
             elif more := file.read(_WINDOW):
                 # A key may be cut by the end of the window.
-                text, search = text[begin:] + more, max(0, len(text) - begin - 100)
+                text, search = text[begin:] + more, max(search - begin, len(text) - begin - 100)
                 begin = 0
             else:
                 closing = _CLOSING.search(text, max(begin, len(text) - 100))
-                yield name, text[begin : closing.start()].rstrip(_BLANK) if closing else b""
+                yield text[begin : closing.start()].rstrip(_BLANK) if closing else b""
                 return
         # The text goes on beyond the window: an end that is seen in it need not be the end.
-        yield name, b""
+        yield b""
 
 
-def _is_utf8(value: bytes) -> bool:
-    try:
-        return value.isascii() or bool(value.decode())
-    except UnicodeError:
-        return False
+@functools.cache
+def _later_key(suffix: bytes) -> re.Pattern[bytes]:
+    """A frame's key from its suffix on. (A search that begins with a literal is many times as fast.)"""
+    end = re.escape(suffix)
+    return re.compile(end + rb'(?<="[0-9]{6}' + end + rb')"[ \t\r\n]*:[ \t\r\n]*')
+
+
+def _before_comma(text: bytes) -> bytes:
+    """A text without the comma that it ends with; nothing where it lacks it, which is then broken."""
+    text = text.rstrip(_BLANK)
+    return text[:-1].rstrip(_BLANK) if text.endswith(b",") else b""
+
+
+def _cut(text: bytes, reader: RecordReader[Any]) -> tuple[list[tuple[str, bytes, list[Any] | None]], bool]:
+    """The frames of a text up to the first that is broken, and whether there is none such."""
+    first = FIRST_KEY.match(text)
+    if first is None:
+        return [], False
+    keys = [*_later_key(first[1]).finditer(text)]
+    found: list[tuple[str, bytes, list[Any] | None]] = []
+    for key, later in zip(keys, [*keys[1:], None], strict=True):
+        raw = _before_comma(text[key.end() : later.start() - 7]) if later else text[key.end() :]
+        records = _decoded(raw, reader)
+        if not is_utf8(raw) or (records is None and not _is_json(raw)):
+            return found, False
+        name = text[key.start() - 6 : key.start() + len(first[1])]
+        found.append((name.decode(), raw, records))
+    return found, True
 
 
 def _is_json(value: bytes) -> bool:
@@ -354,8 +270,8 @@ def gather(
     complete: list[int] = []
     parts: list[Columns] = []
     size = 0
-    for batch in byte_batches(read_frames(path, suffixes, reader, problems), lambda frame: len(frame.raw)):
-        read = list(reader.read(batch, problems))
+    for batch, whole in read_frames(path, suffixes, reader, problems):
+        read = [(frame, frame.records or [], True) for frame in batch] if whole else [*reader.read(batch, problems)]
         known += [frame.number for frame, _, _ in read]
         complete += [frame.number for frame, _, whole in read if whole]
         records = list(chain.from_iterable(found for _, found, _ in read))
@@ -391,6 +307,12 @@ def take_fields(records: list[Any], names: Iterable[str], codes: dict[str, Disti
     for name in names:
         values: Any = map(attrgetter(name), records)
         if records and isinstance(getattr(records[0], name), msgspec.Raw):
-            values = map(bytes, values)
+            values = raw_bytes([*values])
         columns[name] = numbered(codes[name], values, len(records))
     return columns
+
+
+def raw_bytes(raws: list[msgspec.Raw]) -> Iterable[bytes]:
+    """The bytes of raw values. As parts of one text they take half the time."""
+    found = b"\0".join(raws).split(b"\0")
+    return found if len(found) == len(raws) else map(bytes, raws)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
 import msgspec
@@ -172,7 +172,11 @@ _FIRST_INK: Final = np.uint64((ord(" ") + 1) << 56)
 """Endings from here on have no blank for their last byte."""
 
 
-def keys_exceed(text: bytes, limits: Sequence[tuple[int, tuple[bytes, ...]]]) -> bool:
+Limit = tuple[int, tuple[bytes, ...]]
+"""How often keys may stand in a text, all together."""
+
+
+def keys_exceed(text: bytes, limits: Iterable[Limit]) -> bool:
     """Whether keys (ASCII, in quotes) stand in a text more often than their limit, those of one limit all together.
 
     Decoding keeps one of repeated keys: then the text holds more keys than were decoded. Searching for every key would
@@ -194,7 +198,7 @@ def _endings(text: bytes) -> npt.NDArray[np.uint64] | None:
     if len(text) < _SHORT or np.count_nonzero(colons) > len(text) // _SHORTEST:
         return None
     before: npt.NDArray[np.uint64] = np.ndarray((len(text) + 1,), "<u8", b" " * _WIDTH + text, 0, (1,))
-    endings = before[np.flatnonzero(colons)]
+    endings = before[:-1][colons]
     return None if len(endings) and endings.min() < _FIRST_INK else endings
 
 

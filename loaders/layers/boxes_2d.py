@@ -22,8 +22,9 @@ import pyarrow as pa
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, known_frames, mask_of
 from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, KeptRecords, expand, facts_table, keep_people
-from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather, take_fields
+from jrdb_avr.loaders.labelfiles.frames import gather, take_fields
 from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING
+from jrdb_avr.loaders.labelfiles.record_reader import RecordReader
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools, Ints

@@ -30,7 +30,8 @@ from jrdb_avr.loaders.labelfiles.columns import (
     paired,
 )
 from jrdb_avr.loaders.labelfiles.facts import keep_people
-from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather
+from jrdb_avr.loaders.labelfiles.frames import gather
+from jrdb_avr.loaders.labelfiles.record_reader import RecordReader
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.report import Heading

@@ -25,6 +25,7 @@ import numpy as np
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, Refusals, mask_of, numbered, ragged
 from jrdb_avr.loaders.labelfiles.facts import Decoded, Issue, KeptRecords, check_size, count_issues, expand
+from jrdb_avr.loaders.labelfiles.frames import raw_bytes
 from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING, MalformedError, elements, parse
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Bools, Ints
@@ -144,12 +145,11 @@ def _unusable(reason: str, value: bytes, labels: msgspec.Raw = NOTHING) -> Any:
 def take_lists(lists: list[list[Any] | None], kind: RelationKind, codes: dict[str, Distinct]) -> Columns:
     """Columns of the lists of records: the size of each list (-1: there is none), and numbers per entry."""
     entries = list(chain.from_iterable(filter(None, lists)))
+    labels = raw_bytes([*map(attrgetter("inter_labels"), entries)])
     return {
         f"{kind.layer}.size": np.array([-1 if listed is None else len(listed) for listed in lists], np.int64),
         f"{kind.layer}.pair": numbered(codes[f"{kind.layer}.pair"], map(attrgetter("pair"), entries), len(entries)),
-        f"{kind.layer}.labels": numbered(
-            codes[f"{kind.layer}.labels"], map(bytes, map(attrgetter("inter_labels"), entries)), len(entries)
-        ),
+        f"{kind.layer}.labels": numbered(codes[f"{kind.layer}.labels"], labels, len(entries)),
     }
 
 

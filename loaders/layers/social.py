@@ -24,8 +24,9 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, constant, mask_of
 from jrdb_avr.loaders.labelfiles.facts import Decoded, KeptRecords, expand, facts_table, keep_people
-from jrdb_avr.loaders.labelfiles.frames import RecordReader, gather
+from jrdb_avr.loaders.labelfiles.frames import gather
 from jrdb_avr.loaders.labelfiles.json import NOTHING, parse
+from jrdb_avr.loaders.labelfiles.record_reader import RecordReader
 from jrdb_avr.loaders.labelfiles.records import TWICE
 from jrdb_avr.loaders.layers.boxes_2d import PERSON, SUFFIXES, take_people, usable_boxes
 from jrdb_avr.loaders.layers.relation_lists import (

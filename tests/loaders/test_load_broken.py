@@ -18,6 +18,7 @@ from worlds import load_reported, person, person_3d, write_root
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.truth import TRUE, UNKNOWN
 from jrdb_avr.loaders.labelfiles import frames as labelfile
+from jrdb_avr.loaders.labelfiles.record_reader import MAX_RECORDS, RecordReader
 from jrdb_avr.loaders.layers.boxes_2d import Record2D, load_2d
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.root import find_root
@@ -25,7 +26,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.rules import Rules
 
-READER = labelfile.RecordReader(Record2D, {}, once=())
+READER = RecordReader(Record2D, {}, once=())
 GOOD = person(1, (100, 60, 50, 200), {"walking": 1}, (5, 1))
 
 
@@ -187,7 +188,9 @@ def test_a_repeated_frame_key_is_found_whatever_the_layout(tmp_path, frames, col
     text = f'{{"labels":{{"000000.jpg"{colon}[{json.dumps(GOOD)}],{",".join([*members, ""])}"{again}"{colon}[]}}}}'
     problems = Problems("x.json")
     (tmp_path / "x.json").write_text(text)
-    read = list(labelfile.read_frames(tmp_path / "x.json", ("jpg",), READER, problems))
+    read = [
+        frame for batch, _ in labelfile.read_frames(tmp_path / "x.json", ("jpg",), READER, problems) for frame in batch
+    ]
     assert [frame.number for frame in read] == list(range(frames))
     assert json.loads(read[0].raw) == [GOOD]
     assert [(p.kind, p.reason, p.frame) for p in problems.listed()] == [
@@ -612,7 +615,8 @@ def frames_of(folder, text):
     (folder / "x.json").write_text(text)
     problems = Problems("x.json")
     try:
-        return [*labelfile.read_frames(folder / "x.json", ("jpg",), READER, problems)], problems.listed()
+        read = labelfile.read_frames(folder / "x.json", ("jpg",), READER, problems)
+        return [frame for batch, _ in read for frame in batch], problems.listed()
     except InputError as error:
         return str(error)
 
@@ -625,18 +629,21 @@ def test_the_scanner_and_the_decoder_cut_files_alike(tmp_path, monkeypatch, text
     monkeypatch.setattr(labelfile, "members", lambda data: scanned.append(data) or members(data))
     frames_of(tmp_path, text)
     assert bool(scanned) == (text in ODD)
-    monkeypatch.setattr(labelfile, "_usual_frames", lambda path: [])
+    monkeypatch.setattr(labelfile, "_usual_texts", lambda path: [])
     assert frames_of(tmp_path, text) == found
 
 
+@pytest.mark.parametrize("batch", [1, 300, 1 << 20])
 @pytest.mark.parametrize("window", range(60, 90))
-def test_a_key_is_found_wherever_a_window_of_the_file_ends(tmp_path, monkeypatch, window):
+def test_a_key_is_found_wherever_a_window_of_the_file_ends(tmp_path, monkeypatch, window, batch):
     frames = {f"{i:06d}.jpg": [GOOD] * (i % 3) for i in range(12)}
     text = json.dumps({"labels": frames})
     monkeypatch.setattr(labelfile, "_WINDOW", window)
     monkeypatch.setattr(labelfile, "scanned_sections", None)
+    monkeypatch.setattr(labelfile, "BATCH_BYTES", batch)
     found, problems = frames_of(tmp_path, text)
-    assert ({frame.key: json.loads(frame.raw) for frame in found}, problems) == (frames, [])
+    read = {frame.key: [record.label_id for record in frame.records] for frame in found}
+    assert (read, problems) == ({key: [GOOD["label_id"]] * len(found) for key, found in frames.items()}, [])
 
 
 @pytest.mark.parametrize("width", range(64))
@@ -669,7 +676,7 @@ def test_the_first_byte_that_is_not_utf_8_is_named(tmp_path, monkeypatch):
 
 
 def test_frames_too_full_to_be_real_are_refused(tmp_path):
-    crowd = [person(i, (1, 2, 30, 40)) for i in range(labelfile.MAX_RECORDS + 1)]
+    crowd = [person(i, (1, 2, 30, 40)) for i in range(MAX_RECORDS + 1)]
     store, found = loaded(tmp_path, {0: [GOOD], 15: crowd})
     assert boxes(store) == [(0, 1)]
     assert [(p.kind, p.frame) for p in found.problems] == [("frame", "000015.jpg")]

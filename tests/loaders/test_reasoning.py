@@ -11,7 +11,7 @@ from quick_store import reported_store
 from social_files import BOX, NAME, read, reasons, record, rows
 from worlds import member, person, thing
 
-from jrdb_avr.loaders.labelfiles.frames import RecordReader
+from jrdb_avr.loaders.labelfiles.record_reader import RecordReader
 from jrdb_avr.loaders.layers.social import load_reasoning
 
 whole = functools.partial(load_reasoning, social=True)
