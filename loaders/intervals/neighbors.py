@@ -17,7 +17,7 @@ from jrdb_avr.loaders.intervals.people import Boxes, Facts, Located, wrap
 from jrdb_avr.loaders.intervals.sightings import distance_word, in_person_sector
 from jrdb_avr.loaders.intervals.spans import find_runs
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import paired, ragged, texts, unpaired
+from jrdb_avr.loaders.labelfiles.columns import ascending, paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
@@ -57,7 +57,7 @@ def beside_table(line: Timeline, boxes: Boxes, located: Located, rules: LoadRule
     label = runs.value // 2 % len(_LABELS)
     more = (source, target, label, runs.first, runs.last, runs.certain)
     columns = {name: np.append(column, other) for (name, column), other in zip(columns.items(), more, strict=True)}
-    order = np.lexsort(tuple(columns[name] for name in ("certain", "target", "first", "label", "source")))
+    order = ascending(*(columns[name] for name in ("source", "label", "first", "target", "certain")))
     columns = {name: column[order] for name, column in columns.items()}
     labels = {"label": texts(_LABELS, columns["label"]), "certain": columns["certain"].astype(np.bool_)}
     return line.table("beside", columns | line.span(columns["first"], columns["last"]) | labels)

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.labelfiles.columns import Rows, begins, paired, ranked, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import ALSO, CLEAR_OCCLUSIONS, POSES
 from jrdb_avr.schema.panorama import HEIGHT, center_angle
@@ -179,7 +179,7 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> Facts:
     names, action = ranked(table["action"])
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(*_person_columns(table), action, difficulty < HARD, difficulty, tuple(names))
-    facts = facts.at(np.lexsort((facts.difficulty, facts.value, facts.track, facts.frame)))
+    facts = facts.at(ascending(facts.frame, facts.track, facts.value, facts.difficulty))
     facts = facts.at(begins(facts.keys, facts.value))
     pose = np.append(facts.is_pose, False)[facts.value]
     _, person = np.unique(facts.keys, return_inverse=True)
@@ -237,6 +237,6 @@ def track_spans(tables: Mapping[str, pa.Table]) -> tuple[Ints, Ints, Ints]:
     """Tracks of any box, 2D or 3D, ascending, with the first and last frame of each."""
     flat, solid = (_person_columns(tables[layer]) for layer in ("boxes_2d", "boxes_3d"))
     frame, track = np.append(flat[0], solid[0]), np.append(flat[1], solid[1])
-    order = np.lexsort((frame, track))
+    order = ascending(track, frame)
     tracks, start = np.unique(track[order], return_index=True)
     return tracks, frame[order][start], frame[order][np.append(start, len(track))[1:] - 1]

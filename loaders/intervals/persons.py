@@ -21,6 +21,7 @@ import pyarrow.compute as pc
 from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Facts, read_groups, rows_of
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import (
+    ascending,
     begins,
     distinct_of,
     nullable,
@@ -135,7 +136,7 @@ def objects_table(line: Timeline, panoptic: pa.Table, categories: pa.Table, hand
     """From the annotation tables: one row per (category, thing), in this order."""
     seen = panoptic.select(["frame", "object", "category_id"]).drop_null()
     keys, frame = _keys(seen), whole_numbers(seen, "frame")
-    order = np.lexsort((frame, keys))
+    order = ascending(keys, frame)
     keys, frame = keys[order], frame[order]
     things = distinct_of(np.sort(np.concatenate([keys, _keys(handles)])))
     things = things[~of_people(unpaired(things)[0], categories)]

@@ -13,7 +13,7 @@ import pyarrow as pa
 from jrdb_avr.loaders.intervals.people import Boxes, Facts
 from jrdb_avr.loaders.intervals.spans import find_runs, runs_table
 from jrdb_avr.loaders.intervals.timeline import Timeline, step_of
-from jrdb_avr.loaders.labelfiles.columns import ragged
+from jrdb_avr.loaders.labelfiles.columns import ascending, ragged
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
@@ -26,7 +26,7 @@ def presences_table(line: Timeline, boxes: Boxes) -> pa.Table:
 def absences_table(line: Timeline, boxes: Boxes) -> pa.Table:
     """All absences of a sequence, by track and first frame."""
     annotated = line.frames_of("2d")
-    order = np.argsort(boxes.track, kind="stable")
+    order = ascending(boxes.track)
     frame, track = boxes.frame[order], boxes.track[order]
     low, high = np.searchsorted(annotated, frame[:-1], "right"), np.searchsorted(annotated, frame[1:])
     row, place = ragged(np.where(track[1:] == track[:-1], high - low, 0))

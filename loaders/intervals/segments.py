@@ -20,7 +20,7 @@ from jrdb_avr.loaders.intervals.people import Boxes, Facts
 from jrdb_avr.loaders.intervals.sightings import certain_pose
 from jrdb_avr.loaders.intervals.spans import Runs
 from jrdb_avr.loaders.intervals.timeline import Grid, Timeline
-from jrdb_avr.loaders.labelfiles.columns import Rows, distinct_of, paired, ragged, texts, unpaired
+from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, distinct_of, paired, ragged, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules, frames
 from jrdb_avr.schema.tables import INTERVALS
@@ -62,7 +62,7 @@ class _Known:
         self.facts = distinct_of(paired(runs.track, runs.value))
         self.of_runs = np.searchsorted(self.facts, paired(runs.track, runs.value))
         on_grid = np.flatnonzero(grid.holds(boxes.frame))
-        self.by_track = on_grid[np.argsort(boxes.track[on_grid], kind="stable")]
+        self.by_track = on_grid[ascending(boxes.track[on_grid])]
         ordered = boxes.track[self.by_track]
         track, _ = unpaired(self.facts)
         self.low = np.searchsorted(ordered, track, "left")
@@ -71,7 +71,7 @@ class _Known:
         # Labels without a box would be of refused boxes; there are none in the tables.
         has_box = np.flatnonzero(boxes.rows(labels.frame, labels.track) >= 0)
         of_labels = np.searchsorted(self.facts, paired(labels.track[has_box], labels.value[has_box]))
-        order = np.argsort(of_labels, kind="stable")
+        order = ascending(of_labels)
         self.label_rows, self.of_labels = has_box[order], of_labels[order]
 
     def blocks(self) -> Iterator[tuple[int, int]]:

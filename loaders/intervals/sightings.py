@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.intervals.people import Boxes, Facts, People, rows_of
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import begins, distinct_of, nullable, paired, texts
+from jrdb_avr.loaders.labelfiles.columns import ascending, begins, distinct_of, nullable, paired, texts
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, ROBOT_SECTORS, PersonSector
 from jrdb_avr.schema.panorama import angle_error
@@ -110,7 +110,7 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) 
     has_row = cluster_row >= 0
     cluster, certain = _take(groups.value, cluster_row), _take(groups.certain, cluster_row)
     # A person without a row takes part in no cluster; -1 - row keeps it apart from its neighbours.
-    order = np.lexsort((cluster, ~has_row, boxes.frame))
+    order = ascending(boxes.frame, ~has_row, cluster)
     frame, cluster, has_row, certain = boxes.frame[order], cluster[order], has_row[order], certain[order]
     group = np.cumsum(begins(frame, cluster) | ~has_row) - 1
     members = np.bincount(group)

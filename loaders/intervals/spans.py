@@ -20,7 +20,7 @@ import pyarrow as pa
 from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Facts, rows_of
 from jrdb_avr.loaders.intervals.persons import of_people
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import Rows, begins, nullable, paired, ranked, texts, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, nullable, paired, ranked, texts, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
 
@@ -41,7 +41,7 @@ class Runs(Rows):
 
 def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
     """Runs of facts, unique, in any order. `gap_frames`: missing frames that are closed, 0 for none."""
-    facts = facts.at(np.lexsort((facts.frame, facts.value, facts.track)))
+    facts = facts.at(ascending(facts.track, facts.value, facts.frame))
     frame, track, value, certain = facts.frame, facts.track, facts.value, facts.certain
     starts = np.flatnonzero(begins(track, value, certain.astype(np.int64), frame - step * np.arange(len(frame))))
     ends = np.append(starts, len(frame))[1:] - 1
@@ -56,7 +56,7 @@ def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
     unreadable = np.full(len(holes), UNREADABLE)
     gaps = Runs(track[holes], value[holes], frame[holes] + step, frame[holes + 1] - step, no, yes, unreadable)
     runs = solid.joined([gaps])
-    return runs.at(np.lexsort((runs.first, runs.value, runs.track)))
+    return runs.at(ascending(runs.track, runs.value, runs.first))
 
 
 def layer_runs(line: Timeline, layer: str, facts: Facts, rules: LoadRules) -> Runs:
@@ -70,7 +70,7 @@ def runs_table(
     line: Timeline, kind: str, runs: Runs, keys: Mapping[str, Ints], names: Sequence[str] | None = None
 ) -> pa.Table:
     """The interval table of runs, sorted by the key columns and the first frame. `names`: texts of the last key."""
-    order = np.lexsort((runs.first, *reversed([*keys.values()])))
+    order = ascending(*keys.values(), runs.first)
     runs = runs.at(order)
     columns: dict[str, Any] = {name: key[order] for name, key in keys.items()}
     if names is not None:
@@ -131,7 +131,7 @@ def _relation_runs(
     none = np.zeros(len(fact), np.int64)
     certain = table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD
     facts = Facts(whole_numbers(table, "frame"), none, fact, certain, none)
-    facts = facts.at(np.lexsort((~facts.certain, facts.frame, facts.value)))
+    facts = facts.at(ascending(facts.value, facts.frame, ~facts.certain))
     runs = layer_runs(line, layer, facts.at(begins(facts.value, facts.frame)), rules)
     return runs, tuple(column[runs.value] for column in columns)
 

@@ -17,6 +17,7 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 PAIR_BITS: Final = 31
+_DIGITS: Final = 16
 MAX_DISTINCT: Final = 100_000
 """The most different values of one field in a file: labels repeat from frame to frame, and ids are a few hundred."""
 
@@ -165,10 +166,26 @@ def mask_of(rows: Ints, n: int) -> Bools:
     return mask
 
 
-def first_of_equal(keys: Ints) -> tuple[Ints, Bools]:
-    """A stable ascending order of `keys`, and a mask over it: True at the first of each run of equal keys."""
-    order = np.argsort(keys, kind="stable")
-    return order, begins(keys[order])
+def ascending(*columns: npt.NDArray[Any]) -> Ints:
+    """A stable order of whole numbers by the first column, then the next, ..."""
+    # Numbers of 16 bits are sorted by their digits, which takes a fifth of the time of comparing them.
+    return np.asarray(np.lexsort([part for column in reversed(columns) for part in _narrow(column)]))
+
+
+def _narrow(column: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
+    """Columns of 16 bits that sort as a column does, the last one first; the column itself where they would be many."""
+    low = int(column.min(initial=0))
+    width = (int(column.max(initial=0)) - low).bit_length()
+    if width > 2 * _DIGITS:
+        return [column]
+    above = column - low if low else column
+    return [(above >> shift).astype(np.uint16) for shift in range(0, max(width, 1), _DIGITS)]
+
+
+def first_of_equal(*columns: Ints) -> tuple[Ints, Bools]:
+    """A stable ascending order of rows, and a mask over it: True at the first of each run of equal rows."""
+    order = ascending(*columns)
+    return order, begins(*(column[order] for column in columns))
 
 
 def distinct_of(ascending: Ints) -> Ints:

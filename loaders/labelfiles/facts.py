@@ -25,7 +25,6 @@ from jrdb_avr.loaders.labelfiles.columns import (
     first_of_equal,
     known_frames,
     mask_of,
-    paired,
     ragged,
 )
 from jrdb_avr.loaders.labelfiles.json import ABSENT, first_members, parse_members
@@ -95,7 +94,7 @@ def keep_people(
         good &= ~wrong
         refused = refused | wrong
     usable = np.flatnonzero(good)
-    order, first = first_of_equal(paired(frame[usable], track[usable]))
+    order, first = first_of_equal(frame[usable], track[usable])
     again = mask_of(usable[order[~first]], len(frame))
     reason = "same person twice in a frame"
     refusals.count(again, "record", reason, "label_id", lambda row: labels[code[row]])

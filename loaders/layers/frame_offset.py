@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, paired, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, ascending, paired, whole_numbers
 from jrdb_avr.loaders.report import ShiftCheck
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
@@ -257,7 +257,7 @@ def _of_3d(table: pa.Table) -> Tracks:
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:
     tracks = Tracks(whole_numbers(table, "frame"), whole_numbers(table, "track"), column, box)
-    order = np.lexsort((tracks.frame, tracks.track))
+    order = ascending(tracks.track, tracks.frame)
     return tracks.at(order[usable[order]])
 
 

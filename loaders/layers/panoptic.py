@@ -34,7 +34,7 @@ from jrdb_avr.loaders.labelfiles.coco import (
     read_categories,
     read_list,
 )
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, known_frames, mask_of, nullable
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, ascending, known_frames, mask_of, nullable
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, first_members, parse
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.layers.boxes_2d import usable_boxes
@@ -109,7 +109,7 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     full = crowded(frame, refusals)
     # By frame, category and track, those without a track last and in the file's order.
     rows = np.flatnonzero(~full)
-    rows = rows[np.lexsort((track[rows], track[rows] == NO_TRACK, category[rows], frame[rows]))]
+    rows = rows[ascending(frame[rows], category[rows], track[rows] == NO_TRACK, track[rows])]
     same = np.zeros(len(rows), np.bool_)
     same[1:] = track[rows[1:]] != NO_TRACK
     for column in (frame, category, track):

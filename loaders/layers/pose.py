@@ -28,7 +28,7 @@ from jrdb_avr.loaders.labelfiles.coco import (
     open_coco,
     read_list,
 )
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, first_of_equal, known_frames, mask_of, paired
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, first_of_equal, known_frames, mask_of
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, parse
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Floats, Ints
@@ -69,7 +69,7 @@ def load_pose(path: Path, problems: Problems) -> LayerTables:
     refusals = Refusals(frame, problems)
     full = crowded(frame, refusals)
     usable = np.flatnonzero(~full)
-    order, first = first_of_equal(paired(frame[usable], track[usable]))
+    order, first = first_of_equal(frame[usable], track[usable])
     again = mask_of(usable[order[~first]], len(frame))
     reason = "same person twice in a frame, the first is kept"
     refusals.count(again, "record", reason, "track_id", lambda row: int(track[row]))
