@@ -19,7 +19,7 @@ from jrdb_avr.loaders.labelfiles.columns import LayerTables, annotation_table, c
 from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.boxes_3d import heading_check, load_3d
 from jrdb_avr.loaders.layers.calibration import load_calibration
-from jrdb_avr.loaders.layers.frame_offset import check_shift, tracks_of
+from jrdb_avr.loaders.layers.frame_offset import Tracks, check_shift, tracks_of
 from jrdb_avr.loaders.layers.panoptic import load_panoptic
 from jrdb_avr.loaders.layers.pose import load_pose
 from jrdb_avr.loaders.layers.social import load_reasoning, load_social
@@ -104,6 +104,7 @@ def annotate(files: SequenceFiles) -> Annotated:
     readings: dict[str, LayerTables] = {}
     problems: list[Problems] = []
     shifts: list[ShiftCheck] = []
+    reference: Tracks | None = None
     for layer in LAYER_FILES:
         if layer not in files.labels:
             continue
@@ -116,7 +117,9 @@ def annotate(files: SequenceFiles) -> Annotated:
             problems[-1] = Problems(path.name, layer)
             problems[-1].add("file", str(error))
             continue
-        check = None if files.labels.get("2d") == str(path) else _check(layer, reading, readings)
+        if layer == "2d":
+            reference = tracks_of(layer, reading)
+        check = None if files.labels.get("2d") == str(path) else _check(layer, reading, reference)
         if check is not None:
             shifts.append(check)
             if check.result == "shifted":
@@ -134,13 +137,10 @@ def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Pr
     return load_reasoning(path, problems, social=not served)
 
 
-def _check(layer: str, reading: LayerTables, readings: dict[str, LayerTables]) -> ShiftCheck | None:
+def _check(layer: str, reading: LayerTables, reference: Tracks | None) -> ShiftCheck | None:
     """The frame numbers of a file beside those of the 2D boxes; None for a layer without boxes."""
     boxes = tracks_of(layer, reading)
-    if boxes is None:
-        return None
-    reference = tracks_of("2d", readings["2d"]) if "2d" in readings else None
-    return check_shift(layer, boxes, reference)
+    return None if boxes is None else check_shift(layer, boxes, reference)
 
 
 def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:

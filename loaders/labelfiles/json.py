@@ -112,11 +112,18 @@ def _value_end(text: memoryview, start: int) -> int:
 # -- values --------------------------------------------------------------------------------------------------------
 
 
-class Members:
-    """A JSON object with its members as written."""
+class Members(dict[str, Any]):
+    """A JSON object: the first of equal keys, and the keys that stood there again."""
 
     def __init__(self, items: list[tuple[str, Any]]) -> None:
-        self.items = items
+        super().__init__(items)
+        self.again: list[str] = []
+        if len(self) < len(items):
+            self.clear()
+            for key, item in items:
+                if key in self:
+                    self.again.append(key)
+                self.setdefault(key, item)
 
     def __repr__(self) -> str:
         return "{...}"
@@ -140,13 +147,7 @@ def first_members(value: object) -> tuple[dict[str, Any], list[str]]:
     """The members of a parsed object, first of equal keys, and the keys that stood there again. Raises ValueError."""
     if not isinstance(value, Members):
         raise ValueError("not an object")
-    first: dict[str, Any] = {}
-    again = []
-    for key, item in value.items:
-        if key in first:
-            again.append(key)
-        first.setdefault(key, item)
-    return first, again
+    return value, value.again
 
 
 def parse_members(raw: bytes) -> tuple[dict[str, Any], list[str]]:
