@@ -313,6 +313,6 @@ def take_fields(records: list[Any], names: Iterable[str], codes: dict[str, Disti
 
 
 def raw_bytes(raws: list[msgspec.Raw]) -> Iterable[bytes]:
-    """The bytes of raw values. As parts of one text they take half the time."""
+    """The bytes of raw values. As parts of one text they take two thirds of the time."""
     found = b"\0".join(raws).split(b"\0")
     return found if len(found) == len(raws) else map(bytes, raws)
