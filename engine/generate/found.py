@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from jrdb_avr.engine.generate.confirm import Fault
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, refusal_row
 from jrdb_avr.engine.generate.selection import POOL, Selection, with_choices
 from jrdb_avr.engine.generate.sequence import EXAMPLES, SequenceJob, search_sequence
@@ -36,11 +37,10 @@ SLIM: Final = [
 
 @dataclass(frozen=True)
 class Found:
-    """What the search of one sequence returns to whoever selects; lacking and faults as of `SequenceResult`."""
+    """What the search of one sequence returns to whoever selects; lacking as of `SequenceResult`."""
 
     sequence: str
     lacking: dict[str, tuple[str, ...]]
-    faults: list[str]
 
 
 @contextlib.contextmanager
@@ -76,7 +76,7 @@ def search_into(folder: Path, job: SequenceJob) -> Found:
             pq.write_table(table, path)
         except OSError as error:
             raise StoreError(f"cannot write {path}: {str(error).splitlines()[0]}; free some space") from None
-    return Found(job.sequence, result.lacking, result.faults)
+    return Found(job.sequence, result.lacking)
 
 
 def _place(folder: Path, what: str, sequence: str) -> Path:
@@ -99,6 +99,12 @@ def chosen_rows(folder: Path, chosen: pa.Table) -> Iterator[tuple[str, list[dict
         yield sequence, with_choices(read_table(_place(folder, "pool", sequence)), part)
 
 
+def chosen_columns(folder: Path, chosen: pa.Table, columns: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
+    """Some columns of the rows of a selection, a sequence at a time."""
+    for sequence, part in _by_sequence(chosen):
+        yield sequence, read_table(_place(folder, "pool", sequence), columns).take(part["row"])
+
+
 def _by_sequence(chosen: pa.Table) -> Iterator[tuple[str, pa.Table]]:
     """The rows of each sequence of a selection, which is sorted by sequence."""
     first = 0
@@ -113,15 +119,22 @@ def heads(folder: Path, sequences: Iterable[str], at_once: int) -> Iterator[pa.T
 
 
 class Refusals:
-    """The rows of the table `rejected`: those of the searches, and the candidates of the pool that are not chosen."""
+    """The rows of the table `rejected`: those of the searches, and the candidates of the pool that are not chosen.
 
-    def __init__(self, folder: Path, sequences: Iterable[str], pool: pa.Table, selection: Selection) -> None:
+    faults: by key, the candidates that the second program does not confirm.
+    """
+
+    def __init__(
+        self, folder: Path, sequences: Iterable[str], pool: pa.Table, selection: Selection, faults: Mapping[str, Fault]
+    ) -> None:
         self._folder = folder
         self._sequences = sorted(sequences)
+        self.faults = faults
         self._chosen = {sequence: part["row"].to_numpy() for sequence, part in _by_sequence(selection.table)}
+        faulty = pool.filter(pc.is_in(pool["key"], value_set=pa.array(list(faults), pa.string())))
         # Excluded questions are counted as dropped by balance.
-        self._dropped = _count(pool)
-        self._dropped.subtract(_count(selection.table))
+        self._dropped = {"rederive": _count(faulty), "balance": _count(pool)}
+        self._dropped["balance"].subtract(_count(selection.table) + self._dropped["rederive"])
         self.totals: Counter[tuple[str, str]] = Counter()
         """(template, rule) -> how many candidates of all sequences are refused."""
         for table in map(self._counts, self._sequences):
@@ -134,9 +147,10 @@ class Refusals:
 
     def _counts(self, sequence: str) -> pa.Table:
         rows = [
-            refusal_row({"sequence": sequence, "template": name}, "balance", count=count)
+            refusal_row({"sequence": sequence, "template": name}, rule, count=count)
+            for rule, dropped in self._dropped.items()
             for name in FAMILIES
-            if (count := self._dropped[sequence, name])
+            if (count := dropped[sequence, name])
         ]
         return self._of_kind("count", sequence, rows)
 
@@ -146,12 +160,14 @@ class Refusals:
         )
         left = np.ones(len(pool), bool)
         left[self._chosen.get(sequence, [])] = False
-        seen: Counter[str] = Counter()
+        seen: Counter[tuple[str, str]] = Counter()
         rows = []
         for line in pool.filter(pa.array(left)).sort_by("key").to_pylist():
-            seen[line["template"]] += 1
-            if seen[line["template"]] <= EXAMPLES:
-                rows.append(refusal_row(line, "balance"))
+            fault = self.faults.get(line["key"])
+            rule = "balance" if fault is None else "rederive"
+            seen[line["template"], rule] += 1
+            if seen[line["template"], rule] <= EXAMPLES:
+                rows.append(refusal_row(line, rule, fault and fault.difference))
         return self._of_kind("example", sequence, rows)
 
     def _of_kind(self, kind: str, sequence: str, more: list[dict[str, Any]]) -> pa.Table:

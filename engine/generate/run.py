@@ -17,8 +17,18 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.blind import Guesser, blind_check, question_texts
+from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, Fault, find_faults
 from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
-from jrdb_avr.engine.generate.found import Found, Refusals, chosen_rows, heads, scratch_folder, search_into, slim_pool
+from jrdb_avr.engine.generate.found import (
+    Found,
+    Refusals,
+    chosen_columns,
+    chosen_rows,
+    heads,
+    scratch_folder,
+    search_into,
+    slim_pool,
+)
 from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.engine.generate.learned import learned_guesser
@@ -51,8 +61,8 @@ class Generation(Displayed):
     """The result of a generation; the questions are in the store.
 
     templates: a row per template: candidates, refusals by rule, questions; shortfalls: likewise, why they are so few.
-    selection: likewise, how many were requested and selected. blind: the blind check. faults: candidates on which
-    the second program disagreed.
+    selection: likewise, how many were requested and selected. blind: the blind check. faults: candidates that were
+    chosen, and refused as the second program disagreed.
     """
 
     templates: tuple[dict[str, Any], ...]
@@ -129,10 +139,19 @@ def generate(
             found = _search(scratch, jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
-        training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
-        return _publish(
-            store, scratch, found, lambda pool: select(pool, rules, profile, seed, n), excluded, guesser, training
+        pool = slim_pool(scratch, sequences)
+        selection, faults = _select(
+            scratch,
+            pool,
+            lambda pool: select(pool, rules, profile, seed, n),
+            excluded,
+            partial(_confirm, store.path, rules, scratch, workers, progress),
         )
+        refusals = Refusals(scratch, sequences, pool, selection, faults)
+        # The greatest part of what is in memory.
+        del pool
+        training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
+        return _publish(store, scratch, found, selection, refusals, guesser, training)
 
 
 def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
@@ -212,21 +231,55 @@ def _gather(parts: Sequence[Path], place: Path) -> None:
     write_atomic(place, write)
 
 
+def _select(
+    folder: Path,
+    pool: pa.Table,
+    choose: Callable[[pa.Table], Selection],
+    excluded: frozenset[str],
+    confirm: Callable[[pa.Table], Mapping[str, Fault]],
+) -> tuple[Selection, dict[str, Fault]]:
+    """The selection, and the candidates that the second program refused, by key: these and excluded questions leave the
+    pool, and the choice is made anew."""
+    faults: dict[str, Fault] = {}
+    while True:
+        selection = choose(pool)
+        gone: set[str] = set()
+        if excluded:
+            rows = chain.from_iterable(rows for _, rows in chosen_rows(folder, selection.table))
+            gone = {row["key"] for row in rows if row["question_id"] in excluded}
+        if not gone:
+            found = confirm(selection.table)
+            faults |= found
+            gone = set(found)
+        if not gone:
+            return selection, faults
+        pool = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=pa.array(list(gone), pa.string()))))
+
+
+def _confirm(
+    store: Path, rules: Rules, folder: Path, workers: Workers, progress: Progress | None, chosen: pa.Table
+) -> dict[str, Fault]:
+    """The chosen candidates that the second program does not confirm, by key."""
+    parts = chosen_columns(folder, chosen, CONFIRMED)
+    jobs = [ConfirmJob(store, sequence, rules, rows) for sequence, rows in parts]
+    advance = step_counter(progress, "confirming", len(jobs))
+    faults: dict[str, Fault] = {}
+    for _, found in map_shards(find_faults, jobs, workers, lambda job: job.weight):
+        faults |= found
+        advance(1)
+    return faults
+
+
 def _publish(
     store: Store,
     folder: Path,
     found: Sequence[Found],
-    choose: Callable[[pa.Table], Selection],
-    excluded: frozenset[str],
+    selection: Selection,
+    refusals: Refusals,
     learned: Guesser | None,
     training: Mapping[str, str] | None,
 ) -> Generation:
     sequences = [one.sequence for one in found]
-    pool = slim_pool(folder, sequences)
-    selection = _select(folder, pool, choose, excluded)
-    refusals = Refusals(folder, sequences, pool, selection)
-    # The greatest part of what is in memory.
-    del pool
     tables = {"rejected": refusals.groups(REFUSALS_AT_ONCE), "sequences": heads(folder, sequences, HEADS_AT_ONCE)}
     with contextlib.closing(
         publish(store, folder / "chosen", chosen_rows(folder, selection.table), tables, training)
@@ -244,21 +297,5 @@ def _publish(
         shortfalls=tuple(shortfalls(rows, lacking, len(found), selection.report)),
         selection=selection.report,
         blind=tuple(blind),
-        faults=tuple(fault for one in found for fault in one.faults),
+        faults=tuple(sorted(map(str, refusals.faults.values()))),
     )
-
-
-def _select(
-    folder: Path, pool: pa.Table, choose: Callable[[pa.Table], Selection], excluded: frozenset[str]
-) -> Selection:
-    """The selection, none of whose questions is excluded: what is chosen and excluded leaves the pool, and the choice
-    is made anew."""
-    while True:
-        selection = choose(pool)
-        if not excluded:
-            return selection
-        rows = chain.from_iterable(rows for _, rows in chosen_rows(folder, selection.table))
-        gone = [row["key"] for row in rows if row["question_id"] in excluded]
-        if not gone:
-            return selection
-        pool = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=pa.array(gone, pa.string()))))

@@ -24,12 +24,10 @@ from jrdb_avr.engine.generate.context import LayerJob, SearchContext
 from jrdb_avr.engine.generate.diagnostics import refusal_row
 from jrdb_avr.engine.generate.held_out import Extent, refuse_held_out
 from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
-from jrdb_avr.engine.generate.records import choice_sets, make_record, needed_boxes
+from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.scene import Ints, Scene
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.generate.selection import POOL
-from jrdb_avr.engine.rederive import Annotations, rederive
-from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import without_collector
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.questions import Proof
@@ -58,8 +56,7 @@ class SequenceResult:
     """Result of one sequence: its row of `sequences`, the records of candidates that may become questions, refusals.
 
     counts: (template, what) -> number, where what is "candidates", "proven" or a rule that refuses.
-    lacking: the missing layers of templates that were not searched. faults: one line per candidate on which the second
-    program disagrees.
+    lacking: the missing layers of templates that were not searched.
     """
 
     head: dict[str, Any]
@@ -67,7 +64,6 @@ class SequenceResult:
     examples: list[dict[str, Any]] = field(default_factory=list)
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
     lacking: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    faults: list[str] = field(default_factory=list)
 
     @property
     def sequence(self) -> str:
@@ -78,11 +74,10 @@ class SequenceResult:
 @without_collector()
 def search_sequence(job: SequenceJob) -> SequenceResult:
     """Find, prove and thin out the candidates of one sequence."""
-    annotations = Annotations.read(Store(job.store), job.sequence, job.rules)
     writing = contextlib.nullcontext() if job.candidates is None else pq.ParquetWriter(job.candidates, CANDIDATES)
     with job.searching() as context, writing as writer:
         scene = context.scene
-        search = _Search(context, annotations, writer, SequenceResult(_head(scene), POOL.empty_table()))
+        search = _Search(context, writer, SequenceResult(_head(scene), POOL.empty_table()))
         for name, forms in FORMS.items():
             missing = [tuple(layer for layer in form.layers if layer not in scene.layers) for form in forms]
             if least := min(missing, key=len):
@@ -107,7 +102,6 @@ class _Search:
     """Collects the results of the templates, one after the other; `writer` takes every proven candidate."""
 
     context: SearchContext
-    annotations: Annotations
     writer: pq.ParquetWriter | None
     result: SequenceResult
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -148,17 +142,13 @@ class _Search:
         return table.append_column("read_frames", frame_lists(candidates, candidates.template.read, rows))
 
     def _record(self, candidates: Candidates, rows: Ints) -> None:
-        """Add the records of candidates to the pool; refuse those that the second program does not confirm."""
+        """Add the records of candidates to the pool, as the second program will confirm them if they are chosen."""
         for line in to_table(self.context, candidates, rows).to_pylist():
-            if fault := self._disagreement(candidates, line):
-                self._refuse(candidates, "rederive", line, fault)
-                self.result.faults.append(f"{self.result.sequence} {line['plan']}: {fault}")
-                continue
-            confirmed = Proof("rederive", "annotations", True, "same", line["answer"])
             sets = choice_sets(self.context, candidates, line)
             if not sets:
                 self._refuse(candidates, "choices", line, "fewer than three wrong answers")
                 continue
+            confirmed = Proof("rederive", "annotations", True, "same", line["answer"])
             record = make_record(self.context, candidates, line, confirmed, sets[0])
             row, template = line["row"], candidates.template
             own: dict[str, Any] = {"key": line["key"], "form": template.query, "answer_text": line["answer"]}
@@ -168,20 +158,6 @@ class _Search:
             own["event"] = _event(candidates, row)
             own["sets"] = [msgspec.json.encode(choices).decode() for choices in sets if choices.texts]
             self.rows.append(record.columns() | own)
-
-    def _disagreement(self, candidates: Candidates, line: Mapping[str, Any]) -> str | None:
-        """The difference that the second program finds in the annotation tables; None where it agrees."""
-        plan, track, answer = parse_plan(line["plan"]), line["target_track"], line["answer"]
-        second = rederive(self.annotations, plan, candidates.template.name, self.context.rules)
-        if second.outcome != "defined" or second.answer != answer:
-            return f"answer {answer}, rederived {second.answer or second.outcome}"
-        if second.target != track:
-            return f"target {track}, rederived {second.target}"
-        if second.faults:
-            return second.faults[0]
-        needed = needed_boxes(self.context, candidates, line["row"])
-        ours, theirs = ({(b.node, b.track, b.frame, b.decisive) for b in boxes} for boxes in (needed, second.needed))
-        return None if ours == theirs else "other boxes are needed"
 
     # -- refusals ---------------------------------------------------------------------------------------------
 

@@ -48,7 +48,7 @@ def publish_copies(path, result, names):
     store.write_manifest(
         msgspec.structs.replace(manifest, sequences=dict.fromkeys(names, SequenceEntry(entry.layers, {})))
     )
-    for folder in (path / "intervals").iterdir():
+    for folder in (*(path / "intervals").iterdir(), *(path / "annotations").iterdir()):
         for name in names:
             if not (folder / f"{name}.parquet").exists():
                 (folder / f"{name}.parquet").symlink_to(f"{NAME}.parquet")

@@ -19,6 +19,7 @@ from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
 from jrdb_avr.engine.generate.candidates import RULES as RULES_OF_CANDIDATES
+from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, find_faults
 from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
@@ -193,7 +194,7 @@ def test_forms_are_judged_together(tmp_path, monkeypatch):
     file = tmp_path / "candidates.parquet"
     rules = msgspec.structs.replace(RULES, max_per_person=2)
     found = search(store, NAME, rules, file)
-    assert found.faults == [] and found.lacking == {}
+    assert found.lacking == {} and not find_faults(ConfirmJob(store.path, NAME, rules, found.pool.select(CONFIRMED)))
     counts = {what: count for (template, what), count in found.counts.items() if template == "gap"}
     assert len(counts) == len(found.counts)
     assert counts["candidates"] == counts["proven"] + sum(counts.get(rule, 0) for rule in RULES_OF_CANDIDATES)

@@ -1,0 +1,54 @@
+"""What the second program does not confirm is refused, and something else takes its place."""
+
+import random
+
+import pytest
+from keyframe_layer import layers_in_memory
+from lively_worlds import lively_world
+from quick_store import graphless_store
+
+from jrdb_avr.engine.generate import confirm
+from jrdb_avr.engine.generate.run import generate
+from jrdb_avr.engine.rederive import Outcome
+from jrdb_avr.schema.plan import canonical
+from jrdb_avr.schema.rules import Rules
+
+NAME = "yard-2020-01-01_0"
+
+
+@pytest.fixture
+def store(tmp_path):
+    return graphless_store(tmp_path, lively_world(random.Random(5), NAME))
+
+
+def questions(store):
+    with layers_in_memory():
+        report = generate(store, Rules(), workers=1)
+    return report, {row["plan"]: row for row in store.questions("answers").to_pylist()}
+
+
+def test_a_question_that_is_not_confirmed_makes_way(store, monkeypatch):
+    report, before = questions(store)
+    assert report.faults == () and len(before) > 10
+    wrong, checked = min(before), []
+
+    def rederive(annotations, plan, *rest, own=confirm.rederive):
+        checked.append(canonical(plan))
+        return Outcome("unknown") if canonical(plan) == wrong else own(annotations, plan, *rest)
+
+    monkeypatch.setattr(confirm, "rederive", rederive)
+    report, after = questions(store)
+    (fault,) = report.faults
+    assert fault.startswith(f"{NAME} {wrong}: ") and fault.endswith("rederived unknown")
+    assert wrong not in after and after.keys() <= set(checked)
+    refused = [row for row in store.questions("rejected").to_pylist() if row["rule"] == "rederive"]
+    assert [(row["kind"], row["candidates"], row["plan"]) for row in refused] == [
+        ("count", 1, None),
+        ("example", 1, wrong),
+    ]
+    assert refused[1]["detail"].endswith("rederived unknown")
+    counts = {row["template"]: row for row in report.templates}
+    assert sum(row["rederive"] for row in counts.values()) == 1
+    for row in counts.values():
+        kept = sum(row[rule] for rule in ("rederive", "choices", "near_duplicate", "max_per_person", "balance"))
+        assert row["proven"] == kept + row["questions"]
