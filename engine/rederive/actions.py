@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.engine.rederive.people import PersonBoxes
-from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, also_said, in_closed_gap, rows, step_of
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, also_said, distinct_rows, in_closed_gap, rows, step_of
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
@@ -37,17 +37,19 @@ class ActionFacts(PersonBoxes):
         super().__init__(tables, rules)
         self._actions: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
         self._poses: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
-        self._performed: set[tuple[int, str]] = set()
         for frame, track, action, difficulty in rows(tables["actions"], "frame", "track", "action", "difficulty"):
             # An action written twice, as under two spellings, counts by its easier code; an unreadable code is hard.
             code, listed_actions = 3 if difficulty is None else difficulty, self._actions[frame, track]
             listed_actions[action] = min(code, listed_actions.get(action, code))
             if action in POSES:
                 self._poses[frame, track][action] = listed_actions[action]
-            self._performed.add((track, action))
             for other in also_said(action):
                 listed_actions.setdefault(other, 3)
-                self._performed.add((track, other))
+        self._performed = {
+            (track, said)
+            for track, action in distinct_rows(tables["actions"], "track", "action")
+            for said in (action, *also_said(action))
+        }
         annotated = sorted(self.layers.get("actions", []))
         self.step = step_of(annotated)
         self.grid = range(annotated[0], annotated[-1] + 1, self.step) if annotated else range(0)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.engine.rederive.truth import rows, step_of
 from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS
@@ -14,8 +15,7 @@ from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 
 
-@dataclass(frozen=True, slots=True)
-class _Person2D:
+class _Person2D(NamedTuple):
     """One 2D box with what its record says."""
 
     box: Box
@@ -33,7 +33,7 @@ class PersonBoxes:
         for layer, frame in rows(tables["frames"], "layer", "frame"):
             self.layers[layer].append(frame)
         self._known = {layer: set(numbers) for layer, numbers in self.layers.items()}
-        self.has_attributes = any(tables["boxes_2d"]["has_attributes"].to_pylist())
+        self.has_attributes = bool(pc.any(tables["boxes_2d"]["has_attributes"]).as_py())
         self._people: dict[int, dict[int, _Person2D]] = defaultdict(dict)
         columns = ("frame", "track", "x", "y", "w", "h", "occlusion", "no_eval", "has_actions")
         for frame, track, x, y, w, h, occlusion, no_eval, listed in rows(tables["boxes_2d"], *columns):

@@ -8,13 +8,22 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import pyarrow as pa
 
 from jrdb_avr.engine.rederive.actions import ActionFacts
-from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, UNKNOWN, also_said, in_closed_gap, rows, step_of
+from jrdb_avr.engine.rederive.truth import (
+    FALSE,
+    SLACK,
+    TRUE,
+    UNKNOWN,
+    also_said,
+    distinct_rows,
+    in_closed_gap,
+    rows,
+    step_of,
+)
 from jrdb_avr.schema.labels import AGES, DISTANCE_BOUNDS_M, DISTANCE_WORDS, GENDERS, POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
@@ -42,7 +51,8 @@ class SocialFacts(ActionFacts):
         columns = ("frame", "track", "partner", "label", "difficulty")
         for frame, track, partner, label, difficulty in rows(tables["interactions"], *columns):
             # A label of one of two people holds for both; a partner without a box in the frame gives no fact.
-            if self.box(track, frame) is not None and self.box(partner, frame) is not None:
+            there = self._people.get(frame, ())
+            if track in there and partner in there:
                 pair = min(track, partner), max(track, partner)
                 _add_label(self._together[*pair, label], frame, difficulty)
                 for other in also_said(label):
@@ -54,7 +64,7 @@ class SocialFacts(ActionFacts):
         self._handled: dict[int, dict[tuple[str, int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
         things = rows(tables["handles"], "frame", "track", "object", "category_id", "verb", "difficulty")
         for frame, track, thing, category, verb, difficulty in things:
-            if self.box(track, frame) is not None and names.get(category) not in PERSON_CATEGORIES:
+            if track in self._people.get(frame, ()) and names.get(category) not in PERSON_CATEGORIES:
                 _add_label(self._handled[track][verb, category, thing], frame, difficulty)
                 for other in also_said(verb):
                     _add_label(self._handled[track][other, category, thing], frame, None)
@@ -192,7 +202,7 @@ def _add_label(labels: _Labels, frame: int, difficulty: int | None) -> None:
 def _chosen(table: pa.Table) -> dict[tuple[int, str], str]:
     """(track, attribute) -> the one value of all frames where it is easy to tell."""
     votes: dict[tuple[int, str], set[str]] = defaultdict(set)
-    for track, attribute, value, difficulty in rows(table, "track", "attribute", "value", "difficulty"):
+    for track, attribute, value, difficulty in distinct_rows(table, "track", "attribute", "value", "difficulty"):
         if value is not None and difficulty in (1, 2):
             votes[track, attribute].add(value)
     return {topic: min(values) for topic, values in votes.items() if len(values) == 1}
@@ -233,8 +243,7 @@ def _stands(sector: str, turn_deg: float) -> int:
     return UNKNOWN if any(least - SLACK <= turn <= most + SLACK for turn in turns) else FALSE
 
 
-@dataclass(frozen=True, slots=True)
-class _Solid:
+class _Solid(NamedTuple):
     """A 3D box with lidar points: its centre in the robot frame, its heading in radians, its distance in metres."""
 
     x: float

@@ -61,6 +61,11 @@ def rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
     return zip(*(table[name].to_pylist() for name in names), strict=True)
 
 
+def distinct_rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
+    """Distinct rows of the columns named, in any order."""
+    return rows(table.group_by(list(names)).aggregate([]), *names)
+
+
 def step_of(numbers: list[int]) -> int:
     """Frames between annotated frames: 15 where all lie whole seconds apart, else 1."""
     apart = math.gcd(*(b - a for a, b in itertools.pairwise(numbers)))
