@@ -1,10 +1,11 @@
 // distance: somebody described at t0 is closer, farther or as far at t1, by lidar, or has left.
 // param sequence: text
-MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[:At]-(:Person)-[:At]->(m1:Moment)
+MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[e0:At]-(p:Person)-[e1:At]->(m1:Moment)
 WHERE n.id >= $low AND n.id < $high
   AND m0.id >= $low AND m0.id < $high
   AND m1.id >= $low AND m1.id < $high
   AND n.general AND m1.frame >= m0.frame + $wait AND m0.distance IS NOT NULL
+HINT (((((n JOIN d) JOIN m0) JOIN e0) JOIN p) JOIN e1) JOIN m1
 WITH n, d, m0, m1,
      CASE WHEN m1.seen = 0 THEN 'not in view'
           WHEN m0.distance - m1.distance >= $changed THEN 'closer to the robot'

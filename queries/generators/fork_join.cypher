@@ -10,6 +10,7 @@ WHERE n.id >= $low AND n.id < $high
   AND c.id >= $low AND c.id < $high
   AND d.id >= $low AND d.id < $high
   AND n.general AND s1.relation < s2.relation AND j.a = a.id AND j.c = c.id AND d.pose IS NOT NULL
+HINT (((((((n JOIN e) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN j) JOIN d
 RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,
        c.track AS c, j.r3 AS r3, j.r4 AS r4, d.track AS d,
        d.pose AS answer,

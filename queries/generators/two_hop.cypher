@@ -8,8 +8,10 @@ WHERE n.id >= $low AND n.id < $high
   AND b.id >= $low AND b.id < $high
   AND c.id >= $low AND c.id < $high
   AND n.general AND c.id <> a.id AND c.pose IS NOT NULL
+HINT (((((n JOIN d) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c
 OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
 WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
+HINT (a JOIN k) JOIN x
 WITH n, d, a, s1, b, s2, c, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
      coalesce(x.nowhere, x.pose,
               CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE 'unknown' END) AS skip_1

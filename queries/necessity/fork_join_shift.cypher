@@ -11,10 +11,13 @@ WHERE n.id >= $low AND n.id < $high
   AND a2.id >= $low AND a2.id < $high
   AND n.general AND b.id <> c.id AND s1.relation < s2.relation AND v.by = $by
   AND e.anchor AND a.clear AND b.clear AND c.clear AND a.image
+HINT (((((((n JOIN e) JOIN v) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN a2
 OPTIONAL MATCH (a2)-[k1:Step]->(b2:Moment)
 WHERE b2.id >= $low AND b2.id < $high AND k1.relation = s1.relation
+HINT (a2 JOIN k1) JOIN b2
 OPTIONAL MATCH (a2)-[k2:Step]->(c2:Moment)
 WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
+HINT (a2 JOIN k2) JOIN c2
 WITH n, s1, s2, a2, b2, c2,
      CASE WHEN b2.id IS NULL AND a2.nowhere IS NULL AND NOT a2.open CONTAINS s1.layer THEN 'empty'
           ELSE coalesce(a2.nowhere, b2.nowhere, 'unknown') END AS b_outcome,

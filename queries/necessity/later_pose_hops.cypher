@@ -2,8 +2,8 @@
 // A person's moments have numbers in a row, one per keyframe, so a_then is as far on from a as m1 is from c.
 // Of somebody who is absent at t1 nothing is read. Only of candidates that pass anchor, evidence, image, view.ahead.
 // param sequence: text
-MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)<-[:At]-(:Person)
-      -[:At]->(m1:Moment)
+MATCH (n:Name)-[d:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)<-[e0:At]-(p:Person)
+      -[e1:At]->(m1:Moment)
 WHERE n.id >= $low AND n.id < $high
   AND a.id >= $low AND a.id < $high
   AND b.id >= $low AND b.id < $high
@@ -11,8 +11,10 @@ WHERE n.id >= $low AND n.id < $high
   AND m1.id >= $low AND m1.id < $high
   AND n.general AND c.id <> a.id AND m1.frame >= c.frame + $later AND m1.pose <> c.pose
   AND d.anchor AND a.clear AND b.clear AND c.clear AND m1.clear AND a.image AND m1.image AND NOT m1.ahead
+HINT (((((((((n JOIN d) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN e0) JOIN p) JOIN e1) JOIN m1
 OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
 WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
+HINT (a JOIN k) JOIN x
 WITH n.id AS name, m1.frame AS t1, m1.pose AS pose, s1.relation AS r1, s2.relation AS r2, a.id + m1.id - c.id AS a_then,
      b.id + m1.id - c.id AS b_then,
      CASE WHEN x.nowhere IS NULL THEN coalesce(x.id + m1.id - c.id, -1) ELSE -1 END AS x_then,
