@@ -177,10 +177,10 @@ def _taken(columns: Any, rows: Ints) -> Any:
     return tuple(column[rows] for column in columns) if isinstance(columns, tuple) else columns[rows]
 
 
-def stated_poses(context: SearchContext, candidates: Candidates) -> Bools:
+def stated_poses(context: SearchContext, candidates: Candidates, rows: slice = slice(None)) -> Bools:
     """(candidates, poses): the poses that the words of the question name."""
-    stated = [context.descriptions.stated_poses[candidates.name]]
-    stated += [STATED_POSES[codes] for codes in candidates.relations.values()]
+    stated = [context.descriptions.stated_poses[candidates.name[rows]]]
+    stated += [STATED_POSES[codes[rows]] for codes in candidates.relations.values()]
     return np.asarray(np.any(stated, axis=0))
 
 

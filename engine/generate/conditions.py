@@ -78,6 +78,11 @@ class Conditions:
     slots: Ints
 
     @cached_property
+    def people(self) -> Ints:
+        """Per keyframe, how many people have a box."""
+        return np.asarray(np.count_nonzero(self.slots != NOBODY, axis=1), dtype=np.int64)
+
+    @cached_property
     def masks(self) -> Masks:
         """Per use, the mask of the people of whom it is certainly false; a last row, for no use, excludes nobody."""
         return self._masks(FALSE, 0)

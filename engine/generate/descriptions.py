@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import msgspec
@@ -39,6 +39,7 @@ class Descriptions:
     uses: Ints
     general: Bools
     poseless: Bools
+    _look_alikes: dict[int, list[tuple[Condition, list[int]]]] = field(default_factory=dict)
 
     @cached_property
     def moment(self) -> Ints:
@@ -58,13 +59,16 @@ class Descriptions:
         """The conditions of a name, in the order in which they were chosen."""
         return self.conditions.used(self.uses[name])
 
-    def look_alikes(self, name: int) -> list[Ints]:
-        """Per condition of a name: moments of those who could match without it, the target's among them."""
-        keyframe, uses = self.conditions.keyframe[self.sighting[name]], self.uses[name]
-        return [
-            self.conditions.members(int(keyframe), self.conditions.could_match(keyframe, np.delete(uses, place)))
-            for place in np.flatnonzero(uses != NOBODY)
-        ]
+    def look_alikes(self, name: int) -> list[tuple[Condition, list[int]]]:
+        """The conditions of a name, each with the moments of those others who could match without it."""
+        if name not in self._look_alikes:
+            keyframe, uses, moment = self.conditions.keyframe[self.sighting[name]], self.uses[name], self.moment[name]
+            self._look_alikes[name] = []
+            for place, condition in enumerate(self.of(name)):
+                could = self.conditions.could_match(keyframe, np.delete(uses, place))
+                moments = self.conditions.members(int(keyframe), could)
+                self._look_alikes[name].append((condition, moments[moments != moment].tolist()))
+        return self._look_alikes[name]
 
     @cached_property
     def stated_poses(self) -> Bools:

@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -52,22 +54,32 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
     truth = VALUES[candidates.answer[row]]
     sets: tuple[tuple[str, ...], ...] = (PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS,)
     if candidates.template.pose_answer:
-        (stated,) = stated_poses(context, candidates.take(np.array([row])))
+        (stated,) = stated_poses(context, candidates, slice(row, row + 1))
         barred = {POSES[code] for code in np.flatnonzero(stated).tolist()}
         frame = int(candidates.frames[candidates.template.decisive[-1]][row])
         barred |= context.onsets.possible_poses(_target(context.scene, candidates, row), frame) - {truth}
-        sets = tuple(one for one in APART if truth in one and not barred.intersection(one))[:SETS]
+        sets = _sets(truth, frozenset(barred))
+    texts = {text for one in sets for text in one}
     mistakes: dict[str, str] = {}
     for text, perturbation in _perturbed(context, candidates, row):
-        mistakes.setdefault(text, perturbation)
-    mistakes.pop(truth, None)
-    found = [_ordered(one, truth, mistakes, key) for one in sets]
+        if text in texts and text != truth:
+            mistakes.setdefault(text, perturbation)
+        if len(mistakes) == len(texts) - 1:
+            break
+    ranks = {text: hashlib.sha256(f"{key}\n{text}".encode()).digest() for text in texts}
+    found = [_ordered(one, truth, mistakes, ranks) for one in sets]
     return tuple(sorted(found, key=lambda choices: choices.perturbations.count(None)))
 
 
-def _ordered(texts: tuple[str, ...], truth: str, mistakes: Mapping[str, str], key: str) -> Choices:
+@lru_cache(1024)
+def _sets(truth: str, barred: frozenset[str]) -> tuple[tuple[str, ...], ...]:
+    """The sets of poses for a pose, without poses that may be no choice."""
+    return tuple(one for one in APART if truth in one and not barred.intersection(one))[:SETS]
+
+
+def _ordered(texts: tuple[str, ...], truth: str, mistakes: Mapping[str, str], ranks: Mapping[str, bytes]) -> Choices:
     """A set of choices in an order that says nothing."""
-    order = sorted(texts, key=lambda text: hashlib.sha256(f"{key}\n{text}".encode()).hexdigest())
+    order = sorted(texts, key=ranks.__getitem__)
     return Choices(tuple(map(choice_text, order)), order.index(truth) + 1, tuple(map(mistakes.get, order)))
 
 
@@ -95,10 +107,8 @@ def _perturbed(context: SearchContext, candidates: Candidates, row: int) -> Iter
             yield VALUES[result.answer[row]], f"time.shift {result.variant}"
     if template.joins:
         return
-    described = int(candidates.people["a"][row])
-    descriptions = context.descriptions
-    for condition, moments in zip(descriptions.of(name), descriptions.look_alikes(name), strict=True):
-        for moment in moments[moments != described].tolist():
+    for condition, moments in context.descriptions.look_alikes(name):
+        for moment in moments:
             end = _followed(context, candidates, row, moment)
             answer = read(context, scene.track(end), times) if end is not None else None
             if answer is not None:
@@ -149,8 +159,8 @@ def _presence(context: SearchContext, track: int, times: list[int]) -> str | Non
 def _distance_change(context: SearchContext, track: int, times: list[int]) -> str | None:
     scene, rules = context.scene, context.rules
     lines = [scene.box_of(track, time) for time in times]
-    before, after = (scene.distances[line] if line != NOBODY else np.nan for line in lines)
-    if np.isnan(before):
+    before, after = (scene.distances.item(line) if line != NOBODY else math.nan for line in lines)
+    if math.isnan(before):
         return None
     if scene.absent_at(track, times[1]):
         return DISTANCE_ANSWERS[3]

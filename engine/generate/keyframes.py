@@ -197,7 +197,7 @@ def _names(descriptions: Descriptions, rules: Rules) -> dict[str, pa.Table]:
             {
                 "id": names,
                 "size": np.count_nonzero(uses != NOBODY, axis=1),
-                "people": np.count_nonzero(conditions.slots != NOBODY, axis=1)[keyframe],
+                "people": conditions.people[keyframe],
                 "general": descriptions.general,
                 "poseless": descriptions.poseless,
             }

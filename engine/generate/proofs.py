@@ -28,7 +28,7 @@ def stored_proofs(
         found.append(Proof("anchor", f"without {condition.words}", int(left) >= 2, "ambiguous"))
     found.append(Proof("evidence", "clear views", True, "same", own))
     for result in candidates.perturbed:
-        outcome, answer = result.outcome[row], result.answer[row]
+        outcome, answer = result.outcome.item(row), result.answer.item(row)
         text = VALUES[answer] if answer != NOBODY else None
         found.append(Proof(result.kind, result.variant, bool(outcome in PROVING), OUTCOMES[outcome], text))
     if candidates.template.time_proof == "construction":

@@ -17,7 +17,7 @@ from jrdb_avr.engine.generate.proofs import stored_proofs
 from jrdb_avr.engine.generate.scene import NOBODY
 from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.panorama import angle_error
-from jrdb_avr.schema.plan import parse_plan
+from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.questions import NeededBox, Proof, QuestionRecord
 from jrdb_avr.schema.rules import KEYFRAME_STEP, rules_hash
 from jrdb_avr.schema.wording.text import question_id, render
@@ -32,12 +32,16 @@ def choice_sets(context: SearchContext, candidates: Candidates, line: Mapping[st
 
 
 def make_record(
-    context: SearchContext, candidates: Candidates, line: Mapping[str, Any], rederived: Proof, choices: Choices
+    context: SearchContext,
+    candidates: Candidates,
+    line: Mapping[str, Any],
+    plan: Plan,
+    rederived: Proof,
+    choices: Choices,
 ) -> QuestionRecord:
-    """The record of one candidate that all set-wise rules passed, by its row of `to_table`. `rederived` is the proof by
-    the second program."""
+    """The record of one candidate that all set-wise rules passed, by its row of `to_table`, and its plan. `rederived`
+    is the proof by the second program."""
     scene, template, row = context.scene, candidates.template, line["row"]
-    plan = parse_plan(line["plan"])
     text = render(line["template"], plan, line["key"], scene.action_step == KEYFRAME_STEP)
     public: dict[str, Any] = {name: line[name] for name in ("sequence", "family", "template")}
     public |= {"question": text, "choices": choices.texts, "answer_mode": plan.answer.mode}
@@ -60,7 +64,7 @@ def make_record(
         hops=len(template.edges),
         time_gap_s=(max(times.values()) - t0) / scene.fps,
         separation_deg=float(np.max(turns)),
-        people_in_scene=int(np.count_nonzero(conditions.slots[keyframe] != NOBODY)),
+        people_in_scene=int(conditions.people[keyframe]),
         bindings=bindings(context, candidates, row),
         needed=needed,
     )
@@ -77,7 +81,7 @@ def needed_boxes(context: SearchContext, candidates: Candidates, row: int) -> tu
 
     def box(node: str, track: int, frame: int, decisive: bool) -> NeededBox:
         line = scene.box_of(track, frame)
-        sides = {side: float(scene.geometry[side][line]) for side in "xywh"}
+        sides = {side: scene.geometry[side].item(line) for side in "xywh"}
         return NeededBox(node, track, frame, **sides, decisive=decisive)
 
     boxes = []

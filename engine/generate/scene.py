@@ -155,8 +155,16 @@ class Scene:
 
     def absent_at(self, track: int, frame: int) -> bool:
         """Whether a person is certainly absent at a keyframe."""
-        person, keyframe = np.searchsorted(self.tracks, track), np.searchsorted(self.keyframes, frame)
-        return bool(self.absent[int(person) * len(self.keyframes) + int(keyframe)])
+        persons, keyframes = self._numbers
+        return bool(self.absent.item(persons[track] * len(self.keyframes) + keyframes[frame]))
+
+    @cached_property
+    def _numbers(self) -> tuple[dict[int, int], dict[int, int]]:
+        """Number of each track's person, and of each keyframe."""
+        persons, keyframes = (
+            {one: number for number, one in enumerate(c.tolist())} for c in (self.tracks, self.keyframes)
+        )
+        return persons, keyframes
 
     @cached_property
     def moment_rows(self) -> Ints:

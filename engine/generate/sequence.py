@@ -144,15 +144,16 @@ class _Search:
     def _record(self, candidates: Candidates, rows: Ints) -> None:
         """Add the records of candidates to the pool, as the second program will confirm them if they are chosen."""
         for line in to_table(self.context, candidates, rows).to_pylist():
+            plan = parse_plan(line["plan"])
             sets = choice_sets(self.context, candidates, line)
             if not sets:
                 self._refuse(candidates, "choices", line, "fewer than three wrong answers")
                 continue
             confirmed = Proof("rederive", "annotations", True, "same", line["answer"])
-            record = make_record(self.context, candidates, line, confirmed, sets[0])
+            record = make_record(self.context, candidates, line, plan, confirmed, sets[0])
             row, template = line["row"], candidates.template
             own: dict[str, Any] = {"key": line["key"], "form": template.query, "answer_text": line["answer"]}
-            own["stated"] = list(stated_actions(parse_plan(line["plan"])))
+            own["stated"] = list(stated_actions(plan))
             own["times"] = [int(candidates.frames[name][row]) for name in template.stated]
             own["read_frames"] = [int(candidates.frames[name][row]) for name in template.read]
             own["event"] = _event(candidates, row)

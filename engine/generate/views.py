@@ -41,7 +41,7 @@ def single_view(x: Floats, w: Floats, share: float) -> bool:
     # beside those edges are tried too.
     inset = w * share
     edges = np.concatenate([x + inset - CROP, x + w - inset])
-    lefts = np.unique(np.concatenate([np.floor(edges), np.ceil(edges)]) % WIDTH)
+    lefts = np.concatenate([np.floor(edges), np.ceil(edges)]) % WIDTH
     return bool(np.any(np.all(shares(x[None, :], w[None, :], lefts[:, None]) >= share, axis=1)))
 
 

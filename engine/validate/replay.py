@@ -239,7 +239,7 @@ def _compare(
         return
     choices = next((choices for choices in sets if choices.texts == stored.choices), sets[0])
     rederived = Proof("rederive", "annotations", agrees, outcome, second.answer)
-    record = make_record(context, candidates, line, rederived, choices)
+    record = make_record(context, candidates, line, parse_plan(line["plan"]), rederived, choices)
     again = msgspec.structs.asdict(record) | {"answer": record.answer_text}
     # The id is a hash of columns that are compared themselves.
     del again["question_id"]

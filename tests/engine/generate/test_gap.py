@@ -94,7 +94,9 @@ def proven(store):
             found[form.form] = set()
             for line in to_table(context, rows, proven).to_pylist():
                 confirmed = Proof("rederive", "annotations", True, "same")
-                record = make_record(context, rows, line, confirmed, *choice_sets(context, rows, line))
+                record = make_record(
+                    context, rows, line, parse_plan(line["plan"]), confirmed, *choice_sets(context, rows, line)
+                )
                 needed = frozenset((box.node, box.track, box.frame, box.decisive) for box in record.needed)
                 found[form.form].add((line["plan"], line["answer"], needed, tuple(sorted(record.bindings.items()))))
     return context, names.filter(names["anchor"])["name"].to_pylist(), found
