@@ -212,7 +212,8 @@ class Mirror:
         for part in parts:
             found |= self._remote.files(part)
         for name in found:
-            if name.startswith("questions/"):
+            # Not of the evidence, a file per sequence: the others change whenever it does.
+            if name.startswith("questions/") and name.count("/") == 1:
                 found[name] = self._remote.tag(name) or found[name]
         if MANIFEST_NAME in parts:
             manifest = self._remote.read(MANIFEST_NAME) if MANIFEST_NAME in found else b""
@@ -224,14 +225,16 @@ class Mirror:
         return found
 
     def _here(self, parts: tuple[str, ...]) -> dict[str, tuple[int, int]]:
-        """The files of those parts in the folder; hidden ones are nobody else's."""
+        """The files of those parts in the folder; hidden ones are nobody else's, and no link is followed."""
         found = {}
-        for folder, folders, files in os.walk(self.folder):
-            folders[:] = [name for name in folders if is_plain_path(name)]
-            for path in (Path(folder, name) for name in files if is_plain_path(name)):
-                name = path.relative_to(self.folder).as_posix()
-                if name.startswith(parts):
-                    found[name] = _stamp(path)
+        for part in parts:
+            below = self.folder / part
+            if below.resolve() != self.folder.resolve() / part:
+                continue
+            paths = [below] if part and not part.endswith("/") else _plain_files(below)
+            for path in paths:
+                with contextlib.suppress(FileNotFoundError):
+                    found[path.relative_to(self.folder).as_posix()] = _stamp(path)
         return found
 
     def _fetch(self, there: dict[str, str], names: Collection[str], known: dict[str, Known]) -> None:
@@ -321,6 +324,13 @@ def _same(known: Mapping[str, Known], name: str, there: str | None = None, here:
     """Whether a file is known, and is what it was where it is given what it is now."""
     entry = known.get(name)
     return entry is not None and there in (None, entry.there) and here in (None, entry.here)
+
+
+def _plain_files(place: Path) -> Iterator[Path]:
+    """The files below a folder whose names are plain."""
+    for folder, folders, files in os.walk(place):
+        folders[:] = [name for name in folders if is_plain_path(name)]
+        yield from (Path(folder, name) for name in files if is_plain_path(name))
 
 
 def _stamp(path: Path) -> tuple[int, int]:

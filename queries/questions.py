@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -36,6 +37,31 @@ def _public_rows(store: Store, name: str) -> list[dict[str, Any]]:
     except (KeyError, ValueError, pa.ArrowException):
         raise StoreError(f"{store.question_path(name)} is of another version: generate again") from None
     return rows
+
+
+def sequences_of_questions(store: Store) -> dict[str, str]:
+    """The sequence of each question, by its id. Raises StoreError where there are none."""
+    table = store.questions("questions", ["question_id", "sequence"])
+    # One text of each sequence, and not one of each question.
+    named = table["sequence"].combine_chunks().dictionary_encode()
+    names, ids = named.dictionary.to_pylist(), table["question_id"].to_pylist()
+    return {name: names[number] for name, number in zip(ids, named.indices.to_pylist(), strict=True)}
+
+
+def in_order(questions: pa.Table) -> pa.Table:
+    """Questions, or what has their columns, by sequence and id: the order of the tables of runs."""
+    return questions.sort_by([("sequence", "ascending"), ("question_id", "ascending")])
+
+
+def fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
+    """A table read from a path under a schema, without further columns. Raises StoreError where it does not fit."""
+    missing = set(schema.names) - set(table.column_names)
+    if missing:
+        raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: {command} again")
+    try:
+        return table.select(schema.names).cast(schema)
+    except (ValueError, pa.ArrowException) as error:
+        raise StoreError(f"{path} is of another form ({str(error).splitlines()[0]}): {command} again") from None
 
 
 def loaded_sequence(store: Store, name: str) -> SequenceInfo:

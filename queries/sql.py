@@ -39,7 +39,7 @@ def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[s
     """Each view's name, its schema and the files behind it, sorted; where `runs` are named, of these only.
 
     Of a store with a manifest these are the files that it lists: one that is gone is a fault of its view, not fewer
-    rows. Raises StoreError for a manifest that does not read.
+    rows. Raises StoreError for a manifest that does not read, and for questions of an older version.
     """
     listed: dict[Path, list[Path]] = {}
     if loaded := (folder / MANIFEST_NAME).exists():
@@ -50,9 +50,14 @@ def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[s
         for name, schema in tables.items():
             place = folder / part / name
             yield f"{part}_{name}", schema, listed.get(place, []) if loaded else sorted(place.glob("*.parquet"))
+    if (older := folder / "questions" / "evidence.parquet").exists():
+        raise StoreError(f"{older} is of an older version: run 'jrdb-avr generate --store {folder}'")
     for name, schema in QUESTIONS.items():
-        path = folder / "questions" / f"{name}.parquet"
-        yield name, schema, [path] if path.exists() else []
+        yield (
+            name,
+            schema,
+            sorted((folder / "questions").glob("evidence/*.parquet" if name == "evidence" else f"{name}.parquet")),
+        )
     for name, schema in RUNS.items():
         files = sorted((folder / "runs").glob("*/run.json" if name == "runs" else f"*/{name}.parquet"))
         yield name, schema, [path for path in files if runs is None or path.parent.name in runs]

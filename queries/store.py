@@ -5,7 +5,7 @@
       intervals/<kind>/<sequence>.parquet       intervals derived from them
       store.json                                the manifest, written last
       graph.kuzu                                an index over the intervals, rebuildable
-      questions/*.parquet
+      questions/*.parquet, questions/evidence/<sequence>.parquet
       runs/<run_id>/
 
 A file is written whole (`queries/files.py`), so a reader sees the old one or the new one.
@@ -96,7 +96,11 @@ class Store(Displayed):
         return self.path / "intervals" / kind / f"{safe_sequence(sequence)}.parquet"
 
     def question_path(self, table: str) -> Path:
-        return self.path / "questions" / f"{table}.parquet"
+        """The file of a table of `questions/`; of `evidence` the folder of its files."""
+        return self.path / "questions" / (table if table == "evidence" else f"{table}.parquet")
+
+    def evidence_path(self, sequence: str) -> Path:
+        return self.question_path("evidence") / f"{safe_sequence(sequence)}.parquet"
 
     def run_path(self, run_id: str) -> Path:
         """The folder of a run. Raises InputError for an id that is no plain name."""
@@ -120,6 +124,10 @@ class Store(Displayed):
         """Write one table of `questions/`; returns the sha256 of the file."""
         return write_table(self.question_path(name), table, QUESTIONS[name], metadata)
 
+    def write_evidence(self, sequence: str, table: pa.Table, metadata: dict[str, str]) -> str:
+        """Write the evidence of a sequence's questions; returns the sha256 of the file."""
+        return write_table(self.evidence_path(sequence), table, QUESTIONS["evidence"], metadata)
+
     def write_run(self, run_id: str, name: str, table: pa.Table) -> str:
         """Write one table of a run; returns the sha256 of the file."""
         return write_table(self.run_path(run_id) / f"{name}.parquet", table, RUNS[name])
@@ -138,15 +146,34 @@ class Store(Displayed):
             raise StoreError(f"{self.path} has no questions yet: run 'jrdb-avr generate --store {self.path}'")
         return read_table(path, columns)
 
-    def question_tables(self, *names: str) -> list[pa.Table]:
-        """Question files of one generation. Raises StoreError as `questions` does, and where they are of several."""
-        tables = [self.questions(name) for name in names]
+    def question_tables(self, *names: str, columns: Mapping[str, Sequence[str]] | None = None) -> list[pa.Table]:
+        """Question files of one generation, each with its `columns`, or all of them.
+
+        Raises StoreError as `questions` does, and where they are of several generations.
+        """
+        tables = [self.questions(name, (columns or {}).get(name)) for name in names]
+        self._check_generation(names, tables)
+        return tables
+
+    def evidence(self, sequence: str, questions: pa.Table) -> pa.Table:
+        """The boxes of the targets of a sequence's questions, by question and frame.
+
+        Raises StoreError where there is no such file, and where it is of another generation than `questions`, a table
+        of `questions/`.
+        """
+        path = self.evidence_path(sequence)
+        if not path.exists():
+            raise StoreError(f"{path} is missing: run 'jrdb-avr generate --store {self.path}'")
+        table = read_table(path)
+        self._check_generation(("questions", f"evidence/{sequence}"), (questions, table))
+        return table
+
+    def _check_generation(self, names: Sequence[str], tables: Sequence[pa.Table]) -> None:
         if len({(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables}) > 1:
             raise StoreError(
                 f"{self.path / 'questions'}: {', '.join(names)} are of different generations: "
                 f"run 'jrdb-avr generate --store {self.path}'"
             )
-        return tables
 
     def training_set(self) -> dict[str, str]:
         """What the questions record where they are a training set: `profile`, and the generation of the questions that

@@ -66,7 +66,8 @@ def sha256(*parts: bytes) -> str:
 
 def tables(folder: Path) -> dict[str, str]:
     """Hash of each Parquet file in a folder."""
-    return {path.name: sha256(path.read_bytes()) for path in sorted(folder.glob("*.parquet"))}
+    found = sorted(folder.rglob("*.parquet"))
+    return {path.relative_to(folder).as_posix(): sha256(path.read_bytes()) for path in found}
 
 
 def rows(store: Path, query: str) -> str:

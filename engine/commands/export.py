@@ -57,10 +57,11 @@ def export(
     if jsonl is None or run is None:
         return
     from jrdb_avr.engine.report.prediction_lines import write_lines
-    from jrdb_avr.engine.report.scoring import read_predictions
+    from jrdb_avr.engine.report.run_scores import predictions_path
     from jrdb_avr.queries.files import write_bytes
+    from jrdb_avr.queries.store import read_table
 
-    _, predictions = read_predictions(store, run)
+    predictions = read_table(predictions_path(store, run))
     write_bytes(jsonl, b"".join(write_lines(predictions)))
     note(f"wrote {jsonl}: {len(predictions)} predictions")
 

@@ -28,14 +28,15 @@ from jrdb_avr.queries.store import Store, write_groups
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 
-PUBLISHED: Final = ("answers", "evidence", "rejected", "sequences", "questions")
-"""The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
+PUBLISHED: Final = ("answers", "rejected", "sequences", "questions")
+"""The tables of a generation in the order in which they are moved in after the evidence; `questions` last, it makes
+them valid."""
 
 QUESTION_GROUP: Final = 1 << 12
 """How many questions one row group of a table holds: each takes some kilobytes with its proofs."""
 
 EVIDENCE_BLOCK: Final = 500
-"""How many questions' evidence boxes one row group of `evidence.parquet` holds."""
+"""How many questions' boxes one row group of a sequence's evidence holds."""
 
 _EVIDENCE: Final = np.dtype(
     [(field.name, field.type.to_pandas_dtype()) for field in QUESTIONS["evidence"] if field.name != "question_id"]
@@ -69,9 +70,11 @@ class Chosen:
         self._records = {name: _Records(folder / f"{name}.records") for name in ("questions", "answers", "evidence")}
         self._ids: list[str] = []
         self._numbers: dict[str, list[int]] = {}
+        self._sequences: dict[str, range] = {}
 
-    def add(self, rows: Sequence[Mapping[str, Any]], sightings: pa.Table) -> None:
+    def add(self, sequence: str, rows: Sequence[Mapping[str, Any]], sightings: pa.Table) -> None:
         """Add the questions of one sequence; the evidence is every box of each question's target, by frame."""
+        self._sequences[sequence] = range(len(self._ids), len(self._ids) + len(rows))
         track = sightings["track"].to_numpy()
         order = np.lexsort((sightings["frame"].to_numpy(), track))
         boxes = np.empty(len(order), _EVIDENCE)
@@ -108,9 +111,14 @@ class Chosen:
             order = self._order(numbers)
             yield self._table("questions", order), self._table("answers", order, answers)
 
-    def evidence(self) -> Iterator[pa.Table]:
-        """The row groups of `evidence`: by question and frame."""
-        order = self._order(range(len(self._ids)))
+    @property
+    def sequences(self) -> list[str]:
+        """The sequences that have questions."""
+        return sorted(name for name, numbers in self._sequences.items() if numbers)
+
+    def evidence(self, sequence: str) -> Iterator[pa.Table]:
+        """The row groups of a sequence's evidence: by question and frame."""
+        order = self._order(self._sequences[sequence])
         for start in range(0, len(order), EVIDENCE_BLOCK):
             block = order[start : start + EVIDENCE_BLOCK]
             parts = [np.frombuffer(self._records["evidence"][number], _EVIDENCE) for number in block]
@@ -155,19 +163,18 @@ def publish(
         shutil.rmtree(pending, ignore_errors=True)
         chosen = Chosen(scratch)
         for sequence, rows in questions:
-            chosen.add(rows, store.interval("sightings", sequence, ["track", *(_EVIDENCE.names or ())]))
+            chosen.add(sequence, rows, store.interval("sightings", sequence, ["track", *(_EVIDENCE.names or ())]))
         metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: chosen.digest()}
         written = {name: chosen.tables(name) for name in ("questions", "answers")} | dict(tables)
         for name, groups in written.items():
             write_groups(pending / f"{name}.parquet", groups, QUESTIONS[name], metadata)
-        write_atomic(pending / "evidence.parquet", lambda path: _write_blocks(path, chosen.evidence(), metadata))
-        for name in PUBLISHED:
-            (pending / f"{name}.parquet").replace(store.question_path(name))
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        for name in chosen.sequences:
+            blocks = chosen.evidence(name)
+            write_atomic(
+                pending / "evidence" / f"{name}.parquet",
+                lambda path, blocks=blocks: _write_blocks(path, blocks, metadata),  # type: ignore[misc]
+            )
+        _move_in(pending, folder, chosen.sequences)
     except OSError as error:
         raise StoreError(f"cannot write {folder}: {error.strerror}; free some space and generate again") from None
     finally:
@@ -176,7 +183,27 @@ def publish(
 
 
 def _write_blocks(path: Path, blocks: Iterator[pa.Table], metadata: dict[str, str]) -> None:
+    # Unlike measurements elsewhere these are alike: several questions have one target.
     schema = QUESTIONS["evidence"].with_metadata(metadata)
     with pq.ParquetWriter(path, schema, compression="zstd") as writer:
         for block in blocks:
             writer.write_table(block.replace_schema_metadata(metadata))
+
+
+def _move_in(pending: Path, folder: Path, sequences: Sequence[str]) -> None:
+    """Move the files of a generation into their places, and take away what an earlier one has left."""
+    evidence = folder / "evidence"
+    evidence.mkdir(exist_ok=True)
+    kept = {evidence / f"{name}.parquet" for name in sequences}
+    for path in {*evidence.glob("*.parquet"), folder / "evidence.parquet"} - kept:
+        path.unlink(missing_ok=True)
+    for name in sequences:
+        (pending / "evidence" / f"{name}.parquet").replace(evidence / f"{name}.parquet")
+    for name in PUBLISHED:
+        (pending / f"{name}.parquet").replace(folder / f"{name}.parquet")
+    for changed in (evidence, folder):
+        handle = os.open(changed, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -4,7 +4,7 @@
     DIR/public/croissant.json                 the same for machines
     DIR/public/data/questions.parquet, sequences.parquet
     DIR/private/README.md
-    DIR/private/data/answers.parquet, evidence.parquet, names.parquet
+    DIR/private/data/answers.parquet, evidence/<sequence>.parquet, names.parquet
 
 They are two folders because every file of a published one can be fetched, whatever its configs name. Sequences have
 their opaque names in the public folder, and `names` says which they are. No picture is in either.
@@ -32,7 +32,7 @@ from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
 from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column
 
-_COPIED: Final = ("answers", "evidence")
+_PRIVATE: Final = ("answers", "evidence")
 _NAMES: Final = pa.schema([pa.field("sequence", pa.string(), False), pa.field("name", pa.string(), False)])
 _ABOUT_NAMES: Final = (
     "The recording behind each sequence of the public folder.",
@@ -61,7 +61,7 @@ def export_folders(
 
 
 def _write(store: Store, public: Path, private: Path, creator: str, url: str, published: datetime.date | None) -> None:
-    questions, sequences, *_ = store.question_tables("questions", "sequences", *_COPIED)
+    questions, sequences, _ = store.question_tables("questions", "sequences", "answers")
     names = opaque_names(store, sequences["sequence"].to_pylist())
     sources = _sources(store, names)
     unclear = len(names.keys() & set(store.without_occlusion()))
@@ -70,13 +70,17 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     day = published or datetime.datetime.now(datetime.UTC).date()
     release = Release(f"{__version__}+{generation[:12]}", day, creator, url)
 
-    for name in _COPIED:
-        source = store.question_path(name)
-        write_atomic(private / _path(name), lambda path, source=source: shutil.copyfile(source, path))  # type: ignore[misc]
+    copied = {store.question_path("answers"): _path("answers")}
+    for sequence in questions["sequence"].unique().to_pylist():
+        store.evidence(sequence, questions)  # Only of the same generation.
+        source = store.evidence_path(sequence)
+        copied[source] = f"data/evidence/{source.name}"
+    for source, name in copied.items():
+        write_atomic(private / name, lambda path, source=source: shutil.copyfile(source, path))  # type: ignore[misc]
     known = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)
     write_table(private / _path("names"), known.sort_by("sequence"), _NAMES, metadata)
     shared = {"title": card.TITLE, "release": release, "canary": CANARY, "n": len(questions)}
-    about = _columns(_COPIED) | {"names": _ABOUT_NAMES}
+    about = _columns(_PRIVATE) | {"names": _ABOUT_NAMES}
     write_bytes(private / "README.md", _render("private_card.md", head=_front(_configs(about)), tables=about, **shared))
 
     # Rows in the order of the ids and of the opaque names: that of the real names would tell which is which.
@@ -107,7 +111,8 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
 
 
 def _path(table: str) -> str:
-    return f"data/{table}.parquet"
+    """Where a table lies in its folder; of the evidence the pattern of its files' names."""
+    return "data/evidence/*.parquet" if table == "evidence" else f"data/{table}.parquet"
 
 
 def _renamed(table: pa.Table, names: Mapping[str, str]) -> pa.Table:

@@ -18,12 +18,12 @@ from jrdb_avr.engine.pages.report import report_page
 from jrdb_avr.engine.pages.trace import trace_page
 from jrdb_avr.engine.pages.view_question import question_page
 from jrdb_avr.engine.report.comparison import Comparison
+from jrdb_avr.engine.report.run_scores import predictions_path
 from jrdb_avr.engine.report.scored_runs import SCORES, distinguishing_settings
-from jrdb_avr.engine.report.scoring import read_predictions
 from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript
 from jrdb_avr.queries.questions import read_questions, read_sequences
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
-from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.method import Question
 
@@ -211,7 +211,7 @@ def public_runs(store: Store) -> list[ViewedRun]:
     for name in run_ids(store):
         try:
             manifest = read_run_manifest(store, name)
-            predictions = read_predictions(store, name)[1]
+            predictions = read_table(predictions_path(store, name))
         except StoreError:
             continue
         if manifest.questions_sha256 == questions_hash(store):
@@ -227,8 +227,8 @@ def scored_runs(comparison: Comparison) -> list[ViewedRun]:
         scores.setdefault(row["run_id"], {})[row["question_id"]] = [row[column] for column in columns]
     return [
         ViewedRun(
-            run.manifest,
-            _by_question(read_predictions(comparison.store, run.manifest.run_id)[1].to_pylist()),
+            read_run_manifest(comparison.store, run.manifest.run_id),
+            _by_question(read_table(predictions_path(comparison.store, run.manifest.run_id)).to_pylist()),
             scores.get(run.manifest.run_id, {}),
             {question: cause for (name, question), cause in causes.items() if name == run.manifest.run_id},
         )

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.schema.arrays import Floats, Ints
+from jrdb_avr.schema.arrays import Digits, Floats, Ints
 
 DRAWS: Final = 10_000
 SEED: Final = 0
@@ -119,7 +119,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2 * below / (1 << n))
 
 
-def compare(runs: Sequence[tuple[Ints, Ints, Ints]], n: int = DRAWS, seed: int = SEED) -> list[list[Pair]]:
+def compare(runs: Sequence[tuple[Ints, Digits, Digits]], n: int = DRAWS, seed: int = SEED) -> list[list[Pair]]:
     """Two runs on the same questions, often: for each a pair per score.
 
     runs: the questions' clusters (questions), and either run's 0/1 scores (questions, scores), in the same order.
@@ -143,7 +143,7 @@ def compare(runs: Sequence[tuple[Ints, Ints, Ints]], n: int = DRAWS, seed: int =
     return [_pairs(first, second, differences[number]) for number, (_, first, second) in enumerate(runs)]
 
 
-def _pairs(first: Ints, second: Ints, differences: Sequence[Interval]) -> list[Pair]:
+def _pairs(first: Digits, second: Digits, differences: Sequence[Interval]) -> list[Pair]:
     only_first, only_second = ((one > other).sum(axis=0).tolist() for one, other in ((first, second), (second, first)))
     return [
         (mine, yours, mcnemar(mine, yours), difference)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -12,10 +13,11 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
+from jrdb_avr.engine.report.answer_key import AnswerKey
 from jrdb_avr.engine.report.epochs import epoch_rows
 from jrdb_avr.engine.report.people import agreement_rows
+from jrdb_avr.engine.report.run_scores import score_runs, scores_table, submission, write_scores
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
-from jrdb_avr.engine.report.scoring import read_truth, score_run, write_scores
 from jrdb_avr.engine.report.tables import (
     TABLES,
     Row,
@@ -34,7 +36,7 @@ from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.arrays import Ints
+from jrdb_avr.schema.arrays import Digits, Ints
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
@@ -55,17 +57,18 @@ class Scores(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Displayed):
-    """Scored runs side by side. `paper` adds the paper's figures to the tables that have some.
-
-    scores: the rows of all runs, as `score` would write them.
-    """
+    """Scored runs side by side. `paper` adds the paper's figures to the tables that have some."""
 
     store: Store
     index: QuestionIndex
     runs: list[ScoredRun]
-    scores: pa.Table
     iou: float
     paper: bool
+
+    @property
+    def scores(self) -> pa.Table:
+        """The rows of all runs, as `score` would write them."""
+        return pa.concat_tables(map(scores_table, self.runs))
 
     @property
     def synthetic(self) -> bool:
@@ -146,8 +149,8 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     store = Store.of(store)
     rows = []
     with store.sending("runs/"):
-        for run, scores in _scored(store, read_index(store), runs, iou):
-            write_scores(store, run.manifest.run_id, scores, iou)
+        for run in _scored(store, runs, iou):
+            write_scores(store, run, iou)
             rows.append(score_row(run, iou))
     return Scores(rows)
 
@@ -158,9 +161,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     Raises StoreError for a named run that cannot be scored; of all runs, such a one is left out with an AvrWarning.
     """
     store = Store.of(store)
-    index = read_index(store)
-    found, scores = zip(*_scored(store, index, runs, iou), strict=True)
-    return Comparison(store, index, list(found), pa.concat_tables(scores), iou, paper)
+    return Comparison(store, read_index(store), _scored(store, runs, iou), iou, paper)
 
 
 @dataclass(frozen=True, repr=False)
@@ -220,7 +221,7 @@ class RunDifference(Displayed):
             )
         return sorted(found, key=lambda own: (names.index(own["only"]), own["template"], own["question_id"]))
 
-    def _common(self) -> tuple[Ints, Ints, Ints]:
+    def _common(self) -> tuple[Ints, Digits, Digits]:
         """The common questions' rows of the index, and the scores of either run there (questions, scores)."""
         common, mine, yours = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
         return common, self.first.scores[mine], self.second.scores[yours]
@@ -233,7 +234,7 @@ class RunDifference(Displayed):
         return {"Pair": formats.with_intervals(self.rows)}
 
 
-def _right(scores: Ints) -> str:
+def _right(scores: Digits) -> str:
     right = [name for name, own in zip(("answer", "evidence"), scores.tolist(), strict=False) if own]
     return "both" if len(right) == 2 else "".join(right) or "none"
 
@@ -245,31 +246,27 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
     """
     store = Store.of(store)
     index = read_index(store)
-    runs = {run.manifest.run_id: run for run, _ in _scored(store, index, (first, second), iou)}
+    runs = {run.manifest.run_id: run for run in _scored(store, (first, second), iou)}
     rows = rows_of_pairs(index, [(runs[first], runs[second])])
     if not rows:
         raise StoreError(f"{first} and {second} have no question in common")
     return RunDifference(index, runs[first], runs[second], rows)
 
 
-def _scored(store: Store, index: QuestionIndex, names: Sequence[str], iou: float) -> list[tuple[ScoredRun, pa.Table]]:
-    """Each run with its scores table, the best run first."""
-    truth, known = read_truth(store), run_ids(store)
+def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
+    """The runs with their scores, the best run first."""
+    key, known = AnswerKey(store), run_ids(store)
     if not known:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
     store.warn_of_training()
-    done = []
-    for name in names or known:
-        try:
-            # Scoring takes milliseconds, so scores of an earlier threshold or question file are never trusted.
-            manifest, predictions, scores = score_run(store, truth, name, iou)
-        except (StoreError, InputError) as error:
-            if names:
-                raise
-            warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
-            continue
-        done.append((ScoredRun(index, manifest, predictions, scores), scores))
+
+    def refuse(error: StoreError | InputError) -> None:
+        if names:
+            raise error
+        warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
+
+    # Scoring takes milliseconds, so scores of an earlier threshold or question file are never trusted.
+    done = [run for _, run in score_runs(key, names or known, partial(submission, store), iou, refuse)]
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
-    tables = {run.manifest.run_id: scores for run, scores in done}
-    return [(run, tables[run.manifest.run_id]) for run in ranked([run for run, _ in done])]
+    return ranked(done)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -13,11 +14,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.paper import GROUPS
-from jrdb_avr.engine.report.scoring import is_judged, row_numbers
+from jrdb_avr.queries.questions import in_order
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.arrays import Ints
-from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.arrays import Digits, Ints
 from jrdb_avr.schema.templates import forms_of
 
 SCORES: Final = ("answer", "evidence", "combined")
@@ -27,6 +27,9 @@ _SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
 """Ways to group questions; the last three but one in bins."""
+
+_TEXTS: Final = ("family", "template", "answer_mode", "sequence")
+"""Dimensions that are columns of `questions`."""
 
 _GROUP_OF: Final = {family: group for group, own in GROUPS.items() for family in own.families}
 
@@ -44,39 +47,51 @@ class QuestionIndex:
     def __init__(self, questions: pa.Table, answers: pa.Table) -> None:
         self.ids = questions["question_id"].combine_chunks()
         known = answers.take(pc.index_in(self.ids, value_set=answers["question_id"].combine_chunks()))
-        texts = {name: questions[name].to_pylist() for name in ("family", "template", "answer_mode", "sequence")}
-        texts["group"] = [_GROUP_OF[family] for family in texts["family"]]
-        texts["hops"] = [str(forms_of(template)[0].hops) for template in texts["template"]]
+        self.labels = {name: _labels(questions[name]) for name in _TEXTS}
+        family, template = self.labels["family"], self.labels["template"]
+        self.labels["group"] = _renamed(family, [_GROUP_OF[name] for name in family.names])
+        self.labels["hops"] = _renamed(template, [str(forms_of(name)[0].hops) for name in template.names])
         for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
             bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
             places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")
-            texts[name] = [bins[place] for place in places.tolist()]
-        self.labels = {name: _labels(own) for name, own in texts.items()}
+            self.labels[name] = _renamed(Labels(tuple(bins), places), bins)
 
 
 class ScoredRun:
-    """A run with its scores: one row per question of the run, in the run's order.
+    """A run with its scores: one row per question of the run, in the order of `queries.questions.in_order`.
 
-    rows: of `QuestionIndex`; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; answers: texts,
-    None without one; errors: the number of questions that ended in an error or have no prediction.
+    rows: of `ids`, ascending; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; errors: the
+    number of questions that ended in an error or have no prediction. The manifest is without the questions' ids.
     """
 
-    def __init__(self, index: QuestionIndex, manifest: RunManifest, predictions: pa.Table, scores: pa.Table) -> None:
-        """Join a run's predictions with its scores, which hold every question of the run."""
-        self.manifest, self.n = manifest, scores.num_rows
-        self.rows = row_numbers(scores["question_id"].combine_chunks(), index.ids)
-        self.scores = np.stack([scores[f"{name}_score"].to_numpy().astype(np.int64) for name in SCORES], axis=1)
-        self.invalid: Ints = scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int64)
-        given = dict(zip(*(predictions[name].to_pylist() for name in ("question_id", "answer")), strict=True))
-        self.answers: list[str | None] = [given.get(name) for name in scores["question_id"].to_pylist()]
-        self.errors = self.n - int(np.count_nonzero(is_judged(predictions["status"])))
+    def __init__(
+        self,
+        manifest: RunManifest,
+        rows: Ints,
+        scores: Digits,
+        invalid: Digits,
+        errors: int,
+        ids: pa.Array,
+        answers: Callable[[], pa.Table],
+    ) -> None:
+        """`ids`: of all questions of the store; `answers`: reads the columns question_id and answer of predictions."""
+        self.manifest, self.n = manifest, len(rows)
+        self.rows, self.scores, self.invalid, self.errors = rows, scores, invalid, errors
+        self.ids, self._answers = ids, answers
+
+    @cached_property
+    def answers(self) -> list[str | None]:
+        """The answer to each question as a text; None without one. Read when they are first used: few tables need
+        them."""
+        given = dict(zip(*(column.to_pylist() for column in self._answers().itercolumns()), strict=True))
+        return [given.get(name) for name in self.ids.take(pa.array(self.rows)).to_pylist()]
 
 
 def read_index(store: Store) -> QuestionIndex:
-    """The index of a store's questions. Raises StoreError where there are none."""
-    questions = store.questions("questions")
+    """The index of a store's questions, in their order. Raises StoreError where there are none."""
+    questions = store.questions("questions", ["question_id", *_TEXTS])
     answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg"])
-    return QuestionIndex(questions.select(QUESTIONS["questions"].names), answers)
+    return QuestionIndex(in_order(questions), answers)
 
 
 def percent_of(part: float, n: float) -> float | None:
@@ -84,10 +99,18 @@ def percent_of(part: float, n: float) -> float | None:
     return round(100 * part / n, 2) if n else None
 
 
-def _labels(texts: Sequence[str]) -> Labels:
-    names = tuple(sorted(set(texts), key=lambda name: (_first_number(name), name)))
-    number = {name: number for number, name in enumerate(names)}
-    return Labels(names, np.array([number[text] for text in texts], np.int64))
+def _labels(texts: pa.ChunkedArray) -> Labels:
+    numbered = texts.combine_chunks().dictionary_encode()
+    names = tuple(numbered.dictionary.to_pylist())
+    return _renamed(Labels(names, numbered.indices.to_numpy()), names)
+
+
+def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
+    """Labels under other names, one for each of theirs; those that no question has are left out."""
+    used = {names[number] for number in np.unique(labels.numbers).tolist()}
+    order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
+    number = {name: number for number, name in enumerate(order)}
+    return Labels(order, np.array([number.get(name, -1) for name in names], np.int64)[labels.numbers])
 
 
 def _first_number(value: str) -> float:

@@ -1,6 +1,6 @@
-"""Scores of the predictions of whole runs.
+"""Scores of predictions.
 
-Every question of a run gets one row: its answer compared under its answer mode, its evidence box compared with the
+Every question gets one row: its answer compared under its answer mode, its evidence box compared with the
 target's boxes, and the product of both. Missing, unreadable and failed predictions score 0, and n stays the number of
 questions. Answers are compared by `schema/answers.py`; the overlap of boxes is that of `schema/panorama.py`, here over
 arrays. 25 runs of 2,098 questions take well under two seconds.
@@ -9,20 +9,17 @@ arrays. 25 runs of 2,098 questions take well under two seconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
-from jrdb_avr.queries.store import Store, read_table, write_table
 from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, decode_answer, same_answer
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH
-from jrdb_avr.schema.tables import QUESTIONS, RUNS
+from jrdb_avr.schema.tables import RUNS
 
 DEFAULT_IOU: Final = 0.5
 MOST_FRAMES: Final = 1 << 24
@@ -30,16 +27,19 @@ MOST_FRAMES: Final = 1 << 24
 
 
 class Truth:
-    """The right answers, one row per question, and the target's boxes sorted by key (row, frame).
+    """The right answers of some questions, one row each, and the target's boxes sorted by key (row, frame).
 
     modes, seconds: per question its answer mode, and a second in frames.
     """
 
     def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
-        """From the four tables of `questions/`. Raises StoreError where they do not fit together."""
+        """From the four tables of `questions/`, or their rows and columns that matter.
+
+        Raises StoreError where they do not fit together.
+        """
         self.ids = questions["question_id"].combine_chunks()
-        answer_row = _find(answers["question_id"], self.ids, "answers")
-        sequence_row = _find(sequences["sequence"], questions["sequence"], "sequences")
+        answer_row = find_rows(answers["question_id"], self.ids, "answers")
+        sequence_row = find_rows(sequences["sequence"], questions["sequence"], "sequences")
         self.modes: list[str] = questions["answer_mode"].to_pylist()
         if not ANSWER_TYPES.keys() >= set(self.modes):
             raise StoreError("the questions name an unknown answer mode: generate again")
@@ -47,23 +47,13 @@ class Truth:
         self.answers = [answer for answer in map(read_answer, self.modes, texts) if answer is not None]
         if len(self.answers) < len(texts):
             raise StoreError("an answer of the store cannot be read under its mode: generate again")
-        row = _find(self.ids, evidence["question_id"], "questions")
+        row = find_rows(self.ids, evidence["question_id"], "questions")
         self.keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
         self.boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1)
         if (self.keys[1:] < self.keys[:-1]).any():  # `generate` writes them sorted; copying a million is expensive.
             order = np.argsort(self.keys, kind="stable")
             self.keys, self.boxes = self.keys[order], self.boxes[order]
         self.seconds: list[int] = np.round(sequences["fps"].to_numpy()[sequence_row]).astype(np.int64).tolist()
-
-
-def read_truth(store: Store) -> Truth:
-    """The store's questions with their answers and evidence.
-
-    Raises StoreError where a table is missing or unfit, or of another generation than the others.
-    """
-    names = ("questions", "sequences", "answers", "evidence")
-    tables = zip(names, store.question_tables(*names), strict=True)
-    return Truth(*(_fitted(own, QUESTIONS[name], store.question_path(name), "generate") for name, own in tables))
 
 
 def score_predictions(
@@ -78,16 +68,10 @@ def score_predictions(
     if not 0.0 < iou <= 1.0:
         raise InputError(f"an IoU threshold lies in (0, 1], not at {iou:g}", field="iou")
     questions = pa.array(question_ids, pa.string())
-    row = row_numbers(questions, truth.ids)
-    if (row < 0).any():
-        missing = question_ids[int(np.argmin(row))]
-        raise StoreError(f"run {run_id} lists question {missing!r}, which the store does not have")
-    if len(np.unique(row)) < len(row):
-        raise StoreError(f"run {run_id} lists a question twice: its run.json is broken")
+    row = question_rows(truth.ids, run_id, question_ids)
     answered_by = row_numbers(predictions["question_id"], questions)
     if (answered_by < 0).any():
-        stray = predictions["question_id"][int(np.argmin(answered_by))].as_py()
-        raise StoreError(f"run {run_id} predicts {stray!r}, which is not one of its questions: use a new run id")
+        raise stray_prediction(run_id, predictions["question_id"][int(np.argmin(answered_by))].as_py())
     if len(np.unique(answered_by)) < len(answered_by):
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
@@ -118,6 +102,22 @@ def score_predictions(
         },
         schema=RUNS["scores"],
     )
+
+
+def question_rows(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> Ints:
+    """The row of each question of a run among `ids`. Raises StoreError where one is not there, or listed twice."""
+    rows = row_numbers(pa.array(question_ids, pa.string()), ids)
+    if (rows < 0).any():
+        missing = question_ids[int(np.argmin(rows))]
+        raise StoreError(f"run {run_id} lists question {missing!r}, which the store does not have")
+    if len(np.unique(rows)) < len(rows):
+        raise StoreError(f"run {run_id} lists a question twice: its run.json is broken")
+    return rows
+
+
+def stray_prediction(run_id: str, question_id: str) -> StoreError:
+    """The error of a prediction of a question that is not one of the run's."""
+    return StoreError(f"run {run_id} predicts {question_id!r}, which is not one of its questions: use a new run id")
 
 
 def is_judged(status: pa.ChunkedArray) -> Bools:
@@ -162,48 +162,6 @@ def box_ious(a: Floats, b: Floats) -> Floats:
     return np.where(meets & np.isfinite(share), share, 0.0)
 
 
-# -- the store ----------------------------------------------------------------------------------------------------
-
-
-def score_run(
-    store: Store, truth: Truth, run_id: str, iou: float = DEFAULT_IOU
-) -> tuple[RunManifest, pa.Table, pa.Table]:
-    """A run's manifest, predictions and scores; nothing is written.
-
-    Raises StoreError where the run is missing, unfinished, or of another questions file than the store's.
-    """
-    manifest = read_run_manifest(store, run_id)
-    if manifest.questions_sha256 != questions_hash(store):
-        raise StoreError(f"run {run_id} is of another questions file than this store's: score it in its own store")
-    path, table = read_predictions(store, run_id)
-    predictions = _fitted(table, RUNS["predictions"], path, "evaluate")
-    return manifest, predictions, score_predictions(truth, run_id, manifest.question_ids, predictions, iou)
-
-
-def read_predictions(store: Store, run_id: str) -> tuple[Path, pa.Table]:
-    """The file of a run's predictions and its table. Raises StoreError where the run has none yet."""
-    path = store.run_path(run_id) / "predictions.parquet"
-    if not path.exists():
-        raise StoreError(f"run {run_id} has no predictions yet: evaluate it to the end (the same call with --resume)")
-    return path, read_table(path)
-
-
-def _fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
-    """The table under the schema, without further columns. Raises StoreError where it does not fit."""
-    missing = set(schema.names) - set(table.column_names)
-    if missing:
-        raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: {command} again")
-    try:
-        return table.select(schema.names).cast(schema)
-    except (ValueError, pa.ArrowException) as error:
-        raise StoreError(f"{path} is of another form ({str(error).splitlines()[0]}): {command} again") from None
-
-
-def write_scores(store: Store, run_id: str, scores: pa.Table, iou: float) -> None:
-    """Write `scores.parquet`, with the threshold in its metadata."""
-    write_table(store.run_path(run_id) / "scores.parquet", scores, RUNS["scores"], {"evidence_iou": f"{iou:g}"})
-
-
 # -- columns ------------------------------------------------------------------------------------------------------
 
 
@@ -221,7 +179,8 @@ def row_numbers(values: Any, among: Any) -> Ints:
     return rows
 
 
-def _find(among: Any, values: Any, table: str) -> Ints:
+def find_rows(among: Any, values: Any, table: str) -> Ints:
+    """The row of each value in a column of a table of `questions/`. Raises StoreError where one is not there."""
     rows = row_numbers(values, among.combine_chunks() if isinstance(among, pa.ChunkedArray) else among)
     if (rows < 0).any():
         raise StoreError(f"the tables of questions/ do not fit together ({table} lacks a row): generate again")

@@ -11,7 +11,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.report.scoring import Truth, read_predictions, score_predictions
+from jrdb_avr.engine.report.run_scores import predictions_path
+from jrdb_avr.engine.report.scoring import Truth, score_predictions
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.beliefs import ALWAYS, Fact
@@ -62,7 +63,7 @@ class Transcript:
         """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a
         question that is not one of the run."""
         self.manifest = read_run_manifest(store, run_id)
-        self._predictions = _own(read_predictions(store, run_id)[1], question_id)
+        self._predictions = _own(read_table(predictions_path(store, run_id)), question_id)
         if not self._predictions.num_rows:
             raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
         questions, sequences = store.question_tables("questions", "sequences")
@@ -93,8 +94,9 @@ class Trace(Transcript):
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
         """Gather a question of a run. Raises as `Transcript` does, and StoreError where a private file is missing."""
-        *tables, sequences = store.question_tables("questions", "answers", "evidence", "sequences")
+        *tables, sequences = store.question_tables("questions", "answers", "sequences")
         super().__init__(store, run_id, question_id)
+        tables.append(store.evidence(self.question["sequence"], tables[0]))
         questions, answers, evidence = (_own(table, question_id) for table in tables)
         (self.answer,) = answers.to_pylist()
         truth = Truth(questions, sequences, answers, evidence)

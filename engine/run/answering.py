@@ -161,7 +161,8 @@ def answer_all(
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException | None] = queue.SimpleQueue()
-    due = unanswered(questions, journal.finished)
+    # By sequence: its panoramas are in memory, and few files of the journal change at a time.
+    due = sorted(unanswered(questions, journal.finished), key=lambda question: question.sequence)
     advance(len(questions) - len(due))
     for question in due:
         waiting.put(question)

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
+
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
 from jrdb_avr.engine.run.run import has_manifest
@@ -15,6 +19,7 @@ from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
+from jrdb_avr.schema.method import Question
 
 IMPORTED: Final = "imported"
 """The method of such a run; of its model nothing is known."""
@@ -51,8 +56,15 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
         if not begun:
             write_run_manifest(store, manifest)
         # Predictions come last: a run that has them is complete.
-        store.write_run(run_id, "predictions", predictions.sort_by("question_id"))
+        store.write_run(run_id, "predictions", _in_order(predictions, questions))
     return run_id
+
+
+def _in_order(predictions: pa.Table, questions: Sequence[Question]) -> pa.Table:
+    """The predictions in the order of the tables of runs."""
+    ordered = sorted((question.sequence, question.question_id) for question in questions)
+    ids = predictions["question_id"].combine_chunks()
+    return predictions.take(pc.index_in(pa.array([name for _, name in ordered], pa.string()), value_set=ids))
 
 
 def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:

@@ -1,19 +1,22 @@
 """The journal of a run: finished questions on disk, and the tables that are written from them.
 
-    runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
+    runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
 
-A run killed at any point loses nothing that is in the journal.
+A run killed at any point loses nothing that is in the journal. The tables are in the order of sequences, and of the
+questions in each.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
+import operator
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, get_args
+from typing import Annotated, Any, Final, NamedTuple, get_args
 
 import msgspec
 import pyarrow as pa
@@ -138,29 +141,44 @@ def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) 
     return [own for own in questions if (entry := finished.get(own.question_id)) is None or entry.failed]
 
 
+class LinePlace(NamedTuple):
+    """Where a line stands: the sequence whose file it is in, its first byte and its length."""
+
+    sequence: str
+    at: int
+    size: int
+
+
 class KeptEntries(Mapping[str, Finished]):
-    """The entries of a journal by question, each read from the file when it is looked up: their transcripts may be a
+    """The entries of a journal by question, each read from its file when it is looked up: their transcripts may be a
     hundred kilobytes each. Raises StoreError where one cannot be read again."""
 
-    def __init__(self, path: Path, places: dict[str, tuple[int, int]]) -> None:
-        """`places`: the first byte and length of each question's line."""
-        self._path, self._places = path, places
+    def __init__(self, folder: Path, places: dict[str, LinePlace]) -> None:
+        """`places`: of each question's line."""
+        self._folder, self._places = folder, places
 
-    def add(self, question_id: str, at: int, size: int) -> None:
+    def add(self, question_id: str, place: LinePlace) -> None:
         """Add the place of a line, in place of the question's earlier one."""
-        self._places[question_id] = at, size
+        self._places[question_id] = place
 
     def of(self, question_ids: Iterable[str]) -> KeptEntries:
-        """The entries of these questions, as far as they are finished, in this order."""
-        return KeptEntries(self._path, {name: self._places[name] for name in question_ids if name in self._places})
+        """The entries of these questions, as far as they are finished."""
+        return KeptEntries(self._folder, {name: self._places[name] for name in question_ids if name in self._places})
+
+    def by_sequence(self) -> Iterator[list[str]]:
+        """The questions of each sequence, both in order."""
+        ordered = sorted((place.sequence, name) for name, place in self._places.items())
+        for _, own in itertools.groupby(ordered, operator.itemgetter(0)):
+            yield [name for _, name in own]
 
     def __getitem__(self, question_id: str) -> Finished:
-        at, size = self._places[question_id]
+        place = self._places[question_id]
+        path = segment_path(self._folder, place.sequence)
         try:
-            with self._path.open("rb") as file:
-                return _FINISHED.decode(os.pread(file.fileno(), size, at))
+            with path.open("rb") as file:
+                return _FINISHED.decode(os.pread(file.fileno(), place.size, place.at))
         except (OSError, msgspec.DecodeError, UnicodeDecodeError):
-            raise StoreError(f"{self._path} was changed while it is in use: run again with --resume") from None
+            raise StoreError(f"{path} was changed while it is in use: run again with --resume") from None
 
     def __iter__(self) -> Iterator[str]:
         # Another thread may add one meanwhile.
@@ -170,74 +188,116 @@ class KeptEntries(Mapping[str, Finished]):
         return len(self._places)
 
 
-class Journal(contextlib.ExitStack):
-    """Finished questions on disk, in the order in which they finished; the last line of a question counts.
+def journal_folder(run: Path) -> Path:
+    """The folder of a run's journal."""
+    return run / "journal"
 
-    Opening takes the file's lock (LockedError if another process runs this run) and drops a last line that a crash
-    cut short. Raises StoreError where the file is damaged elsewhere or cannot be written.
+
+def segment_path(folder: Path, sequence: str) -> Path:
+    """The file of a sequence in a journal."""
+    return folder / f"{sequence}.jsonl"
+
+
+def segments(folder: Path) -> list[Path]:
+    """The files of a journal, sorted."""
+    return sorted(folder.glob("*.jsonl"))
+
+
+@contextlib.contextmanager
+def journal_lock(folder: Path, doing: str) -> Iterator[None]:
+    """Hold a journal's lock. Raises LockedError while another process has it, OSError where there is no folder."""
+    path = folder / ".lock"
+    with path.open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise LockedError(
+                f"{folder.parent} is being run by another process: wait for it{doing}", holder=str(path)
+            ) from None
+        yield
+
+
+class Journal(contextlib.ExitStack):
+    """Finished questions on disk, a file per sequence, each in the order in which they finished; the last line of a
+    question counts.
+
+    Opening takes the journal's lock (LockedError if another process runs this run) and drops last lines that a crash
+    cut short. Raises StoreError where a file is damaged elsewhere or cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, folder: Path, sequence_of: Mapping[str, str]) -> None:
+        """`sequence_of`: the sequence of each question that may be added."""
         super().__init__()
-        self._path = path
+        self._folder, self._sequence_of = folder, sequence_of
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            # Not buffered: a buffer would write what the disk refused once more at the end.
-            self._file = self.enter_context(path.open("a+b", buffering=0))
+            folder.mkdir(parents=True, exist_ok=True)
+            self.enter_context(journal_lock(folder, ", or give another --run-id"))
         except OSError as error:
-            raise StoreError(f"cannot write {path}: {error.strerror}; choose another --store") from None
+            raise StoreError(f"cannot write {folder}: {error.strerror}; choose another --store") from None
         try:
-            self._lock()
             self.finished = self._replay()
         except BaseException:
             self.close()
             raise
 
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise LockedError(
-                f"{self._path.parent} is being run by another process: wait for it, or give another --run-id",
-                holder=str(self._path),
-            ) from None
-
     def _replay(self) -> KeptEntries:
-        places: dict[str, tuple[int, int]] = {}
-        whole = 0
-        # By a reader with a buffer, line by line: the file may be larger than memory.
-        with self._path.open("rb") as lines:
-            for number, line in enumerate(lines, 1):
-                if not line.endswith(b"\n"):
-                    self._file.truncate(whole)
-                    break
-                try:
-                    entry = _FINISHED.decode(line)
-                    for name in _TABLES:
-                        run_table("", name, [entry])
-                except _DAMAGE:
-                    raise StoreError(
-                        f"{self._path}, line {number}, is damaged: evaluate under another --run-id"
-                    ) from None
-                places[entry.question_id] = whole, len(line)
-                whole += len(line)
-        return KeptEntries(self._path, places)
+        places: dict[str, LinePlace] = {}
+        for path in segments(self._folder):
+            whole = 0
+            # By a reader with a buffer, line by line: the file may be larger than memory.
+            with path.open("rb") as lines:
+                for number, line in enumerate(lines, 1):
+                    if not line.endswith(b"\n"):
+                        os.truncate(path, whole)
+                        break
+                    places[_read_line(path, number, line)] = LinePlace(path.stem, whole, len(line))
+                    whole += len(line)
+        return KeptEntries(self._folder, places)
 
     def append(self, entry: Finished) -> None:
         """Add a finished question; returns when it is on disk."""
         line = msgspec.json.encode(entry) + b"\n"
-        size = len(line)
-        end = self._file.seek(0, os.SEEK_END)
+        sequence, size = self._sequence_of[entry.question_id], len(line)
+        path = segment_path(self._folder, sequence)
         try:
-            while line:
-                line = line[self._file.write(line) :]
-            os.fsync(self._file.fileno())
+            known = path.exists()
+            # Not buffered: a buffer would write what the disk refused once more at the end.
+            with path.open("ab", buffering=0) as file:
+                end = file.seek(0, os.SEEK_END)
+                try:
+                    while line:
+                        line = line[file.write(line) :]
+                    os.fsync(file.fileno())
+                except OSError:
+                    # A part of a line must not stand before another one. (At the end, opening drops it.)
+                    with contextlib.suppress(OSError):
+                        file.truncate(end)
+                    raise
+            if not known:
+                _sync(self._folder)
         except OSError as error:
-            # A part of a line must not stand before another one. (At the end, opening drops it.)
-            with contextlib.suppress(OSError):
-                self._file.truncate(end)
-            raise StoreError(f"cannot write {self._path}: {error.strerror}; then run again with --resume") from None
-        self.finished.add(entry.question_id, end, size)
+            raise StoreError(f"cannot write {path}: {error.strerror}; then run again with --resume") from None
+        self.finished.add(entry.question_id, LinePlace(sequence, end, size))
+
+
+def _read_line(path: Path, number: int, line: bytes) -> str:
+    """The question of a line of the journal. Raises StoreError for one that the tables could not hold."""
+    try:
+        entry = _FINISHED.decode(line)
+        for name in _TABLES:
+            run_table("", name, [entry])
+    except _DAMAGE:
+        raise StoreError(f"{path}, line {number}, is damaged: evaluate under another --run-id") from None
+    return entry.question_id
+
+
+def _sync(folder: Path) -> None:
+    """Bring the names in a folder to the disk. Raises OSError."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
@@ -248,7 +308,7 @@ _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
 """The tables of a run, and an entry's rows of each."""
 
 _GROUP: Final = 200
-"""How many questions' transcripts are held in memory at a time while a table is written, as one row group of it."""
+"""The most questions of a row group, whose transcripts are in memory while it is written."""
 
 
 def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
@@ -259,13 +319,15 @@ def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
     return pa.Table.from_pylist(rows, RUNS[name]).cast(RUNS[name])
 
 
-def write_tables(store: Store, run_id: str, finished: Mapping[str, Finished]) -> pa.Table:
-    """Write a run's `world`, `steps` and `predictions`, sorted by question and step; returns the predictions."""
-    names = sorted(finished)
+def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
+    """Write a run's `world`, `steps` and `predictions`, sorted by sequence, question and step; returns the predictions.
+
+    A row group holds whole sequences, of `_GROUP` questions at most, or a part of a larger one.
+    """
 
     def groups(table: str) -> Iterator[pa.Table]:
-        for start in range(0, len(names), _GROUP):
-            group = run_table(run_id, table, map(finished.__getitem__, names[start : start + _GROUP]))
+        for names in _packed(finished.by_sequence()):
+            group = run_table(run_id, table, map(finished.__getitem__, names))
             if group.num_rows:
                 yield group
 
@@ -275,6 +337,21 @@ def write_tables(store: Store, run_id: str, finished: Mapping[str, Finished]) ->
     predictions = pa.concat_tables([RUNS["predictions"].empty_table(), *groups("predictions")]).combine_chunks()
     store.write_run(run_id, "predictions", predictions)
     return predictions
+
+
+def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
+    """Parts put together as long as they stay whole and within `_GROUP`; a larger one is cut."""
+    group: list[str] = []
+    for part in parts:
+        if len(group) + len(part) > _GROUP and group:
+            yield group
+            group = []
+        group += part
+        while len(group) > _GROUP:
+            yield group[:_GROUP]
+            group = group[_GROUP:]
+    if group:
+        yield group
 
 
 def world_rows(run_id: str, finished: Mapping[str, Finished]) -> pa.Table:

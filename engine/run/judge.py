@@ -10,6 +10,7 @@ output could not be read. Nothing else comes back. The child ends when its stand
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import re
 import subprocess
@@ -28,6 +29,8 @@ from jrdb_avr.schema.method import Prediction, Question
 
 _READY: Final = "ready"
 _UNKNOWN: Final = "unknown"
+_SEQUENCES: Final = 16
+"""Sequences whose evidence is in memory: runs go from one to the next."""
 _SCORE: Final = re.compile(r"[01]{4}")
 
 
@@ -114,22 +117,25 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
     """Print the scores of each line's prediction, until there are no more."""
     import pyarrow as pa
 
-    from jrdb_avr.engine.report.scoring import read_truth, row_numbers, score_predictions
+    from jrdb_avr.engine.report.answer_key import AnswerKey
+    from jrdb_avr.engine.report.scoring import score_predictions
     from jrdb_avr.schema.tables import RUNS
 
     try:
-        truth = read_truth(store)
+        key = AnswerKey(store)
     except (AvrError, OSError) as error:
         print(" ".join(str(error).split()), flush=True)
         return
+    truth_of = functools.lru_cache(_SEQUENCES)(lambda place: key.truth(place, place + 1))
     print(_READY, flush=True)
     for line in lines:
         row = {"run_id": "", **msgspec.json.decode(line)}
-        ids = pa.array([row["question_id"]], pa.string())
-        if row_numbers(ids, truth.ids)[0] < 0:
+        place = key.place(row["question_id"])
+        if place < 0:
             print(_UNKNOWN, flush=True)
             continue
-        scores = score_predictions(truth, "", ids.to_pylist(), pa.Table.from_pylist([row], RUNS["predictions"]))
+        truth, table = truth_of(place), pa.Table.from_pylist([row], RUNS["predictions"])
+        scores = score_predictions(truth, "", [row["question_id"]], table)
         (found,) = scores.to_pylist()
         digits = (found["answer_score"], found["evidence_score"], found["combined_score"], int(found["invalid"]))
         print("".join(map(str, digits)), flush=True)

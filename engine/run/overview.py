@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import shutil
 import tempfile
 from collections import Counter
@@ -14,10 +13,11 @@ from typing import Any, Final
 import msgspec
 import pyarrow as pa
 
+from jrdb_avr.engine.run.journal import journal_folder, journal_lock, segments
 from jrdb_avr.engine.run.methods import WORLD_METHODS
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
 from jrdb_avr.queries.store import Store, read_table
-from jrdb_avr.schema.errors import LockedError, StoreError, did_you_mean
+from jrdb_avr.schema.errors import StoreError, did_you_mean
 
 _REASONS: Final = 3
 """Commonest reasons that `show_run` lists of each status."""
@@ -135,26 +135,27 @@ def _require(store: Store, run_id: str) -> None:
 @contextlib.contextmanager
 def _idle(folder: Path) -> Iterator[None]:
     """Hold the run's lock. Raises LockedError while another process runs it."""
-    path = folder / "journal.jsonl"
-    with contextlib.ExitStack() as stack:
-        if path.exists():
-            file = stack.enter_context(path.open("rb"))
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise LockedError(f"{folder} is being run by another process: wait for it", holder=str(path)) from None
+    journal = journal_folder(folder)
+    with journal_lock(journal, "") if journal.exists() else contextlib.nullcontext():
         yield
 
 
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
     """Status and reason of each finished question, of an unfinished run from its journal."""
-    path, journal = (store.run_path(run_id) / name for name in ("predictions.parquet", "journal.jsonl"))
+    folder = store.run_path(run_id)
+    path = folder / "predictions.parquet"
     try:
         if path.exists():
             rows: list[dict[str, Any]] = read_table(path, ["status", "reason"]).to_pylist()
             return rows
-        lines = journal.read_bytes().split(b"\n")[:-1] if journal.exists() else []
-        found = {line.question_id: line.prediction for line in (msgspec.json.decode(own, type=_Line) for own in lines)}
-        return [{"status": str(own.get("status", "")), "reason": str(own.get("reason", ""))} for own in found.values()]
+        found = {}
+        for segment in segments(journal_folder(folder)):
+            with segment.open("rb") as lines:
+                # The last line may be one that is being written.
+                for line in (msgspec.json.decode(own, type=_Line) for own in lines if own.endswith(b"\n")):
+                    found[line.question_id] = {
+                        name: str(line.prediction.get(name, "")) for name in ("status", "reason")
+                    }
+        return list(found.values())
     except (msgspec.DecodeError, UnicodeDecodeError, OSError, pa.ArrowException, KeyError) as error:
         raise StoreError(f"run {run_id}: its answers cannot be read ({str(error).splitlines()[0]})") from None

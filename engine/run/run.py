@@ -1,7 +1,7 @@
 """A run on disk: its manifest, its journal, and the tables at its end.
 
-runs/<run_id>/run.json            the manifest: questions, method, model and settings; written first
-runs/<run_id>/journal.jsonl       one line per finished question, synced as it finishes
+runs/<run_id>/run.json                    the manifest: questions, method, model and settings; written first
+runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
 runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
 """
 
@@ -15,9 +15,9 @@ from typing import Any, Final
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.engine.run.journal import Finished, Journal, write_tables
+from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, write_tables
 from jrdb_avr.engine.run.selection import QuestionSelection, matching, select_questions
-from jrdb_avr.queries.questions import read_questions
+from jrdb_avr.queries.questions import read_questions, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
@@ -46,7 +46,10 @@ class Run(Journal):
 
     def __init__(self, store: Store, run_id: str) -> None:
         """Take the run's lock. Raises LockedError, or StoreError for a run that is damaged."""
-        super().__init__(store.run_path(run_id) / "journal.jsonl")
+        folder = store.run_path(run_id)
+        if (folder / "journal.jsonl").exists():
+            raise StoreError(f"{folder} was begun by an older version: delete it, or give another --run-id")
+        super().__init__(journal_folder(folder), sequences_of_questions(store))
         self.enter_context(store.sending(f"runs/{run_id}/", "conventions/", "opaque.key"))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()

@@ -25,7 +25,7 @@ from jrdb_avr.engine.generate.run import check_intervals
 from jrdb_avr.engine.rederive import Annotations, prove_again, rederive
 from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.queries.workers import Workers
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
@@ -59,7 +59,8 @@ REPLAY_CHECKS: Final = {
 }
 """Further checks of `--replay`: name and the statement that is tested."""
 
-_FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
+_FILES: Final = ("questions", "sequences", "answers", "rejected")
+_OTHER_GENERATION: Final = "the files are of different generations: generate again"
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 """A stated time in a question's text: its seconds and its frame."""
 
@@ -128,25 +129,28 @@ def validate(
     report = Validation()
     training = bool(store.training_set())
     rules = training_rules(rules) if training else rules
-    tables = {name: table for name in _FILES if (table := _read(store, name, report, training)) is not None}
+    read = {name: _read(store, store.question_path(name), name, report, training) for name in _FILES}
+    tables = {name: table for name, table in read.items() if table is not None}
     if len(tables) < len(_FILES):
         return report
-    marks = {(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables.values()}
-    report.check("files", len(marks) == 1, "the files are of different generations: generate again")
+    report.check("files", len(set(map(_mark, tables.values()))) == 1, _OTHER_GENERATION)
     hashes = set(tables["answers"]["rules"].to_pylist())
     if hashes and rules_hash(rules) not in hashes:
         raise StoreError(f"{store.path} holds questions made under other rules: give the --rule options of generate")
     infos = {row["sequence"]: row for row in tables["sequences"].to_pylist()}
-    boxes: dict[str, list[tuple[int, Box]]] = defaultdict(list)
-    for row in tables["evidence"].to_pylist():
-        boxes[row["question_id"]].append((row["frame"], Box(row["x"], row["y"], row["w"], row["h"])))
-    _check_ids(report, tables, boxes.keys())
+    with_evidence = _check_evidence(store, report, tables["questions"], training)
+    if with_evidence is None:
+        return report
+    _check_ids(report, tables, with_evidence)
     records = read_records(store, report)
     for sequence in sorted({record.sequence for record in records}):
         if not report.check("files", sequence in infos, f"sequences.parquet lacks {sequence}"):
             continue
         annotations = Annotations.read(store, sequence, rules)
         _check_sequence(report, infos[sequence], annotations)
+        boxes: dict[str, list[tuple[int, Box]]] = defaultdict(list)
+        for row in store.evidence(sequence, tables["questions"]).to_pylist():
+            boxes[row["question_id"]].append((row["frame"], Box(row["x"], row["y"], row["w"], row["h"])))
         for record in (record for record in records if record.sequence == sequence):
             _QuestionCheck(report, record, infos[sequence], annotations, rules).run(boxes[record.question_id])
             advance(1)
@@ -195,31 +199,48 @@ def check_replay(
 # -- files --------------------------------------------------------------------------------------------------------
 
 
-def _read(store: Store, name: str, report: Validation, training: bool) -> pa.Table | None:
-    """Read a table; None where its file does not have the right form."""
-    path = store.question_path(name)
+def _read(store: Store, path: Path, table_name: str, report: Validation, training: bool) -> pa.Table | None:
+    """Read a file of a table; None where it does not have the right form."""
     if not path.exists():
         raise StoreError(f"{path} is missing: run 'jrdb-avr generate --store {store.path}'")
-    table = store.questions(name)
-    wanted = QUESTIONS[name]
+    name, table, wanted = path.relative_to(store.path / "questions"), read_table(path), QUESTIONS[table_name]
     same = report.check(
         "files",
         table.schema.remove_metadata().equals(wanted),
-        f"{name}.parquet has columns {_columns(table.schema)}; expected {_columns(wanted)}",
+        f"{name} has columns {_columns(table.schema)}; expected {_columns(wanted)}",
     )
     metadata = {key: value for key, value in (pq.read_metadata(path).metadata or {}).items() if key != b"ARROW:schema"}
     keys = {key.encode() for key in (GENERATION_KEY, *((PROFILE_KEY, DISJOINT_KEY) if training else ("canary",)))}
-    report.check("files", set(metadata) == keys, f"{name}.parquet has metadata {sorted(metadata)}")
+    report.check("files", set(metadata) == keys, f"{name} has metadata {sorted(metadata)}")
     lacking = not training and metadata.get(b"canary") != CANARY.encode()
-    report.check("files", not lacking, f"{name}.parquet lacks the canary")
+    report.check("files", not lacking, f"{name} lacks the canary")
     try:
         table.validate(full=True)
     except pa.ArrowException as error:
-        report.check("files", False, f"{name}.parquet: {str(error).splitlines()[0]}")
+        report.check("files", False, f"{name}: {str(error).splitlines()[0]}")
         return None
     nulls = [field.name for field in wanted if not field.nullable and same and table[field.name].null_count]
-    report.check("files", not nulls, f"{name}.parquet has nulls in {', '.join(nulls)}")
+    report.check("files", not nulls, f"{name} has nulls in {', '.join(nulls)}")
     return table if same and not nulls else None
+
+
+def _check_evidence(store: Store, report: Validation, questions: pa.Table, training: bool) -> list[str] | None:
+    """Check the files of evidence, a sequence at a time; returns the ids in each, None where a file is unfit."""
+    sequences, found = questions["sequence"].unique().to_pylist(), []
+    stray = {path.stem for path in store.question_path("evidence").glob("*.parquet")} - set(sequences)
+    report.check("files", not stray, f"evidence of {', '.join(sorted(stray))}, which no question is of")
+    for sequence in sorted(sequences):
+        table = _read(store, store.evidence_path(sequence), "evidence", report, training)
+        if table is None or not report.check("files", _mark(table) == _mark(questions), _OTHER_GENERATION):
+            return None
+        found += table["question_id"].unique().to_pylist()
+    return found
+
+
+def _mark(table: pa.Table) -> bytes | None:
+    """The mark of the generation that a table is of."""
+    mark: bytes | None = (table.schema.metadata or {}).get(GENERATION_KEY.encode())
+    return mark
 
 
 def _columns(schema: pa.Schema) -> str:

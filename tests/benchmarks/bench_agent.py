@@ -41,7 +41,7 @@ from agent_bounds import (
 import jrdb_avr
 from jrdb_avr.agent.simulated.knobs import PROFILES, Knobs
 from jrdb_avr.engine.generate.run import generate
-from jrdb_avr.engine.report.scoring import read_truth, score_run
+from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.methods import default_policy
 from jrdb_avr.loaders.load import load
@@ -171,7 +171,8 @@ def measure(runs: Sequence[Run]) -> Measured:
     for run in runs:
         store = Store(run.store)
         modes = {question.question_id: question.answer_mode for question in read_questions(store)}
-        _, predictions, scored = score_run(store, read_truth(store), run.run_id)
+        scored = report(store, [run.run_id]).scores
+        predictions = read_table(store.run_path(run.run_id) / "predictions.parquet")
         rows = {row["question_id"]: row for row in predictions.to_pylist()}
         for own in scored.to_pylist():
             name, row = own["question_id"], rows[own["question_id"]]

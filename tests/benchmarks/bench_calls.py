@@ -148,7 +148,9 @@ def measure(looks, name):
             world = stack.enter_context(open_world(Path(folder) / "world.kuzu", "r", RUNS["world"].empty_table()))
         method = make_method(name, client, CONTRACT, world, "model")
         sizes.value = 0
-        journal = stack.enter_context(Journal(Path(folder) / "journal.jsonl"))
+        journal = stack.enter_context(
+            Journal(Path(folder) / "journal", {own.question_id: own.sequence for own in asked})
+        )
         started, used = time.perf_counter(), time.process_time()
         answer_all(method, asked, {"s": info}, observe, panorama, journal, IN_FLIGHT)
         seconds, cpu = time.perf_counter() - started, time.process_time() - used

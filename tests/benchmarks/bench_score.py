@@ -1,32 +1,67 @@
 """Scoring: `python tests/benchmarks/bench_score.py`. Prints seconds for 25 runs of 2,098 predictions (bar: 2 s).
 
-Questions and predictions are made up (`many_runs.py`); the work is what `score` does between reading and writing its
-files. `bench_report.py` takes the command as a whole.
+Questions and predictions are made up (`many_runs.py`). The work is what `score` does before it writes its files, in
+this process: the answers, a million boxes of evidence and the predictions are read and compared. Then the highest
+resident memory of `score` and `report`, each a process of its own, for one run of as many questions and of five times
+as many, over five times as many sequences. `bench_report.py` takes the
+commands as a whole.
 """
 
+import os
+import subprocess
+import sys
+import tempfile
 import time
+from pathlib import Path
 
-import numpy as np
-from many_runs import QUESTION_COUNT, RUN_COUNT, made_up_predictions, made_up_questions
+import many_runs
 
-from jrdb_avr.engine.report.scoring import Truth, score_predictions
+from jrdb_avr.engine.report.answer_key import AnswerKey
+from jrdb_avr.engine.report.run_scores import score_runs, submission
+from jrdb_avr.queries.runs import run_ids
+from jrdb_avr.queries.store import Store
+
+FOLDS = (1, 5)
+
+
+def write(path, runs, fold=1):
+    """A store, written by another process: what this one has held would count as the peak of those that it starts."""
+    call = f"many_runs.write_runs({str(path)!r}, {runs})"
+    sizes = f"many_runs.QUESTION_COUNT *= {fold}; many_runs.SEQUENCES *= {fold}; many_runs.PEOPLE = 2"
+    subprocess.run([sys.executable, "-c", f"import many_runs; {sizes}; {call}"], check=True, cwd=Path(__file__).parent)
+    return Store(path)
+
+
+def refuse(error):
+    raise error
+
+
+def peak(*arguments):
+    """Highest resident megabytes of a command."""
+    line = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", *map(str, arguments)]
+    process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, code, usage = os.wait4(process.pid, 0)
+    assert code == 0, arguments
+    return usage.ru_maxrss / 1024
 
 
 def main() -> None:
-    rng = np.random.default_rng(1)
-    tables = made_up_questions(rng)
-    runs = [made_up_predictions(tables["questions"], rng) for _ in range(RUN_COUNT)]
-    ids = tables["questions"]["question_id"].to_pylist()
-    start, started = time.perf_counter(), time.process_time()
-    truth = Truth(*tables.values())
-    prepared = time.perf_counter()
-    for number, predictions in enumerate(runs):
-        score_predictions(truth, f"r{number}", ids, predictions)
-    end, ended = time.perf_counter(), time.process_time()
-    print(
-        f"{RUN_COUNT} runs x {QUESTION_COUNT}: {end - start:.2f} s in all (bar 2), {prepared - start:.2f} s of it once"
-        f"; {ended - started:.2f} CPU s"
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        peaks = {}
+        for fold in FOLDS:
+            store = write(f"{folder}/{fold}", 1, fold).path
+            peaks[fold] = [peak(stage, "--store", store) for stage in ("score", "report")]
+        store = write(f"{folder}/many", many_runs.RUN_COUNT)
+        start, started = time.perf_counter(), time.process_time()
+        key = AnswerKey(store)
+        runs = score_runs(key, run_ids(store), lambda name: submission(store, name), 0.5, refuse)
+        took, busy = time.perf_counter() - start, time.process_time() - started
+    assert len(runs) == many_runs.RUN_COUNT
+    count = many_runs.QUESTION_COUNT
+    print(f"{len(runs)} runs x {count}: {took:.2f} s in all (bar 2); {busy:.2f} CPU s")
+    for fold, (score, report) in peaks.items():
+        boxes = fold * count * many_runs.EVIDENCE_FRAMES
+        print(f"one run of {fold * count:6,} questions, {boxes:9,} boxes: score {score:.0f} MB, report {report:.0f} MB")
 
 
 if __name__ == "__main__":

@@ -21,9 +21,9 @@ import pyarrow.compute as pc
 from bench_agent import FULL, code_hash, make_store
 
 from jrdb_avr.agent.simulated.knobs import PROFILES, Knobs, settings
+from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.paper import MAIN
 from jrdb_avr.engine.report.scored_runs import SCORES
-from jrdb_avr.engine.report.scoring import read_truth, score_run
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.store import Store
@@ -71,7 +71,7 @@ class Job:
         if not (store.run_path(run_id) / "predictions.parquet").exists():
             named: dict[str, Any] = {"run_id": run_id, "questions": self.questions, "resume": True}
             evaluate(store, self.method, "simulated", marker=self.knobs, **named)
-        scores = score_run(store, read_truth(store), run_id)[2]
+        scores = report(store, [run_id]).scores
         return tuple(100 * pc.mean(scores[f"{name}_score"]).as_py() for name in SCORES)
 
 

@@ -9,7 +9,9 @@ import json
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
+from jrdb_avr.queries.questions import in_order
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.panorama import crop_left
@@ -145,11 +147,16 @@ def write_runs(path, runs=RUN_COUNT):
     """A store with the questions, everybody's boxes and the runs."""
     rng, store = np.random.default_rng(1), Store(path)
     tables = made_up_questions(rng)
+    evidence = tables.pop("evidence")
     for name, table in tables.items():
         store.write_questions(name, table, {})
+    owner = evidence["question_id"].combine_chunks()
+    for sequence in tables["sequences"]["sequence"].to_pylist():
+        own = tables["questions"].filter(pc.field("sequence") == sequence)["question_id"].combine_chunks()
+        store.write_evidence(sequence, evidence.filter(pc.is_in(owner, value_set=own)), {})
     for sequence in tables["sequences"]["sequence"].to_pylist():
         store.write_interval("sightings", sequence, made_up_sightings(sequence, rng))
-    questions = tables["questions"]
+    questions = in_order(tables["questions"])
     for number in range(runs):
         run_id = f"run-{number:02}"
         store.write_run(run_id, "predictions", made_up_predictions(questions, rng, run_id))

@@ -17,9 +17,10 @@ import msgspec
 from mutate import mutate
 from sample_store import sample_store
 
-from jrdb_avr.engine.report.bundle import read_bundle, score_bundle, write_bundle
+from jrdb_avr.engine.report.answer_key import AnswerKey
+from jrdb_avr.engine.report.bundle import bundle_submission, read_bundle, write_bundle
 from jrdb_avr.engine.report.prediction_lines import parse_lines, write_lines
-from jrdb_avr.engine.report.scoring import read_truth
+from jrdb_avr.engine.report.run_scores import score_runs, scores_table
 from jrdb_avr.engine.run.imported import import_predictions
 from jrdb_avr.schema.errors import AvrError, InputError
 
@@ -34,7 +35,7 @@ def _clean(folder):
         write_bundle(store, "r", bundle)
     return (
         store,
-        read_truth(store),
+        AnswerKey(store),
         (bundle / "predictions.jsonl").read_bytes().splitlines(),
         (bundle / "run.json").read_bytes(),
     )
@@ -61,7 +62,7 @@ def prepare(folder):
 def run_case(seed, number, folder, save):
     """Some files of predictions and bundles; how many lines they had."""
     rng = Random(f"{seed} predictions {number}")
-    store, truth, lines, manifest = _clean(str(folder))
+    store, key, lines, manifest = _clean(str(folder))
     count = 0
     for n in range(PER_CASE):
         rows = [
@@ -77,7 +78,7 @@ def run_case(seed, number, folder, save):
             if n % 2:
                 _import(store, folder, data)
             else:
-                _score(store, truth, folder, data, run)
+                _score(store, key, folder, data, run)
         except AvrError as error:
             assert str(error) and "\n" not in str(error), error
         except Exception:
@@ -101,7 +102,11 @@ def _import(store, folder, data):
         shutil.rmtree(store.run_path("own"), ignore_errors=True)
 
 
-def _score(store, truth, folder, data, run):
+def _refuse(error):
+    raise error
+
+
+def _score(store, key, folder, data, run):
     place = Path(folder) / "own"
     place.mkdir(exist_ok=True)
     sums = "".join(
@@ -110,7 +115,8 @@ def _score(store, truth, folder, data, run):
     )
     for name, text in (("run.json", run), ("predictions.jsonl", data), ("SHA256SUMS", sums.encode())):
         (place / name).write_bytes(text)
-    scores = score_bundle(store, truth, read_bundle(place), 0.5)
+    ((_, scored),) = score_runs(key, [place], lambda own: bundle_submission(store, key, read_bundle(own)), 0.5, _refuse)
+    scores = scores_table(scored)
     for row in scores.select(["answer_score", "evidence_score", "combined_score"]).to_pylist():
         assert set(row.values()) <= {0, 1}, row
         assert row["combined_score"] == min(row["answer_score"], row["evidence_score"]), row

@@ -237,6 +237,8 @@ def content(path, graphs):
     if path.name.endswith((".wal", ".shadow")):
         # Whoever opens the graph may finish what they hold, and removes them.
         return ""
+    if path.parent.name == "journal":
+        return lines_of(path)
     match path.name:
         case ".writing" | "graph.kuzu.lock" | "graph.kuzu.json" | "marker.jsonl":
             # Processes; the checksum of the graph's bytes, which differ; what the simulated model was sent.
@@ -245,7 +247,7 @@ def content(path, graphs):
             return graph_content(path) if graphs else ""
         case "run.json":
             return run_content(path)
-        case "journal.jsonl" | "calls.jsonl":
+        case "calls.jsonl":
             return lines_of(path)
         case "predictions.parquet" | "steps.parquet" | "world.parquet":
             table = pq.read_table(path)

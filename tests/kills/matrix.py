@@ -161,7 +161,7 @@ def chosen(changes, rng):
         kinds.setdefault((kind, place_of(path)), []).append(point)
         if kind in ("rename", "link"):
             yield *point, "before", rng.choice(("group", "self"))
-        elif path.endswith(("journal.jsonl", "calls.jsonl")):
+        elif "/journal/" in path or path.endswith("calls.jsonl"):
             yield *point, rng.choice(("torn", "after")), "group"
     for (kind, _), points in kinds.items():
         yield *rng.choice(points), "torn" if kind == "write" else "after", rng.choice(("group", "self"))

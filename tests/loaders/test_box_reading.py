@@ -63,7 +63,7 @@ def world(tmp_path_factory):
             expected[run_id, "boxes"] += 1
             expected[run_id, "read"] += frame == 7 and overlap(stitched, gold) >= 0.5
             expected[run_id, "swapped"] += frame == 7 and overlap(swapped, gold) >= 0.5
-    store.write_questions("evidence", table(evidence, QUESTIONS["evidence"]), {})
+    store.write_evidence("s", table(evidence, QUESTIONS["evidence"]), {})
     for run_id in ("a", "b"):
         for name, rows in (("predictions", predictions), ("steps", steps)):
             own = [row for row in rows if row["run_id"] == run_id]

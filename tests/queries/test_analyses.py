@@ -30,8 +30,7 @@ def world(tmp_path_factory):
     for row in questions:
         row["choices"] = ["sitting", "standing", "walking", "bending"]
     benchmark.tables["questions"] = table(questions, benchmark.tables["questions"].schema)
-    for name, rows in benchmark.tables.items():
-        store.write_questions(name, rows, {})
+    benchmark.write(store)
     sightings = [
         {"sequence": f"s{s}", "frame": frame, "track": track, "clear": track < 2}
         for s in range(3)

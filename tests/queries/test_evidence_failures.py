@@ -68,8 +68,7 @@ def test_causes_are_those_of_pixels(tmp_path):
     ]
     benchmark.tables["evidence"] = table(rows, benchmark.tables["evidence"].schema)
     benchmark.truth = Truth(*benchmark.tables.values())
-    for name, rows in benchmark.tables.items():
-        store.write_questions(name, rows, {})
+    benchmark.write(store)
     for sequence, frames in people.items():
         rows = [
             {"sequence": sequence, "frame": frame, "track": track, **dict(zip("xywh", box, strict=True))}

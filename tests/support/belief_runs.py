@@ -1,6 +1,7 @@
 """A run of a scripted believer, and the questions it answers."""
 
 from believing import Believer
+from segments import opened, segment_of
 
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
@@ -19,7 +20,7 @@ def run(store, run_id, asked=ASKED, path=None, finish=True, turns=20, **options)
     write_run_manifest(
         store, RunManifest(run_id, "believer", "m", "0" * 64, tuple(q.question_id for q in asked), True, {}, "")
     )
-    with journals.Journal(store.run_path(run_id) / "journal.jsonl") as journal:
+    with opened(segment_of(store.run_path(run_id))) as journal:
         record = journals.world_rows(run_id, journal.finished)
         with open_world(path or store.graph_path, run_id, record) as world:
             answering.answer_all(Believer(world, turns, **options), asked, INFO, None, None, journal, 4)

@@ -32,8 +32,7 @@ def stored_failures(path, settings=None, families=("long_range",)):
     benchmark = Benchmark([(name, "s", families[place % len(families)]) for place, name in enumerate(CASES)])
     run = benchmark.run([given for given, _, _ in CASES.values()])
     store = Store(path)
-    for name, rows in benchmark.tables.items():
-        store.write_questions(name, rows, {})
+    benchmark.write(store)
     people = [(7, 1, BOX), (8, 1, BOX), (7, 2, (300.0, 100.0, 50.0, 120.0)), (8, 2, (320.0, 100.0, 30.0, 120.0))]
     sightings = [
         {"sequence": "s", "frame": frame, "track": track, **dict(zip("xywh", box, strict=True))}

@@ -4,6 +4,7 @@ import json
 
 import pyarrow as pa
 from asked_world import POSES, QUESTIONS_ASKED
+from evidence_files import write_evidence
 
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.method import Prediction
@@ -33,10 +34,10 @@ def write_answers(store):
         answers.append({"question_id": q.question_id, "answer": answer, **texts, **numbers})
         box = dict(zip("xywh", box_at(frame), strict=True))
         evidence.append({"question_id": q.question_id, "frame": frame, **box})
-    for name, rows in (("answers", answers), ("evidence", evidence)):
-        store.write_questions(name, pa.Table.from_pylist(rows, QUESTIONS[name]), {})
+    store.write_questions("answers", pa.Table.from_pylist(answers, QUESTIONS["answers"]), {})
     rows = store.questions("questions").filter(pa.compute.field("sequence") != "unseen")
     store.write_questions("questions", rows, {})
+    write_evidence(store, pa.Table.from_pylist(evidence, QUESTIONS["evidence"]))
 
 
 class Reader:

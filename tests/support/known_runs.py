@@ -1,9 +1,12 @@
 """Runs on multiple-choice questions of which every count is known."""
 
+import numpy as np
 import pyarrow as pa
+from evidence_files import write_evidence
 
-from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun
-from jrdb_avr.engine.report.scoring import Truth, score_predictions
+from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun
+from jrdb_avr.engine.report.scoring import Truth, is_judged, row_numbers, score_predictions
+from jrdb_avr.queries.questions import in_order
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -61,6 +64,17 @@ class Benchmark:
         self.truth = Truth(*self.tables.values())
         self.index = QuestionIndex(questions, self.tables["answers"])
 
+    def write(self, store):
+        """Write the tables into a store."""
+        for name in ("questions", "sequences", "answers"):
+            store.write_questions(name, self.tables[name], {})
+        write_evidence(store, self.tables["evidence"])
+
+    def ordered(self, rows):
+        """A table of a run in the order in which stores hold it."""
+        known = self.tables["questions"].select(["question_id", "sequence"])
+        return in_order(rows.join(known, "question_id", join_type="inner")).select(rows.column_names)
+
     def run(self, given, run_id="r", method="react", model="m"):
         """given: (choice or None, box or None, frame) per question."""
         rows = []
@@ -82,5 +96,15 @@ class Benchmark:
         predictions = table(rows, RUNS["predictions"])
         manifest = RunManifest(run_id, method, model, "0", tuple(self.ids), False, {}, "2020-01-01T00:00:00Z")
         scores = score_predictions(self.truth, run_id, self.ids, predictions)
-        self.written = {"predictions": predictions, "scores": scores}
-        return ScoredRun(self.index, manifest, predictions, scores)
+        self.written = {"predictions": self.ordered(predictions), "scores": scores}
+        return scored_run(self.index, manifest, predictions, scores)
+
+
+def scored_run(index, manifest, predictions, scores):
+    """A run of its tables, whose rows are in the run's order."""
+    rows = row_numbers(scores["question_id"].combine_chunks(), index.ids)
+    digits = np.stack([scores[f"{name}_score"].to_numpy() for name in SCORES], axis=1)
+    invalid = scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int8)
+    errors = len(rows) - int(np.count_nonzero(is_judged(predictions["status"])))
+    answers = predictions.select(["question_id", "answer"])
+    return ScoredRun(manifest, rows, digits, invalid, errors, index.ids, lambda: answers)

@@ -3,6 +3,7 @@
 import json
 
 import msgspec
+from evidence_files import all_evidence
 from known_runs import table
 
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
@@ -111,7 +112,7 @@ def stored_run(store, name, *, steps, world=None, prediction=None, manifest=None
 def trace_runs(store):
     """Write three runs into a store: a complete one, an empty one, and one with a box that cannot be drawn."""
     question = store.questions("questions").to_pylist()[0]
-    evidence = store.questions("evidence").to_pylist()
+    evidence = all_evidence(store).to_pylist()
     box = next(row for row in evidence if row["question_id"] == question["question_id"])
     frame = box["frame"]
     given = {"evidence_frame": frame} | {f"evidence_{key}": box[key] + 1.0 for key in "xywh"}

@@ -28,6 +28,7 @@ from reference_play import (
     text_of,
     turn,
 )
+from segments import opened
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.reply import Reply
@@ -35,7 +36,6 @@ from jrdb_avr.agent.reference.episode import Limits
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN, read_calls
 from jrdb_avr.engine.run import answering
-from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.find import Find
 from jrdb_avr.schema.answers import Choice
@@ -332,7 +332,7 @@ def test_a_solving_that_takes_too_long_is_an_error_of_its_question_alone(world, 
     def run():
         chat = Voices({"Who waits?": [plan, *in_turns(calls)], "Who is planless?": ["no plan"]})
         agent = ReferenceAgent(chat, world=WorldModel(graph, "late"))
-        with journals.Journal(place) as journal:
+        with opened(place) as journal:
             answering.answer_all(agent, questions, {SEQUENCE: world.info}, world.observe, world.panorama, journal, 2)
             return [journal.finished[question.question_id].prediction for question in questions]
 

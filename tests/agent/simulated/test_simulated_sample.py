@@ -7,8 +7,10 @@ import cv2
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from evidence_files import all_evidence
 
 from jrdb_avr.engine.cli import group
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.markers import read
 from jrdb_avr.schema.panorama import Box, iou
 
@@ -49,7 +51,7 @@ def test_every_loss_is_explained(store):
     questions = {row["question_id"]: row for row in rows(store, "questions", "questions.parquet")}
     answers = {row["question_id"]: row for row in rows(store, "questions", "answers.parquet")}
     truth = {}
-    for row in rows(store, "questions", "evidence.parquet"):
+    for row in all_evidence(Store(store)).to_pylist():
         truth.setdefault(row["question_id"], {})[row["frame"]] = Box(row["x"], row["y"], row["w"], row["h"])
     missing = {}
     for line in (store / "runs" / "react-marker" / "marker.jsonl").read_text().splitlines():

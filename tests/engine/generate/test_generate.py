@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 import warm
 from click.testing import CliRunner
+from evidence_files import all_evidence, question_files
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keyframe_layer import layer_rows, layers_in_memory
@@ -26,7 +27,7 @@ from worlds import load_world
 from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.diagnostics import REFUSALS
-from jrdb_avr.engine.generate.publish import GENERATION_KEY, PUBLISHED
+from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
@@ -55,7 +56,7 @@ def two_worlds():
 
 
 def files(store):
-    return {name: store.question_path(name).read_bytes() for name in PUBLISHED}
+    return {name: path.read_bytes() for name, path in question_files(store).items()}
 
 
 @pytest.fixture(scope="module")
@@ -112,9 +113,9 @@ def test_templates_have_questions(rows):
 def test_tables_keep_their_contracts(made):
     store = made[0]
     marks = set()
-    for name in PUBLISHED:
-        schema = pq.read_schema(store.question_path(name))
-        assert schema.remove_metadata() == QUESTIONS[name]
+    for name, path in question_files(store).items():
+        schema = pq.read_schema(path)
+        assert schema.remove_metadata() == QUESTIONS[name.removesuffix(".parquet").partition("/")[0]]
         assert schema.metadata[b"canary"].decode() == CANARY
         marks.add(schema.metadata[GENERATION_KEY.encode()])
     assert len(marks) == 1
@@ -178,7 +179,7 @@ def test_evidence_is_every_box_of_the_target(made, rows):
         for (sequence, track, frame), box in boxes.items()
         if (sequence, track) == (row["sequence"], row["target_track"])
     )
-    assert [tuple(row.values()) for row in store.questions("evidence").to_pylist()] == expected
+    assert [tuple(row.values()) for row in all_evidence(store).to_pylist()] == expected
 
 
 def test_proofs_are_complete_and_hold(rows):
@@ -300,9 +301,8 @@ def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
     assert files(store) != files(one[0])
     generate(store, Rules(), **HOW)
     assert files(store) == files(one[0])
-    assert sorted(path.name for path in store.question_path("questions").parent.iterdir()) == sorted(
-        f"{name}.parquet" for name in PUBLISHED
-    )
+    left = {path for path in store.question_path("questions").parent.rglob("*") if path.is_file()}
+    assert left == set(question_files(store).values())
 
 
 # -- refusals -------------------------------------------------------------------------------------------------

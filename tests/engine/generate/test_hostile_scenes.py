@@ -10,6 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pyarrow.parquet as pq
 import pytest
+from evidence_files import all_evidence
 from keyframe_layer import layers_in_memory
 from oracle_questions import proven
 from quick_store import graphless_store
@@ -246,7 +247,7 @@ def test_directions_go_on_across_the_seam(made):
 
 def test_boxes_beyond_the_panoramas_end_stay_as_they_are(made):
     _, store, questions, candidates = made
-    boxes = {row["question_id"]: (row["x"], row["w"]) for row in store.questions("evidence").to_pylist()}
+    boxes = {row["question_id"]: (row["x"], row["w"]) for row in all_evidence(store).to_pylist()}
     assert {boxes[row["question_id"]] for row in questions["end"]} == {(3725.0, 50.0)}
     assert asked(candidates["end"]) == {"start": {(1, '{"frame":173}')}}
 

@@ -12,6 +12,7 @@ import pytest
 import warm
 from effort import examples
 from entry import run
+from evidence_files import question_files
 from keyframe_layer import layer_rows
 from lively_worlds import lively_world
 from places import SUPPORT
@@ -20,7 +21,6 @@ from worlds import load_world
 
 from jrdb_avr.engine.generate import keyframe_graph, sequence
 from jrdb_avr.engine.generate.keyframe_graph import STAGE, ensure_layer
-from jrdb_avr.engine.generate.publish import PUBLISHED
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.loaders.load import rebuild
@@ -39,7 +39,7 @@ OTHER = Rules(max_conditions=1)
 
 
 def files(store):
-    return {name: store.question_path(name).read_bytes() for name in PUBLISHED}
+    return {name: path.read_bytes() for name, path in question_files(store).items()}
 
 
 def stamp(store):

@@ -10,6 +10,7 @@ import math
 import shutil
 
 import pytest
+from evidence_files import all_evidence
 from places import REAL, SUPPORT
 from text_reader import Found, Reader, differs, open_readings
 from text_reader_vocabulary import HELD, Reading
@@ -27,7 +28,7 @@ class Benchmark:
         self.answers = {row["question_id"]: row for row in store.questions("answers").to_pylist()}
         self.rows = sorted(store.questions("questions").to_pylist(), key=lambda row: row["sequence"])
         self.boxes = {}
-        for row in store.questions("evidence").to_pylist():
+        for row in all_evidence(store).to_pylist():
             self.boxes.setdefault(row["question_id"], {})[row["frame"]] = tuple(row[side] for side in "xywh")
         self.readers = {sequence: Reader(root, sequence) for sequence in {row["sequence"] for row in self.rows}}
 

@@ -8,10 +8,10 @@ from collections import Counter
 
 import pyarrow.parquet as pq
 import pytest
+from evidence_files import question_files
 from lively_worlds import lively_world
 from worlds import load_world
 
-from jrdb_avr.engine.generate.publish import PUBLISHED
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.integrations.huggingface import export_folders
 from jrdb_avr.engine.integrations.lmms_eval import export_tasks
@@ -65,7 +65,7 @@ def trained(copy, held_out):
 
 
 def files(store):
-    return {name: store.question_path(name).read_bytes() for name in PUBLISHED}
+    return {name: path.read_bytes() for name, path in question_files(store).items()}
 
 
 def extents(store):
@@ -136,8 +136,8 @@ def test_every_proof_holds_again(trained):
 
 def test_the_files_say_that_they_are_a_training_set(trained, held_out, whole):
     generation = pq.read_schema(held_out.question_path("questions")).metadata[b"generation"]
-    for name in PUBLISHED:
-        metadata = pq.read_schema(trained[0].question_path(name)).metadata
+    for path in question_files(trained[0]).values():
+        metadata = pq.read_schema(path).metadata
         assert (metadata[b"profile"], metadata[b"disjoint_from"]) == (b"train", generation)
         assert b"canary" not in metadata
     assert whole[0].training_set() == {"profile": "train", "disjoint_from": ""}
@@ -155,7 +155,7 @@ def test_no_command_takes_it_for_a_benchmark(trained, tmp_path):
 
 def test_files_without_their_marks_are_noticed(trained, copy):
     store = Store(shutil.copytree(trained[0].path, copy().path, dirs_exist_ok=True))
-    path = store.question_path("evidence")
+    path = next(store.question_path("evidence").iterdir())
     table = pq.read_table(path)
     kept = {key: value for key, value in table.schema.metadata.items() if key != b"profile"}
     pq.write_table(table.replace_schema_metadata(kept), path)

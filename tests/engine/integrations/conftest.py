@@ -4,6 +4,7 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
+from evidence_files import all_evidence
 from recorded_server import recorded_server
 
 from jrdb_avr.queries.store import Store
@@ -56,7 +57,7 @@ def same(by_evaluate):
 def secrets(small_demo):
     """Texts of the private tables that nothing public holds."""
     store = Store(small_demo.folder / "store")
-    answers, evidence = (pq.read_table(store.question_path(name)).to_pylist() for name in ("answers", "evidence"))
+    answers, evidence = (table.to_pylist() for table in (store.questions("answers"), all_evidence(store)))
     boxes = {f"{row[side]!r}" for row in evidence for side in "xywh" if len(f"{row[side]!r}") > 12}
     plans = {row[name] for row in answers for name in ("plan", "distractors", "bindings", "proofs")}
     found = {text for text in boxes | plans if len(text) > 12}

@@ -17,6 +17,7 @@ import pytest
 from asked_world import QUESTIONS_ASKED
 from click.testing import CliRunner
 from extras import needs
+from segments import journal_lines
 from tool_host import play
 
 from jrdb_avr.engine.cli import group
@@ -118,7 +119,7 @@ def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo,
 
     with http_server(store.path, "--limit", 2, "--run-id", "mine", "--model", "somebody") as (url, token, process):
         asyncio.run(main(url, token))
-        same([json.loads(line)["prediction"] for line in (store.run_path("mine") / "journal.jsonl").open()])
+        same([json.loads(line)["prediction"] for line in journal_lines(store.run_path("mine"))])
         process.send_signal(signal.SIGTERM)
         assert process.wait(300) == 0
     rows = predictions(store, "mine")

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 import pytest
 from browser import browser, complaints
 from entry import run
@@ -37,6 +38,7 @@ from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import parse_plan
+from jrdb_avr.schema.tables import RUNS
 
 HOSTILE = '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m'
 
@@ -191,8 +193,9 @@ def test_the_leaderboard_ranks_and_shows_texts_of_bundles_as_text(opened, tmp_pa
             manifest, run_id=name, question_ids=ids, method=HOSTILE, model="<b>m", created=HOSTILE
         )
         write_run_manifest(store, own)
-        table = read_table(store.run_path("r") / "predictions.parquet")
-        store.write_run(name, "predictions", table.slice(0, len(ids)))
+        rows = read_table(store.run_path("r") / "predictions.parquet").to_pylist()
+        kept = [row for row in rows if row["question_id"] in ids]
+        store.write_run(name, "predictions", pa.Table.from_pylist(kept, RUNS["predictions"]))
         write_bundle(store, name, tmp_path / f"<i>{name}")
     write_bundle(store, "r", tmp_path / "good")
     bundles = [tmp_path / name for name in ("<i>few", "<i>hostile", "good")]

@@ -34,7 +34,7 @@ def hostile(sample_benchmark, tmp_path_factory):
     return store, trace_runs(store)
 
 
-PRIVATE_PARTS = ("questions/answers.parquet", "questions/evidence.parquet", "annotations", "intervals", "graph.kuzu")
+PRIVATE_PARTS = ("questions/answers.parquet", "questions/evidence", "annotations", "intervals", "graph.kuzu")
 
 
 def addresses(viewer, question):

@@ -237,7 +237,8 @@ def another(store, name, wrong=0, ids=None, **changes):
     rows = [
         row for row in read_table(store.run_path("r") / "predictions.parquet").to_pylist() if row["question_id"] in ids
     ]
-    rows = [row | {"run_id": name} | ({"answer": '{"choice":2}'} if n < wrong else {}) for n, row in enumerate(rows)]
+    for row in rows:
+        row |= {"run_id": name} | ({"answer": '{"choice":2}'} if row["question_id"] in ids[:wrong] else {})
     store.write_run(name, "predictions", pa.Table.from_pylist(rows, RUNS["predictions"]))
     return name
 

@@ -190,8 +190,7 @@ def test_pairs_are_of_the_questions_both_were_asked():
 def stored_run(path, given):
     """A store with a run of the four questions."""
     benchmark, store = Benchmark(FOUR), Store(path)
-    for name, rows in benchmark.tables.items():
-        store.write_questions(name, rows, {})
+    benchmark.write(store)
     run = benchmark.run(given)
     store.write_run("r", "predictions", benchmark.written["predictions"])
     write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))

@@ -14,13 +14,17 @@ import pytest
 from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from known_runs import Benchmark, scored_run
 from pycocotools import mask as coco
 
 from jrdb_avr.engine.report import scoring
-from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun
+from jrdb_avr.engine.report.answer_key import AnswerKey
+from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.engine.report.scored_runs import QuestionIndex
 from jrdb_avr.engine.report.scoring import Truth, box_ious, score_predictions
 from jrdb_avr.engine.report.tables import score_row
-from jrdb_avr.queries.runs import RunManifest
+from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema import answers
 from jrdb_avr.schema.answers import Span, decode_answer, same_answer
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
@@ -480,7 +484,7 @@ def row_of(rows, predicted, synthetic=False):
         pa.table({**texts, **{name: pa.array(values, pa.string()) for name, values in kinds.items()}}),
         pa.table({"question_id": texts["question_id"], **numbers}),
     )
-    return score_row(ScoredRun(index, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
+    return score_row(scored_run(index, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
 
 
 def test_a_run_in_short():
@@ -631,68 +635,69 @@ def test_half_a_box_scores_whatever_rounding_says(x, y, w, h):
         assert score(rows, predicted)[0][1] == expected
 
 
-def test_predictions_of_another_form_are_one_line(tmp_path):
-    from jrdb_avr.queries.runs import questions_hash, write_run_manifest
-    from jrdb_avr.queries.store import Store
-
+@pytest.fixture
+def one_question(tmp_path):
+    """A store with one question, and a run of it."""
     store = Store(tmp_path)
-    store.write_questions("questions", QUESTIONS["questions"].empty_table(), {})
-    write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), (), True, {}, "now"))
-    empty = {name: pa.array([], pa.string()) for name in ("question_id", "answer")}
-    truth = Truth(
-        QUESTIONS["questions"].empty_table(),
-        QUESTIONS["sequences"].empty_table(),
-        pa.table(empty),
-        QUESTIONS["evidence"].empty_table(),
-    )
+    benchmark = Benchmark([("q", "s", "long_range")])
+    benchmark.write(store)
+    write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), ("q",), True, {}, "now"))
+    return store
+
+
+def test_predictions_of_another_form_are_one_line(one_question):
     good = predictions_of([prediction("q")])
-    path = store.run_path("r") / "predictions.parquet"
-    for name, column in (("evidence_x", ["left"]), ("status", [None]), ("n_observations", ["many"])):
+    path = one_question.run_path("r") / "predictions.parquet"
+    for name, column in (("evidence_x", ["left"]), ("status", [None]), ("evidence_frame", ["many"])):
         table = good.set_column(good.schema.get_field_index(name), name, pa.array(column, pa.string()))
         pq.write_table(table, path)
         with pytest.raises(StoreError, match="of another form"):
-            scoring.score_run(store, truth, "r")
+            report(one_question, ["r"])
+    pq.write_table(good.drop_columns(["status"]), path)
+    with pytest.raises(StoreError, match="lacks the columns status: evaluate again"):
+        report(one_question, ["r"])
+    path.write_bytes(b"PAR1 nothing")
+    with pytest.raises(StoreError, match=r"cannot read .*predictions\.parquet"):
+        report(one_question, ["r"])
+
+
+def files_of(store):
+    return {name: store.question_path(name) for name in ("questions", "sequences", "answers")} | {
+        "evidence": store.evidence_path("s")
+    }
 
 
 @pytest.mark.parametrize("name", ["questions", "sequences", "answers", "evidence"])
-def test_tables_of_different_generations_are_not_scored(tmp_path, name):
-    from jrdb_avr.queries.store import Store
-
-    store = Store(tmp_path)
-    for table in ("questions", "sequences", "answers", "evidence"):
-        store.write_questions(table, QUESTIONS[table].empty_table(), {"generation": "first"})
-    assert len(scoring.read_truth(store).ids) == 0
-    store.write_questions(name, QUESTIONS[name].empty_table(), {"generation": "second"})
+def test_tables_of_different_generations_are_not_scored(one_question, name):
+    assert len(AnswerKey(one_question).truth().ids) == 1
+    path = files_of(one_question)[name]
+    pq.write_table(pq.read_table(path).replace_schema_metadata({"generation": "second"}), path)
     with pytest.raises(StoreError, match="of different generations: run 'jrdb-avr generate"):
-        scoring.read_truth(store)
+        AnswerKey(one_question).truth()
 
 
 @pytest.mark.parametrize("name", ["questions", "sequences", "answers", "evidence"])
-def test_questions_of_another_form_are_one_line(tmp_path, name):
-    from jrdb_avr.queries.store import Store
-
-    store = Store(tmp_path)
-    for table in ("questions", "sequences", "answers", "evidence"):
-        store.write_questions(table, QUESTIONS[table].empty_table(), {})
-    assert len(scoring.read_truth(store).ids) == 0
-    pq.write_table(pa.table({"question_id": ["a"]}), store.question_path(name))
-    with pytest.raises(StoreError, match="lacks the columns"):
-        scoring.read_truth(store)
+def test_questions_of_another_form_are_one_line(one_question, name):
+    path = files_of(one_question)[name]
     row = pa.table({field.name: pa.nulls(1, field.type) for field in QUESTIONS[name]})
-    pq.write_table(row, store.question_path(name))
+    pq.write_table(pa.table({"question_id": ["q"]}), path)
+    with pytest.raises(StoreError, match="lacks the column"):
+        AnswerKey(one_question).truth()
+    pq.write_table(row, path)
     with pytest.raises(StoreError, match="of another form"):
-        scoring.read_truth(store)
+        AnswerKey(one_question).truth()
+    path.unlink()
+    with pytest.raises(StoreError, match=r"run .jrdb-avr (generate|load)"):
+        AnswerKey(one_question).truth()
 
 
 def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
     from jrdb_avr.engine.pages.inspect import inspect_questions
     from jrdb_avr.engine.report.traces import Trace
     from jrdb_avr.engine.validate.statistics import statistics
-    from jrdb_avr.queries.runs import questions_hash, write_run_manifest
-    from jrdb_avr.queries.store import Store
 
     store = Store(tmp_path)
-    for table in ("questions", "sequences", "answers", "evidence", "rejected"):
+    for table in ("questions", "sequences", "answers", "rejected"):
         generation = "second" if table == "answers" else "first"
         store.write_questions(table, QUESTIONS[table].empty_table(), {"generation": generation})
     write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), (), True, {}, "now"))

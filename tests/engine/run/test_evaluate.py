@@ -23,6 +23,7 @@ from fake_server import FakeServer, Status, sound
 from hypothesis import given
 from hypothesis import strategies as st
 from painted_world import SEQUENCE
+from segments import InMemory, journal_lines, opened
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run import answering
@@ -293,7 +294,7 @@ def test_a_server_that_is_gone_ends_the_run_and_spends_no_question(store, gone):
         assert gone.message in str(result.exception)
         assert ("--resume" if gone.code != 401 else "OPENAI_API_KEY") in str(result.exception)
         folder = store.run_path("react-fake")
-        kept = [json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines()]
+        kept = [json.loads(line) for line in journal_lines(folder)]
         assert len(kept) < 4 and not any(entry["prediction"]["status"] == "error" for entry in kept)
         assert not (folder / "predictions.parquet").exists()
         away = False
@@ -431,11 +432,11 @@ def entry(name, status="answered", **other):
 
 def test_the_journal_keeps_what_was_appended(tmp_path):
     path = tmp_path / "run" / "journal.jsonl"
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         journal.append(entry("a", "error"))
         journal.append(entry("b"))
         journal.append(entry("a"))
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         assert journal.finished == {"a": entry("a"), "b": entry("b")}
 
 
@@ -448,11 +449,11 @@ def test_twenty_times_the_questions_take_no_more_memory(tmp_path, monkeypatch):
     for n in (1, 20, 400):
         path = Store(tmp_path / str(n)).run_path("r") / "journal.jsonl"
         tracemalloc.start()
-        with journals.Journal(path) as journal:
+        with opened(path) as journal:
             for number in range(n):
                 name = f"{number:04}"
                 journal.append(msgspec.structs.replace(entry(name), steps=[step | {"question_id": name}]))
-        with journals.Journal(path) as journal:
+        with opened(path) as journal:
             assert len(journals.world_rows("r", journal.finished)) == 0
             journals.write_tables(Store(tmp_path / str(n)), "r", journal.finished)
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -465,7 +466,7 @@ def test_twenty_times_the_questions_take_no_more_memory(tmp_path, monkeypatch):
 def test_a_line_that_the_disk_took_in_part_is_none(tmp_path):
     path = tmp_path / "journal.jsonl"
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         journal.append(entry("a"))
         resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, hard))
         try:
@@ -475,22 +476,22 @@ def test_a_line_that_the_disk_took_in_part_is_none(tmp_path):
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         journal.append(entry("c"))
         assert journal.finished.keys() == {"a", "c"}
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         assert journal.finished == {"a": entry("a"), "c": entry("c")}
 
 
 @given(st.integers(0, 1000))
 def test_a_journal_cut_anywhere_keeps_its_whole_lines(tmp_path_factory, cut):
     path = tmp_path_factory.mktemp("journal") / "journal.jsonl"
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         for name in "abc":
             journal.append(entry(name))
     data = path.read_bytes()[:cut]
     path.write_bytes(data)
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         assert len(journal.finished) == data.count(b"\n")
         journal.append(entry("z"))
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         assert len(journal.finished) == data.count(b"\n") + 1
 
 
@@ -498,7 +499,7 @@ def test_a_damaged_journal_is_refused(tmp_path):
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b"garbage\n" + msgspec.json.encode(entry("a")) + b"\n")
     with pytest.raises(StoreError, match="line 1, is damaged"):
-        journals.Journal(path)
+        opened(path)
 
 
 @pytest.mark.parametrize(
@@ -519,12 +520,12 @@ def test_a_journal_line_of_another_form_is_refused(tmp_path, line):
     path = tmp_path / "journal.jsonl"
     path.write_bytes(msgspec.json.encode(entry("b")) + b"\n" + line + b"\n")
     with pytest.raises(StoreError, match="line 2, is damaged"):
-        journals.Journal(path)
+        opened(path)
 
 
 def test_one_process_runs_a_run(tmp_path):
-    with journals.Journal(tmp_path / "journal.jsonl"), pytest.raises(LockedError):
-        journals.Journal(tmp_path / "journal.jsonl")
+    with opened(tmp_path / "journal.jsonl"), pytest.raises(LockedError):
+        opened(tmp_path / "journal.jsonl")
 
 
 # -- asking -----------------------------------------------------------------------------------------------------------
@@ -572,7 +573,7 @@ def test_whatever_a_method_raises_is_an_error_row(error):
 def test_what_is_no_prediction_is_an_error_row(tmp_path, returned):
     finished = answering.answer_one(Scripted(lambda task: returned), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     assert finished.failed
-    journals.write_tables(Store(tmp_path), "r", {finished.question_id: finished})
+    journals.write_tables(Store(tmp_path), "r", InMemory(finished))
 
 
 NAN = float("nan")
@@ -636,14 +637,14 @@ def test_what_a_method_leaves_that_cannot_be_kept_is_an_error_row(tmp_path, beha
     def answer(task):
         return behave(task) if task.question == asked[False] else Prediction("invalid", reason="sound")
 
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         answering.answer_all(Scripted(answer), [*asked.values()], {SEQUENCE: INFO}, no_look, no_look, journal, 1)
         finished = dict(journal.finished)
     assert {sound: finished[question.question_id].prediction["status"] for sound, question in asked.items()} == {
         False: "error",
         True: "invalid",
     }
-    with journals.Journal(path) as journal:
+    with opened(path) as journal:
         assert journal.finished == finished
 
 
@@ -673,7 +674,7 @@ def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
         if steps:
             raise KeyboardInterrupt
 
-    with journals.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
+    with opened(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
         answering.answer_all(Scripted(once), QUESTIONS_ASKED, {SEQUENCE: INFO}, no_look, no_look, journal, 4, fail)
     assert 3 <= len(ended) <= 4
 
@@ -685,7 +686,7 @@ def test_what_utf8_cannot_hold_is_written_out(tmp_path):
 
     finished = answering.answer_one(Scripted(behave), QUESTIONS_ASKED[0], INFO, no_look, no_look)
     store = Store(tmp_path)
-    journals.write_tables(store, "r", {finished.question_id: finished})
+    journals.write_tables(store, "r", InMemory(finished))
     assert predictions(store, "r")["raw"].to_pylist() == ["\\ud800"]
 
 
@@ -697,7 +698,7 @@ def test_many_questions_in_flight(tmp_path):
         return Prediction("answered", Choice(1), Evidence(0, (0.0, 0.0, 1.0, 1.0)))
 
     asked = [question(0, 15 * i) for i in range(3, 67)]
-    with journals.Journal(tmp_path / "journal.jsonl") as journal:
+    with opened(tmp_path / "journal.jsonl") as journal:
         answering.answer_all(Scripted(behave), asked, {SEQUENCE: INFO}, no_look, no_look, journal, 64)
     assert [row.prediction["status"] for row in journal.finished.values()] == ["answered"] * 64
 
@@ -720,7 +721,7 @@ def test_threads_are_left_as_they_were(tmp_path):
 
     cv2.setNumThreads(2)
     before = state()
-    with journals.Journal(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
+    with opened(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
         answering.answer_all(
             Scripted(behave), QUESTIONS_ASKED[:1], {SEQUENCE: INFO}, no_look, no_look, journal, 1, fail
         )

@@ -18,6 +18,7 @@ from click.testing import CliRunner
 from effort import examples
 from places import SUPPORT
 from scene_tables import table_store
+from segments import InMemory, segment_of
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run import journal as journals
@@ -200,7 +201,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
         manifest = RunManifest(run_id, method, "m", "0" * 64, (), True, {}, "")
         write_run_manifest(store, manifest)
     for run_id in ("base", "silent"):
-        journals.write_tables(store, run_id, {})
+        journals.write_tables(store, run_id, InMemory())
     for run_id, words in (
         ("none", r"has no run 'none': did you mean one"),
         ("half", r"'half' is not finished: repeat its 'jrdb-avr evaluate' with --resume"),
@@ -224,7 +225,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
 
 def test_a_resumed_run_brings_back_what_a_new_graph_lacks(store, live):
     """As after a load while the run was stopped; and what an interrupted question left does not stay."""
-    journal = store.run_path("one") / "journal.jsonl"
+    journal = segment_of(store.run_path("one"))
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:3]))
     (store.run_path("one") / "world.parquet").unlink()
@@ -333,7 +334,7 @@ def test_killed_in_a_write_the_run_ends_as_if_it_had_not_been(template, live, tm
     for after in (20, 80):
         done = subprocess.run([sys.executable, "-c", KILLED, str(store.path), str(after)], cwd=here, check=False)
         assert done.returncode == -signal.SIGKILL
-    assert (store.run_path("one") / "journal.jsonl").read_bytes().count(b"\n") >= 1
+    assert segment_of(store.run_path("one")).read_bytes().count(b"\n") >= 1
     run(store, "one")
     assert dump(store.graph_path) == live
     assert read_record(store, "one").equals(read_record(template, "one"))

@@ -17,7 +17,7 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError
 
 HOSTILE = '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>'
-PRIVATE_PARTS = ("questions/answers.parquet", "questions/evidence.parquet", "annotations", "intervals", "graph.kuzu")
+PRIVATE_PARTS = ("questions/answers.parquet", "questions/evidence", "annotations", "intervals", "graph.kuzu")
 
 
 @pytest.fixture
@@ -180,7 +180,7 @@ def test_what_is_no_move_is_refused(store):
             "look?number=0",
             f"look?question={name}&number=0",
             f"look?question={name}&number=-1",
-            "journal.jsonl",
+            "journal/painted.jsonl",
         ):
             assert fetch(server, path)[0] == 404
         for path in ("state", "next", "move"):

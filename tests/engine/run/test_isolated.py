@@ -13,6 +13,7 @@ import pytest
 import warm
 from asked_world import QUESTIONS_ASKED
 from entry import run
+from segments import segment_of
 
 from jrdb_avr.engine.run import confine
 from jrdb_avr.engine.run.isolated import check_confinable
@@ -79,7 +80,7 @@ def private_files(store):
         *(store.question_path(name) for name in ("answers", "evidence", "proofs")),
         store.path / "graph.kuzu",
         store.annotation_path("boxes_2d", "s"),
-        store.run_path("other") / "journal.jsonl",
+        segment_of(store.run_path("other")),
         image_root.parents[1] / "labels" / "labels_3d" / "s.json",
     ]
     for place in places:
@@ -126,7 +127,7 @@ def test_an_isolated_method_that_searches_finds_no_answer(secret, tmp_path, monk
     words = stolen(secret, tmp_path, "--isolated").split()
     assert int(words[0]) > 15 and words[1:] == []
     assert sorted(path.name for path in secret[0].run_path("r").iterdir()) == sorted(
-        ["calls.jsonl", "journal.jsonl", "run.json", *(f"{name}.parquet" for name in ("predictions", "steps", "world"))]
+        ["calls.jsonl", "journal", "run.json", *(f"{name}.parquet" for name in ("predictions", "steps", "world"))]
     )
     assert not (secret[0].path / "left").exists()
 

@@ -67,8 +67,8 @@ def test_four_digits_come_back_and_its_end_is_its_parents(judged):
 
 
 def test_a_bench_reads_the_public_files_alone(judged):
-    for name in ("answers", "evidence"):
-        judged.question_path(name).write_bytes(b"nothing to read")
+    for path in (judged.question_path("answers"), *judged.question_path("evidence").iterdir()):
+        path.write_bytes(b"nothing to read")
     bench = Bench.open(judged)
     assert [question.question_id for question in bench.questions] == [q.question_id for q in QUESTIONS_ASKED]
     episode = bench.episode(QUESTIONS_ASKED[0].question_id, budget=1)

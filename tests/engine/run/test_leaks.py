@@ -114,7 +114,7 @@ def kept(store, method):
     tables = [pq.read_table(path).to_pylist() for path in sorted(folder.glob("*.parquet"))]
     files = {path.name: path.read_text() for path in folder.rglob("*") if path.suffix in (".json", ".jsonl")}
     assert len(tables) == 3
-    assert {"run.json", "journal.jsonl", "calls.jsonl"} <= files.keys()
+    assert {"run.json", f"{SEQUENCE}.jsonl", "calls.jsonl"} <= files.keys()
     return json.dumps(tables) + "".join(files.values())
 
 

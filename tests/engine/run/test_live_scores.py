@@ -14,9 +14,10 @@ from click.testing import CliRunner
 from fake_server import FakeServer, images, sound, texts
 from judged_world import Reader, asked_frame, shown_at, write_answers
 from painted_world import SEQUENCE
+from segments import opened, segment_of
 
 from jrdb_avr.engine.commands import evaluate
-from jrdb_avr.engine.report.scoring import read_truth, score_run
+from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.run import answering
 from jrdb_avr.engine.run import journal as journals
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
@@ -31,14 +32,14 @@ def judged(store):
     info = SequenceInfo(SEQUENCE, 15.0, 301, FRAMES)
     ids = tuple(q.question_id for q in QUESTIONS_ASKED)
     write_run_manifest(store, RunManifest("r", "reader", "m", questions_hash(store), ids, True, {}, "2026-01-01"))
-    with journals.Journal(store.run_path("r") / "journal.jsonl") as journal:
+    with opened(segment_of(store.run_path("r"), SEQUENCE)) as journal:
         answering.answer_all(Reader(), QUESTIONS_ASKED, {SEQUENCE: info}, None, None, journal, 4)
         journals.write_tables(store, "r", journal.finished)
     return store
 
 
 def final(store, run_id="r"):
-    scores = score_run(store, read_truth(store), run_id)[2].to_pydict()
+    scores = report(store, [run_id]).scores.to_pydict()
     return LiveScore(len(scores["invalid"]), *(sum(scores[f"{n}_score"]) for n in ("answer", "evidence", "combined")))
 
 
@@ -55,7 +56,7 @@ def reported(store, entries, more=()):
 
 
 def test_a_run_stands_in_the_end_where_score_sees_it(judged):
-    with journals.Journal(judged.run_path("r") / "journal.jsonl") as journal:
+    with opened(segment_of(judged.run_path("r"), SEQUENCE)) as journal:
         entries = [*journal.finished.values()]
     assert final(judged) == LiveScore(12, 6, 12, 6)
     assert str(final(judged)) == "answer 50.0 %, evidence 100.0 %, combined 50.0 % of 12"

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from entry import run
 from known_runs import BOX, ELSEWHERE, Benchmark
+from segments import opened, segment_of
 
 from jrdb_avr.engine.report.comparison import diff
-from jrdb_avr.engine.run.journal import Finished, Journal
+from jrdb_avr.engine.run.journal import Finished
 from jrdb_avr.engine.run.overview import list_runs, remove_run, show_run
 from jrdb_avr.queries.runs import questions_hash, run_ids, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -24,8 +25,7 @@ def store(tmp_path):
     """Two runs of twelve questions, one of twelve sequences each."""
     place = Store(tmp_path / "S")
     benchmark = Benchmark([(f"q{n:02}", f"s{n:02}", "long_range") for n in range(12)])
-    for name, rows in benchmark.tables.items():
-        place.write_questions(name, rows, {})
+    benchmark.write(place)
     for name, given in (
         ("one", [RIGHT] * 6 + [ANSWER] * 3 + [NOTHING] * 3),
         ("two", [RIGHT] * 2 + [NOTHING] * 6 + [RIGHT] * 4),
@@ -46,11 +46,11 @@ def test_runs_are_listed_by_how_far_they_are(store):
     assert rows["one"]["state"] == "complete"
     assert (rows["one"]["n"], rows["one"]["answered"], rows["one"]["invalid"], rows["one"]["error"]) == (12, 9, 3, 0)
     (store.run_path("one") / "predictions.parquet").unlink()
-    with Journal(store.run_path("one") / "journal.jsonl") as journal:
+    with opened(segment_of(store.run_path("one"))) as journal:
         for n, reason in enumerate(("slow", "slow", "lost"), len(journal.finished)):
             blank = {"status": "error", "reason": reason}
             lines = [Finished(f"q0{n}", blank, [])]
-            (store.run_path("one") / "journal.jsonl").open("ab").write(msgspec.json.encode(lines[0]) + b"\n")
+            segment_of(store.run_path("one")).open("ab").write(msgspec.json.encode(lines[0]) + b"\n")
         assert state(store, "one") == "unfinished"
         found = show_run(store, "one")
         assert (found["error"], found["commonest error"]) == (3, ["2 x slow", "1 x lost"])

@@ -267,10 +267,11 @@ def test_metadata_is_looked_at(few):
 def test_missing_and_broken_files_are_one_line(few, tmp_path):
     with pytest.raises(StoreError, match="is no store: run 'jrdb-avr load"):
         Store(tmp_path / "nothing").questions("questions")
-    few.question_path("evidence").write_bytes(b"PAR1 nothing")
+    path = next(few.question_path("evidence").iterdir())
+    path.write_bytes(b"PAR1 nothing")
     missing = run("validate", "--store", tmp_path / "nothing")
     broken = run("validate", "--store", few.path)
-    few.question_path("evidence").unlink()
+    path.unlink()
     gone = run("validate", "--store", few.path)
     for code, out, err in (missing, broken, gone):
         assert code == 1 and len(err.splitlines()) == 1, err

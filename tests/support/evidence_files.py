@@ -1,0 +1,30 @@
+"""Evidence of a store as one table, which lies in a file per sequence; and all files of a generation."""
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from jrdb_avr.schema.tables import QUESTIONS
+
+
+def all_evidence(store):
+    """The evidence of all questions, by question and frame."""
+    questions = store.questions("questions")
+    tables = [store.evidence(name, questions) for name in questions["sequence"].unique().to_pylist()]
+    return pa.concat_tables([QUESTIONS["evidence"].empty_table(), *tables]).sort_by(
+        [("question_id", "ascending"), ("frame", "ascending")]
+    )
+
+
+def write_evidence(store, table, metadata=None):
+    """Write evidence of questions that are written already, also where some have none."""
+    questions = store.questions("questions")
+    for name in questions["sequence"].unique().to_pylist():
+        ids = questions.filter(pc.field("sequence") == name)["question_id"].combine_chunks()
+        own = table.filter(pc.is_in(table["question_id"], value_set=ids))
+        store.write_evidence(name, own, metadata or {})
+
+
+def question_files(store):
+    """The paths of all files of a generation in `questions/`, by name."""
+    folder = store.question_path("questions").parent
+    return {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*.parquet"))}
