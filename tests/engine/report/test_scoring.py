@@ -3,12 +3,16 @@
 import inspect
 import json
 import math
+import shutil
 import sys
 import types
 from pathlib import Path
 
+import known_runs
+import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from effort import examples
@@ -705,4 +709,53 @@ def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
     readers = (lambda: statistics(store), lambda: inspect_questions(store, []), lambda: Trace(store, "r", "q"))
     for read in readers:
         with pytest.raises(StoreError, match=r"answers.* of different generations: run 'jrdb-avr generate"):
+            read()
+
+
+# -- streams ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def three_sequences(tmp_path):
+    """A store with six questions of three sequences, whose ids mix them, and a run that answers all but the last."""
+    store, benchmark = Store(tmp_path), Benchmark([(f"q{n}", f"s{n % 3}", "long_range") for n in range(6)])
+    benchmark.write(store)
+    run = benchmark.run([(1 + n % 2, known_runs.BOX, 7) for n in range(6)])
+    write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))
+    table = benchmark.written["predictions"]
+    store.write_run("r", "predictions", table.filter(pc.field("question_id") != "q5"))
+    return store, benchmark
+
+
+@pytest.mark.parametrize("most", [1, 5, 1000])
+def test_scores_do_not_depend_on_how_many_sequences_are_read_at_a_time(three_sequences, monkeypatch, most):
+    monkeypatch.setattr("jrdb_avr.engine.report.answer_key.MOST_BOXES", most)
+    monkeypatch.setattr("jrdb_avr.engine.report.run_scores._BATCH", 1 + most % 3)
+    found = report(three_sequences[0], ["r"])
+    right = {row["question_id"]: row["combined_score"] for row in found.scores.to_pylist()}
+    assert right == {"q0": 1, "q1": 0, "q2": 1, "q3": 0, "q4": 1, "q5": 0}
+    assert (found.runs[0].n, found.runs[0].errors) == (6, 1)
+
+
+def test_predictions_in_another_order_or_of_nobody_are_refused(three_sequences, monkeypatch):
+    monkeypatch.setattr("jrdb_avr.engine.report.answer_key.MOST_BOXES", 1)
+    store, _ = three_sequences
+    path = store.run_path("r") / "predictions.parquet"
+    table = pq.read_table(path)
+    store.write_run("r", "predictions", table.sort_by("question_id"))
+    with pytest.raises(StoreError, match="in another order: use a new run id"):
+        report(store, ["r"])
+    nobody = pa.array([*table["question_id"].to_pylist()[:-1], "nobody"])
+    store.write_run("r", "predictions", table.set_column(1, table.schema.field(1), nobody))
+    with pytest.raises(StoreError, match="predicts 'nobody', which is not one of its questions"):
+        report(store, ["r"])
+
+
+def test_questions_of_an_older_version_are_one_line(three_sequences):
+    store, benchmark = three_sequences
+    shutil.rmtree(store.question_path("evidence"))
+    older = store.path / "questions" / "evidence.parquet"
+    pq.write_table(benchmark.tables["evidence"], older)
+    for read in (lambda: report(store, ["r"]), lambda: store.sql("SELECT count(*) FROM evidence")):
+        with pytest.raises(StoreError, match="run 'jrdb-avr generate"):
             read()
