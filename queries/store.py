@@ -25,6 +25,7 @@ from typing import Any, Final, Literal
 
 import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.display import Displayed, Tables
@@ -382,12 +383,32 @@ def _written(schema: pa.Schema) -> dict[str, Any]:
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a Parquet table, or some of its columns. Raises StoreError naming the file if it is missing or broken."""
-    try:
-        file = pq.ParquetFile(path)
+    with _parquet(path) as file:
         # The reader would silently leave out columns that the file does not have.
         if lacking := set(columns or ()) - set(file.schema_arrow.names):
             raise pa.ArrowKeyError(f"it lacks the column {min(lacking)}")
         return file.read(columns)
+
+
+def read_rows(path: Path, column: str, value: str) -> pa.Table:
+    """The rows of a Parquet table with a value in a column; of row groups without it that column alone is read.
+
+    Raises StoreError as `read_table`.
+    """
+    with _parquet(path) as file:
+        found = [file.schema_arrow.empty_table()]
+        for number in range(file.num_row_groups):
+            if pc.index(file.read_row_group(number, [column])[column], value).as_py() >= 0:
+                group = file.read_row_group(number)
+                found.append(group.filter(pc.equal(group[column], value)))
+        return pa.concat_tables(found)
+
+
+@contextlib.contextmanager
+def _parquet(path: Path) -> Iterator[pq.ParquetFile]:
+    try:
+        with pq.ParquetFile(path) as file:
+            yield file
     except (OSError, pa.ArrowException) as error:
         reason = str(error).splitlines()[0]
         raise StoreError(f"cannot read {path}: {reason}; run the step that writes it again") from None

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from jrdb_avr.engine.report.run_scores import predictions_path
 from jrdb_avr.engine.report.scoring import Truth, score_predictions
 from jrdb_avr.queries.runs import read_run_manifest
-from jrdb_avr.queries.store import Store, read_table
+from jrdb_avr.queries.store import Store, read_rows
 from jrdb_avr.schema.beliefs import ALWAYS, Fact
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import CROP, WIDTH
@@ -63,7 +63,7 @@ class Transcript:
         """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a
         question that is not one of the run."""
         self.manifest = read_run_manifest(store, run_id)
-        self._predictions = _own(read_table(predictions_path(store, run_id)), question_id)
+        self._predictions = read_rows(predictions_path(store, run_id), "question_id", question_id)
         if not self._predictions.num_rows:
             raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
         questions, sequences = store.question_tables("questions", "sequences")
@@ -73,10 +73,10 @@ class Transcript:
         (self.question,), (self.prediction,) = (table.to_pylist() for table in (questions, self._predictions))
         self.fps = {row["sequence"]: row["fps"] for row in sequences.to_pylist()}[self.question["sequence"]]
         path = store.run_path(run_id)
-        self.steps = _own(read_table(path / "steps.parquet"), question_id).sort_by("step").to_pylist()
+        self.steps = read_rows(path / "steps.parquet", "question_id", question_id).sort_by("step").to_pylist()
         self.looks = [look for step in self.steps if (look := look_of(step)) is not None]
         world = path / "world.parquet"
-        written = _own(read_table(world), question_id).sort_by("number").to_pylist() if world.exists() else []
+        written = read_rows(world, "question_id", question_id).sort_by("number").to_pylist() if world.exists() else []
         facts = [_fact(row["fact"], world) for row in written]
         until = {number: row["step"] for row, fact in zip(written, facts, strict=True) for number in fact.replaced}
         self.writes = [

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Final, NamedTuple, get_args
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.queries.store import Store, write_groups
+from jrdb_avr.queries.store import Store, read_table, write_groups
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import LockedError, StoreError
@@ -331,12 +331,11 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
             if group.num_rows:
                 yield group
 
-    for table in ("world", "steps"):
-        write_groups(store.run_path(run_id) / f"{table}.parquet", groups(table), RUNS[table])
-    # Last: a run that has predictions is complete.
-    predictions = pa.concat_tables([RUNS["predictions"].empty_table(), *groups("predictions")]).combine_chunks()
-    store.write_run(run_id, "predictions", predictions)
-    return predictions
+    # Predictions last: a run that has them is complete.
+    for table in ("world", "steps", "predictions"):
+        path = store.run_path(run_id) / f"{table}.parquet"
+        write_groups(path, groups(table), RUNS[table])
+    return read_table(path)
 
 
 def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:

@@ -175,6 +175,22 @@ def test_a_run_sends_its_journal_while_it_goes_on_and_when_it_fails(machine, the
     assert files(there)["runs/mine/journal.jsonl"] == "one\ntwo\n"
 
 
+def test_of_a_journal_the_files_that_changed_are_sent(machine, there, monkeypatch):
+    sent, send = [], mirror.RemoteFolder.send
+    store = machine("a")
+    monkeypatch.setattr(
+        mirror.RemoteFolder, "send", lambda self, path, name: (sent.append(name), send(self, path, name))
+    )
+    for name in ("yard", "hall", "yard"):
+        with store.sending("runs/mine/"):
+            path = store.path / f"runs/mine/journal/{name}.jsonl"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a") as file:
+                file.write("a line\n")
+    assert sent == [f"runs/mine/journal/{name}.jsonl" for name in ("yard", "hall", "yard")]
+    assert files(there)["runs/mine/journal/yard.jsonl"] == "a line\n" * 2
+
+
 def test_no_name_in_a_listing_leads_out_of_the_mirror(machine, there, tmp_path, monkeypatch):
     load(machine("a"), "boxes")
     names = ["../out", "runs/../../../out", "/etc/out", "runs//out", "runs/x\n/out", ".writing", "runs/.hidden", "out"]
