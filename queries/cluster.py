@@ -89,9 +89,13 @@ def connected(address: str) -> Iterator[Any]:
         return
     try:
         ray.init(address=None if address == "ray" else address, logging_level=logging.ERROR, log_to_driver=False)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(f"no Ray cluster answers at {address}: {reason}", field="executor") from None
+    except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
+        # Ray starts a cluster with a token wherever a user has one, and joins none with it unless it is told to.
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise InputError(
+            f"no Ray cluster answers at {address}: {reason}; where the cluster has a token, set RAY_AUTH_MODE=token",
+            field="executor",
+        ) from None
     try:
         yield ray
     finally:

@@ -17,6 +17,7 @@ import contextlib
 import json
 import logging
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -209,6 +210,8 @@ def cluster(scratch: Path) -> Iterator[dict[str, int]]:
     cache, other_cache = scratch / "cache", scratch / "elsewhere"
     port, client_port = free_ports()
     os.environ |= {"RAY_ADDRESS": f"127.0.0.1:{port}", "JRDB_AVR_CACHE": str(cache)}
+    # Whether the user has a token of Ray's or not.
+    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
     line = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", "--num-cpus=1", "--disable-usage-stats"]
     line += ["--min-worker-port=0", "--max-worker-port=0", "--object-store-memory=100000000"]
     head = ["--head", f"--port={port}", f"--ray-client-server-port={client_port}", "--include-dashboard=false"]

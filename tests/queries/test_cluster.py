@@ -6,6 +6,7 @@ import hashlib
 import os
 import signal
 import sys
+from types import SimpleNamespace
 
 import pytest
 from entry import run
@@ -18,6 +19,21 @@ from jrdb_avr.schema.errors import InputError, StoreError
 def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"pip install 'jrdb-avr\[ray\]'"):
+        list(map_on_cluster("ray", len, ["a"], [0]))
+
+
+@pytest.mark.parametrize("kind", [ConnectionError, LookupError])
+def test_a_cluster_that_refuses_is_one_line(monkeypatch, kind):
+    """Ray's own errors, such as that of a missing token, are of its own kind, here LookupError."""
+
+    def init(**options):
+        raise kind("no token was found.\nMore about it.")
+
+    exceptions = SimpleNamespace(RayError=LookupError)
+    monkeypatch.setitem(
+        sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False, init=init, exceptions=exceptions)
+    )
+    with pytest.raises(InputError, match=r"at ray: no token was found; where .* set RAY_AUTH_MODE=token$"):
         list(map_on_cluster("ray", len, ["a"], [0]))
 
 
