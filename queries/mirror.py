@@ -13,6 +13,7 @@ import fcntl
 import hashlib
 import itertools
 import os
+import secrets
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -42,6 +43,9 @@ _LAST: Final = ("predictions.parquet", "scores.parquet", "questions.parquet", MA
 """Names of the files that make others valid, in the order in which they are sent after those."""
 
 _ABSENT: Final = (-1, 0)
+
+_TURN: Final = "turn"
+"""Name of the file at the URL that each writer of tables replaces first, if it still is the one that it knows."""
 
 OPENED: Final[dict[Path, tuple[str, tuple[str, ...]]]] = {}
 """The folders of the mirrors that this process has fetched, each with its URL and the parts that sequences need."""
@@ -95,6 +99,8 @@ class Mirror:
         with self._known() as known:
             if self._is_written():
                 return
+            # Before all else: who takes the turn from now on may change anything.
+            turn = self._remote.tag(_TURN) if self._remote.files(_TURN) else None
             there, here = self._there((*TABLES, *RUNS)), self._here((*TABLES, *RUNS))
             unsent = {name for name, at in here.items() if name.startswith(RUNS) and not _same(known, name, here=at)}
             news = {name for name, at in there.items() if not _same(known, name, there=at)}
@@ -109,6 +115,8 @@ class Mirror:
                 (self.folder / name).unlink()
             for name in known.keys() - there.keys():
                 del known[name]
+            if turn is not None:
+                known[_TURN] = Known(turn, _ABSENT)
             self._fetch(there, differing, known)
 
     def fetch_root(self) -> None:
@@ -156,6 +164,8 @@ class Mirror:
             guard = [MANIFEST_NAME] if MANIFEST_NAME in parts else []
             for name in sorted({*changed, *gone, *guard}):
                 self._refuse(name, there.get(name), known[name].there if name in known else None)
+            if guard:
+                self._take_turn(known)
             if MANIFEST_NAME in {*changed} & there.keys() and any(n.startswith(TABLES[:2]) for n in [*changed, *gone]):
                 # Until the new one is there, nobody takes the tables of two loads for a store.
                 self._remote.delete(MANIFEST_NAME)
@@ -196,6 +206,14 @@ class Mirror:
         finally:
             ended.set()
             thread.join()
+
+    def _take_turn(self, known: dict[str, Known]) -> None:
+        """Have all writers refused from now on that have fetched the store before; or be refused by one of them."""
+        tag = self._remote.replace(_TURN, secrets.token_bytes(16), known[_TURN].there if _TURN in known else None)
+        if tag is None:
+            self._refuse(_TURN, None, "")
+        elif tag:
+            known[_TURN] = Known(tag, _ABSENT)
 
     def _refuse(self, name: str, there: str | None, expected: str | None) -> None:
         if there != expected:

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.util
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import urlsplit, urlunsplit
+from urllib.parse import parse_qsl, urlsplit, urlunsplit
 
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.schema.errors import AvrError, InputError, StoreError
 
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ +@=-]{0,199}")
+
+_OTHER: Final = ("PreconditionFailed", "ConditionalRequestConflict", "NoSuchKey")
+"""Codes of S3's errors where a file is not the one that a condition names."""
 
 
 def child_url(url: str, path: str) -> str:
@@ -72,7 +76,7 @@ class RemoteFolder:
         """The server's tag of a file's content; None where it has none."""
         with self._reached() as (system, root), system.open_input_stream(f"{root}/{name}") as file:
             found = {key.lower(): value for key, value in (file.metadata() or {}).items()}.get("etag")
-            return None if found is None else str(found)
+            return None if found is None else bytes(found).decode()
 
     def read(self, name: str) -> bytes:
         """The content of a file."""
@@ -104,6 +108,35 @@ class RemoteFolder:
             copy_files(str(path), first, source_filesystem=LocalFileSystem(), destination_filesystem=system)
             if first != place:
                 system.move(first, place)
+
+    def replace(self, name: str, data: bytes, tag: str | None) -> str | None:
+        """Write a small file if its tag still is `tag`, None for no such file, in one step of the server.
+
+        Returns its new tag, or None where it is another one by now. Returns "" and writes nothing where no condition
+        can be set: elsewhere than on S3, without boto3, and on servers that know none.
+        """
+        parts = urlsplit(self.url)
+        if parts.scheme != "s3" or importlib.util.find_spec("boto3") is None:
+            return ""
+        import boto3
+        from botocore.exceptions import ClientError
+
+        options = dict(parse_qsl(parts.query))
+        place = options.get("endpoint_override")
+        endpoint = f"{options.get('scheme', 'https')}://{place}" if place else None
+        condition = {"IfNoneMatch": "*"} if tag is None else {"IfMatch": tag}
+        with self._reached() as (_, root):
+            bucket, _, key = f"{root}/{name}".partition("/")
+            client = boto3.client("s3", region_name=options.get("region"), endpoint_url=endpoint)
+            try:
+                written = client.put_object(Bucket=bucket, Key=key, Body=data, **condition)
+            except ClientError as error:
+                if error.response["Error"]["Code"] in _OTHER:
+                    return None
+                if error.response["Error"]["Code"] == "NotImplemented":
+                    return ""
+                raise
+            return str(written["ETag"])
 
     def delete(self, name: str) -> None:
         """Delete a file."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -10,12 +11,16 @@ import pytest
 from entry import run
 from extras import needs
 
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry
+from jrdb_avr.queries.remote import RemoteFolder
 from jrdb_avr.queries.store import Store, file_hash
 from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.rules import LoadRules
 
 needs("moto", "boto3")
 
 STORE = "s3://bucket/store"
+TABLE = "annotations/boxes_2d/yard_0.parquet"
 
 
 @pytest.fixture(scope="module")
@@ -159,3 +164,55 @@ def test_a_second_writer_is_refused(made, bucket, tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="changed by another writer"), late.writing("generate"):
         late.question_path("questions").write_bytes(b"of an older store")
     assert objects(bucket) == between
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_of_two_writers_at_the_same_moment_one_is_refused(bucket, tmp_path, monkeypatch, begun):
+    """Both have passed all comparisons when the other one sends: the server's condition alone tells them apart."""
+    place, replace, loads = f"s3://bucket/a%20race/{begun}", RemoteFolder.replace, []
+
+    def load(store, text):
+        with store.writing("load"):
+            (store.path / "annotations/boxes_2d").mkdir(parents=True, exist_ok=True)
+            (store.path / TABLE).write_text(text)
+            entries = {"yard_0": SequenceEntry(("2d",), {TABLE: file_hash(store.path / TABLE)})}
+            store.write_manifest(Manifest(None, LoadRules(), "", entries, {}))
+
+    def opened(name):
+        monkeypatch.setenv("JRDB_AVR_CACHE", str(tmp_path / name))
+        return Store(place)
+
+    def overtaken(self, *arguments):
+        if loads:
+            load(*loads.pop())
+        return replace(self, *arguments)
+
+    if begun:
+        load(opened("before"), "before")
+    first, second = opened("first"), opened("second")
+    loads.append((second, "second"))
+    monkeypatch.setattr(RemoteFolder, "replace", overtaken)
+    with pytest.raises(StoreError, match=r"changed by another writer since it was read \(turn\)"):
+        load(first, "first")
+    assert [(opened(name).path / TABLE).read_text() for name in ("other", "first")] == ["second", "second"]
+    load(opened("first"), "first")
+    load(opened("first"), "again")
+    assert (opened("other").path / TABLE).read_text() == "again"
+
+
+def test_a_server_without_conditions_is_written_to_as_before(bucket, monkeypatch):
+    folder, place = RemoteFolder("s3://bucket/plain"), os.environ["AWS_ENDPOINT_URL"]
+    assert folder.replace("turn", b"1", None) and folder.replace("turn", b"2", None) is None
+    here = RemoteFolder(f"s3://bucket/plain?endpoint_override={place.removeprefix('http://')}&scheme=http")
+    monkeypatch.delenv("AWS_ENDPOINT_URL")
+    assert here.replace("turn", b"3", here.tag("turn")) == here.tag("turn")
+    monkeypatch.setattr("botocore.client.BaseClient._make_api_call", refuse_conditions)
+    assert here.replace("turn", b"4", here.tag("turn")) == ""
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert here.replace("turn", b"5", None) == "" and here.read("turn") == b"3"
+
+
+def refuse_conditions(client, operation, arguments):
+    from botocore.exceptions import ClientError
+
+    raise ClientError({"Error": {"Code": "NotImplemented"}}, operation)
