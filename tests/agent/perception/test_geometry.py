@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 from effort import examples
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from labelled_people import World, toward
 
@@ -95,10 +95,14 @@ def test_what_is_certain_of_the_people_seen_is_so_of_all(boxes, looks, relation)
 
 
 @given(PEOPLE, LOOKS, st.sampled_from(("left", "right")))
+@example({"p0": Box(200, 10, 100, 150), "p1": Box(214, 10, 50, 30)}, [SeenColumns(240, 480)], "right")
 @settings(max_examples=examples(100))
 def test_unknown_is_only_what_somebody_unseen_could_change(boxes, looks, side):
     reach = [angle_of(box) + turn for box in boxes.values() for turn in (-59.9999, 59.9999)]
-    unseen = [angle for angle in (*(tick / 8 for tick in range(8 * 360)), *reach) if not inside(looks, angle)]
+    # A part that no look shows may be narrower than the steps.
+    edges = [(look.left + side) * 360 / WIDTH for look in looks for side in (-0.001, look.width + 0.001)]
+    tried = (*(tick / 8 for tick in range(8 * 360)), *reach, *edges)
+    unseen = [angle for angle in tried if not inside(looks, angle)]
     more = [{**boxes, "q": Box(toward(angle), 100.0, 50.0, 150.0)} for angle in unseen]
     for source, target in itertools.permutations(boxes, 2):
         known = first_beside(boxes, source, target, side, ALL)
