@@ -4,7 +4,8 @@
 
 The process that talks to a model never opens the private files. A child process reads the answers; it gets rows of
 `predictions` as lines of JSON and sends back four digits for each: answer, evidence and combined score, and whether
-output could not be read. Nothing else comes back. The child ends when its standard input closes.
+output could not be read; or one line that says why there is nothing to score by. Nothing else comes back. The child
+ends when its standard input closes.
 """
 
 from __future__ import annotations
@@ -75,8 +76,8 @@ class Judge(contextlib.ExitStack):
         return cls(Store.of(store))
 
     def score(self, question: Question, prediction: Prediction) -> QuestionScore:
-        """Score a prediction. Raises InputError for a question that has no answer in the store, StoreError where the
-        process has ended, ValueError for a prediction that no table can hold."""
+        """Score a prediction. Raises InputError for a question that has no answer in the store, StoreError where its
+        evidence is missing or unfit, or the process has ended, ValueError for a prediction that no table can hold."""
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
@@ -92,7 +93,7 @@ class Judge(contextlib.ExitStack):
         if line == _UNKNOWN:
             raise InputError(f"the store has no answer of question {row['question_id']!r}", field="question_id")
         if not _SCORE.fullmatch(line):
-            raise StoreError("the process that judges has ended: score the run afterwards")
+            raise StoreError(line or "the process that judges has ended: score the run afterwards")
         answer, evidence, combined, invalid = map(int, line)
         return QuestionScore(answer, evidence, combined, bool(invalid))
 
@@ -134,7 +135,12 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
         if place < 0:
             print(_UNKNOWN, flush=True)
             continue
-        truth, table = truth_of(place), pa.Table.from_pylist([row], RUNS["predictions"])
+        try:
+            truth = truth_of(place)
+        except (AvrError, OSError) as error:
+            print(" ".join(str(error).split()), flush=True)
+            continue
+        table = pa.Table.from_pylist([row], RUNS["predictions"])
         scores = score_predictions(truth, "", [row["question_id"]], table)
         (found,) = scores.to_pylist()
         digits = (found["answer_score"], found["evidence_score"], found["combined_score"], int(found["invalid"]))

@@ -53,6 +53,17 @@ def test_predictions_are_scored_from_many_threads_at_once(judged):
         judge.score(question, Prediction("answered"))
 
 
+def test_a_sequence_without_evidence_says_so_and_others_are_scored(judged):
+    question = QUESTIONS_ASKED[1]
+    path = judged.evidence_path(question.sequence)
+    with Judge.open(judged) as judge:
+        path.rename(path.with_suffix(".away"))
+        with pytest.raises(StoreError, match=f"{path.name} is missing: run 'jrdb-avr generate"):
+            judge.score_row(read(question).prediction)
+        path.with_suffix(".away").rename(path)
+        assert judge.score_row(read(question).prediction).combined == 1
+
+
 def test_a_folder_without_answers_has_no_judge(store):
     with pytest.raises(StoreError, match="answers"):
         Judge.open(store)
