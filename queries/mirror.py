@@ -104,9 +104,17 @@ class Mirror:
             there, here = self._there((*TABLES, *RUNS)), self._here((*TABLES, *RUNS))
             unsent = {name for name, at in here.items() if name.startswith(RUNS) and not _same(known, name, here=at)}
             news = {name for name, at in there.items() if not _same(known, name, there=at)}
-            for path in (self.folder / name for name in unsent & news):
-                # Both went on: what was sent counts, and the answers here are not lost.
+            foreign = {name for name in unsent & news if not self._remote.begins(self.folder / name, name)}
+            others = {name for name in {*map(_run_manifest, unsent)} & news if self._is_of_another_run(name)}
+            for name in [name for name in unsent if name in foreign or _run_manifest(name) in others]:
+                # Both went on: what was sent counts, and the answers here, maybe another model's, are not lost.
+                path = self.folder / name
                 path.rename(path.with_name(f".{path.name}.unsent"))
+                unsent.remove(name)
+                del here[name]
+            # Sent by a run that ended before it could note this.
+            known |= {name: Known(there[name], _ABSENT) for name in unsent & news}
+            news -= unsent
             differing = news | {n for n in there if n not in unsent and not _same(known, n, here=here.get(n, _ABSENT))}
             gone = here.keys() - there.keys() - unsent
             if MANIFEST_NAME in differing | gone:
@@ -161,8 +169,8 @@ class Mirror:
             hashes = _table_hashes(manifest.read_bytes() if manifest.exists() else b"")
             # Tables that a load made anew are most often what they were.
             changed = [name for name in changed if name not in hashes or hashes[name] != there.get(name)]
-            guard = [MANIFEST_NAME] if MANIFEST_NAME in parts else []
-            for name in sorted({*changed, *gone, *guard}):
+            guard = {MANIFEST_NAME} & {*parts}
+            for name in sorted({*changed, *gone, *guard, *map(_run_manifest, [*changed, *gone])}):
                 self._refuse(name, there.get(name), known[name].there if name in known else None)
             if guard:
                 self._take_turn(known)
@@ -170,11 +178,15 @@ class Mirror:
                 # Until the new one is there, nobody takes the tables of two loads for a store.
                 self._remote.delete(MANIFEST_NAME)
                 del there[MANIFEST_NAME]
-            for wave, names in itertools.groupby(sorted(changed, key=_wave), _wave):
-                sent = list(names)
-                if wave > 1 and sent[0].startswith(TABLES):
-                    self._refuse(sent[0], self._there(sent).get(sent[0]), there.get(sent[0]))
-                list(_each(self._send_one, sent))
+            sent: list[str] = []
+            try:
+                self._send_waves(changed, there, sent)
+            except StoreError:
+                # A run goes on, and what it has sent by now is no other writer's.
+                of_runs = [name for name in sent if name.startswith(RUNS)]
+                with contextlib.suppress(StoreError):
+                    known.update({name: Known(at, here[name]) for name, at in self._there(of_runs).items()})
+                raise
             for name in gone:
                 if name in there:
                     self._remote.delete(name)
@@ -206,6 +218,11 @@ class Mirror:
         finally:
             ended.set()
             thread.join()
+
+    def _is_of_another_run(self, name: str) -> bool:
+        """Whether the manifest of a run at the URL is of one that was begun another time than that here."""
+        path = self.folder / name
+        return _begun(path.read_bytes() if path.exists() else b"") != _begun(self._remote.read(name))
 
     def _take_turn(self, known: dict[str, Known]) -> None:
         """Have all writers refused from now on that have fetched the store before; or be refused by one of them."""
@@ -276,6 +293,19 @@ class Mirror:
         self._remote.fetch(name, self.folder / name)
         return name
 
+    def _send_waves(self, names: Iterable[str], there: Mapping[str, str], sent: list[str]) -> None:
+        """Send files, those last that make others valid; each is added to `sent` when it is there."""
+
+        def send(name: str) -> str:
+            sent.append(self._send_one(name))
+            return name
+
+        for wave, group in itertools.groupby(sorted(names, key=_wave), _wave):
+            own = list(group)
+            if wave > 1 and own[0].startswith(TABLES):
+                self._refuse(own[0], self._there(own).get(own[0]), there.get(own[0]))
+            list(_each(send, own))
+
     def _send_one(self, name: str) -> str:
         self._remote.send(self.folder / name, name)
         return name
@@ -342,6 +372,23 @@ def _same(known: Mapping[str, Known], name: str, there: str | None = None, here:
     """Whether a file is known, and is what it was where it is given what it is now."""
     entry = known.get(name)
     return entry is not None and there in (None, entry.there) and here in (None, entry.here)
+
+
+def _run_manifest(name: str) -> str:
+    """The manifest of the run that a file of `runs/` is of."""
+    return "/".join([*name.split("/")[:2], _FIRST])
+
+
+class _Begun(msgspec.Struct):
+    created: str
+
+
+def _begun(manifest: bytes) -> str | None:
+    """When a run was begun, by its manifest; None where that does not read."""
+    try:
+        return msgspec.json.decode(manifest, type=_Begun).created
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
 
 
 def _plain_files(place: Path) -> Iterator[Path]:

@@ -84,6 +84,18 @@ class RemoteFolder:
             content: bytes = file.read()
             return content
 
+    def begins(self, path: Path, name: str) -> bool:
+        """Whether a file here begins with the content of a file there."""
+        with (
+            self._reached() as (system, root),
+            system.open_input_stream(f"{root}/{name}") as there,
+            path.open("rb") as here,
+        ):
+            while piece := there.read(1 << 20):
+                if here.read(len(piece)) != piece:
+                    return False
+        return True
+
     def fetch(self, name: str, path: Path) -> None:
         """Write a file to a path here, whole."""
         from pyarrow.fs import LocalFileSystem, copy_files

@@ -163,6 +163,71 @@ def test_answers_that_a_killed_run_could_not_send_are_kept(machine, there):
     }
 
 
+def begin(store, when, sequences, text):
+    """Write a run's manifest and answers."""
+    write(store, "runs/mine/run.json", f'{{"created": "{when}", "answers": {len(text)}}}')
+    for name in sequences:
+        write(store, f"runs/mine/journal/{name}.jsonl", f"{text}\n")
+
+
+def test_answers_of_another_run_under_one_id_are_not_mixed(machine, there):
+    first, second = machine("a"), machine("b")
+    with first.sending("runs/mine/"):
+        begin(first, "8:00", ["yard"], "one")
+    with pytest.raises(StoreError, match="changed by another writer"), second.sending("runs/mine/"):
+        begin(second, "8:01", ["yard", "hall"], "two")
+    second = machine("b")
+    sent = files(first.path / "runs/mine")
+    kept = {".run.json.unsent", "journal/.yard.jsonl.unsent", "journal/.hall.jsonl.unsent"}
+    assert {name: text for name, text in files(second.path / "runs/mine").items() if name not in kept} == sent
+    assert files(second.path / "runs/mine").keys() == sent.keys() | kept
+    with second.sending("runs/mine/"):
+        pass
+    assert files(there / "runs/mine") == sent
+    # A run that was begun anew takes no answers to other sequences either.
+    with first.sending("runs/mine/"):
+        begin(first, "8:02", ["yard"], "three")
+    with pytest.raises(StoreError, match="changed by another writer"), second.sending("runs/mine/"):
+        write(second, "runs/mine/journal/hall.jsonl", "one\n")
+    machine("b")
+    assert files(there / "runs/mine") == files(first.path / "runs/mine")
+    assert files(second.path / "runs/mine").keys() == sent.keys() | kept
+
+
+def test_a_run_that_is_killed_after_it_sent_a_file_goes_on(machine, there):
+    store = machine("a")
+    begin(store, "8:00", ["yard", "hall"], "one")
+    # Sent, and not noted.
+    shutil.copytree(store.path / "runs", there / "runs")
+    begin(store, "8:00", ["yard"], "one\ntwo")
+    store = machine("a")
+    here = files(store.path / "runs/mine")
+    assert here["journal/yard.jsonl"] == "one\ntwo\n" and here.keys() == files(there / "runs/mine").keys() | {
+        ".run.json.unsent"
+    }
+    with store.sending("runs/mine/"):
+        pass
+    assert (there / "runs/mine/journal/yard.jsonl").read_text() == "one\ntwo\n"
+
+
+def test_what_was_sent_before_a_file_failed_is_no_other_writers(machine, there, monkeypatch):
+    store, send = machine("a"), mirror.RemoteFolder.send
+
+    def fail(self, path, name):
+        if name.endswith("yard.jsonl"):
+            raise StoreError("the network")
+        send(self, path, name)
+
+    monkeypatch.setattr(mirror.RemoteFolder, "send", fail)
+    with pytest.raises(StoreError, match="the network"), store.sending("runs/mine/"):
+        begin(store, "8:00", ["yard", "hall"], "one")
+    assert files(there).keys() == {"runs/mine/run.json", "runs/mine/journal/hall.jsonl"}
+    monkeypatch.setattr(mirror.RemoteFolder, "send", send)
+    with store.sending("runs/mine/"):
+        begin(store, "8:00", ["yard", "hall"], "one\ntwo")
+    assert files(there / "runs") == files(store.path / "runs")
+
+
 def test_a_run_sends_its_journal_while_it_goes_on_and_when_it_fails(machine, there, monkeypatch):
     monkeypatch.setattr(mirror, "SEND_EVERY_S", 0.01)
     store = machine("a")
