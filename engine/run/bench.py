@@ -33,8 +33,10 @@ class Bench:
     """
 
     def __init__(self, store: Store, questions: Sequence[Question], image_root: str | None, opaque: bool) -> None:
-        """Hold the given questions; `Bench.open` selects them first."""
+        """Hold the given questions; `Bench.open` selects them first. Raises StoreError for one of no known sequence."""
         found = read_sequences(store)
+        if unknown := sorted({question.sequence for question in questions} - found.keys()):
+            raise StoreError(f"questions are about {unknown[0][:120]!r}, which sequences.parquet lacks: generate again")
         names = opaque_names(store, found) if opaque else {name: name for name in found}
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in found.items()}
         self.questions = [replace(question, sequence=names[question.sequence]) for question in questions]

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Final, NamedTuple, get_args
 import msgspec
 import pyarrow as pa
 
-from jrdb_avr.queries.store import Store, read_table, write_groups
+from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_groups
 from jrdb_avr.schema.answers import decode_answer, encode_answer
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import LockedError, StoreError
@@ -195,7 +195,7 @@ def journal_folder(run: Path) -> Path:
 
 def segment_path(folder: Path, sequence: str) -> Path:
     """The file of a sequence in a journal."""
-    return folder / f"{sequence}.jsonl"
+    return folder / f"{safe_sequence(sequence)}.jsonl"
 
 
 def segments(folder: Path) -> list[Path]:

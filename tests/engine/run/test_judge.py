@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import msgspec
 import pytest
@@ -86,6 +87,12 @@ def test_a_bench_reads_the_public_files_alone(judged):
     assert episode.observe(15, 180.0).image.shape == (480, 480, 3)
     with pytest.raises(InputError, match="no question"):
         bench.episode("nope")
+
+
+def test_a_question_of_an_unknown_sequence_is_refused_in_a_line(judged):
+    stray = replace(QUESTIONS_ASKED[0], sequence="nowhere")
+    with pytest.raises(StoreError, match=r"'nowhere', which sequences.parquet lacks: generate again"):
+        Bench(judged, [stray], None, opaque=False)
 
 
 def test_an_opaque_bench_never_says_the_name_of_a_sequence(judged):
