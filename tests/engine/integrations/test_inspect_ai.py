@@ -38,7 +38,9 @@ def blocked(small_demo, tmp_path):
     """A whole store whose private files are pipes that whoever opens them waits at for ever."""
     shutil.copytree(small_demo.folder / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
     store = Store(tmp_path / "store")
-    for place in [*map(store.question_path, PRIVATE), store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
+    private = [store.question_path(name) for name in PRIVATE]
+    files = [file for place in private for file in (place.iterdir() if place.is_dir() else [place])]
+    for place in [*files, store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
         if place.is_file():
             place.unlink()
         os.mkfifo(place)
