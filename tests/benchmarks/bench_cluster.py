@@ -82,8 +82,8 @@ class Outcome:
 def stages(questions: int, seed: int) -> dict[str, Stage]:
     """The five commands; all but their places."""
     chosen = ("--method", "react", "--model", "simulated", "--limit", str(questions), "--run-id", RUN)
-    # Few at a time, so that the work is not over all at once.
-    few = ("--concurrency", "2")
+    # Few at a time, and each reply waits, so that the work is not over before workers are killed.
+    few = ("--concurrency", "2", "--marker", "latency=0.15")
     return {
         "load": Stage((), ("annotations/", "intervals/"), kills=(begun,)),
         "generate": Stage(
