@@ -112,8 +112,8 @@ def searches(store: Path) -> bool:
 
 
 def has_answered(count: int, store: Path) -> bool:
-    journal = store / "runs" / RUN / "journal.jsonl"
-    return journal.exists() and journal.read_bytes().count(b"\n") >= count
+    journal = store / "runs" / RUN / "journal"
+    return sum(path.read_bytes().count(b"\n") for path in journal.glob("*.jsonl")) >= max(count, 1)
 
 
 # -- processes ---------------------------------------------------------------------------------------------------------
