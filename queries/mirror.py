@@ -392,7 +392,7 @@ def _begun(manifest: bytes) -> str | None:
 
 
 def _plain_files(place: Path) -> Iterator[Path]:
-    """The files below a folder whose names are plain."""
+    """Yield the files below a folder; files and folders without a plain name are skipped."""
     for folder, folders, files in os.walk(place):
         folders[:] = [name for name in folders if is_plain_path(name)]
         yield from (Path(folder, name) for name in files if is_plain_path(name))

@@ -125,10 +125,6 @@ class Store(Displayed):
         """Write one table of `questions/`; returns the sha256 of the file."""
         return write_table(self.question_path(name), table, QUESTIONS[name], metadata)
 
-    def write_evidence(self, sequence: str, table: pa.Table, metadata: dict[str, str]) -> str:
-        """Write the evidence of a sequence's questions; returns the sha256 of the file."""
-        return write_table(self.evidence_path(sequence), table, QUESTIONS["evidence"], metadata)
-
     def write_run(self, run_id: str, name: str, table: pa.Table) -> str:
         """Write one table of a run; returns the sha256 of the file."""
         return write_table(self.run_path(run_id) / f"{name}.parquet", table, RUNS[name])

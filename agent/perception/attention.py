@@ -104,7 +104,7 @@ _SHORTEST: Final = round(1.2 * FPS)
 _CLOSING: Final = 4
 """Looks that are kept for closing in on what was passed."""
 _EARLY: Final = 0.75
-"""Steps are this share of even ones, as what is waited for comes sooner rather than late."""
+"""Length of a step as a share of the even one: the events of questions come rather early."""
 _SECTOR_REACH: Final = LoadRules().sector_false_deg
 
 

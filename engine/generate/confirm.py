@@ -1,4 +1,4 @@
-"""Confirm what is chosen: the second program derives each plan again from the annotation tables.
+"""Check chosen candidates by the second program, which derives each plan again from the annotation tables.
 
 It takes longer than the search itself, so it is run for chosen candidates alone.
 """

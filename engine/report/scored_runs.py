@@ -106,7 +106,7 @@ def _labels(texts: pa.ChunkedArray) -> Labels:
 
 
 def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
-    """Labels under other names, one for each of theirs; those that no question has are left out."""
+    """Labels with new names, one for each old name; names that no question has are left out."""
     used = {names[number] for number in np.unique(labels.numbers).tolist()}
     order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
     number = {name: number for number, name in enumerate(order)}

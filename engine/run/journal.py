@@ -142,7 +142,7 @@ def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) 
 
 
 class LinePlace(NamedTuple):
-    """Where a line stands: the sequence whose file it is in, its first byte and its length."""
+    """The place of a line in a journal: the sequence that names its file, its first byte, its length in bytes."""
 
     sequence: str
     at: int
@@ -308,7 +308,7 @@ _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
 """The tables of a run, and an entry's rows of each."""
 
 _GROUP: Final = 200
-"""The most questions of a row group, whose transcripts are in memory while it is written."""
+"""Most questions of a row group; their transcripts are in memory while it is written."""
 
 
 def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:

@@ -31,7 +31,7 @@ from jrdb_avr.schema.method import Prediction, Question
 _READY: Final = "ready"
 _UNKNOWN: Final = "unknown"
 _SEQUENCES: Final = 16
-"""Sequences whose evidence is in memory: runs go from one to the next."""
+"""Most sequences whose evidence stays in memory; a run answers one sequence after another."""
 _SCORE: Final = re.compile(r"[01]{4}")
 
 

@@ -36,7 +36,7 @@ MAX_FILE: Final = 320 << 20
 """Bytes of the largest file that is read: twice those of JRDB's fullest sequence."""
 _PIECE: Final = 1 << 20
 _WINDOW: Final = 1 << 20
-"""Bytes read at once: what is larger than the processor's cache takes twice as long to read and cut."""
+"""Bytes read at once; pieces larger than the processor's cache take twice as long."""
 _MAX_FRAME: Final = 4 << 20
 MAX_GATHERED: Final = 400_000
 """Records of one file; twice as many as JRDB's fullest sequence has boxes."""

@@ -1,4 +1,4 @@
-"""Records of label files: decoded many at once where they are clean, else one by one, what is broken being repaired."""
+"""Decode the records of label files: clean ones many at once, others one by one with repairs."""
 
 from __future__ import annotations
 

@@ -60,8 +60,11 @@ WORKING_S = 0.2
 
 @dataclass(frozen=True)
 class Stage:
-    """A command: its words, the tables that it writes, whether it takes --executor, and when workers are killed, told
-    by the store's folder."""
+    """A command of the scenario.
+
+    words: its arguments; writes: beginnings of the names of the files that it writes; kills: for each worker to kill,
+    whether it is time, by the store's folder.
+    """
 
     words: tuple[str, ...]
     writes: tuple[str, ...] = ()
@@ -71,7 +74,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command printed, its costs, and the machines whose workers were killed meanwhile."""
+    """Result of a command: its output, its cost, and the machines whose workers were killed while it ran."""
 
     printed: str
     seconds: float
@@ -154,7 +157,7 @@ class Killer:
     """Since when the worker of a process is at work."""
 
     def watch(self, stage: Stage, process: subprocess.Popen) -> list[str]:
-        """Kill as the stage says while its command runs; returns the machines whose workers were killed."""
+        """Kill the stage's workers while its command runs; returns the machines whose workers were killed."""
         killed: list[str] = []
         while process.poll() is None and len(killed) < len(stage.kills):
             for name in sorted(self.machines, key=killed.count):
@@ -279,7 +282,7 @@ def differing(here: Path, there: Path, writes: tuple[str, ...]) -> list[str]:
 
 
 def content(path: Path) -> Any:
-    """A table's bytes; of those that hold the run's time, all rows without it. None where there is no file."""
+    """Content to compare: a file's bytes, or the rows without `seconds` of a table that has it; None without a file."""
     if path.name not in ("predictions.parquet", "steps.parquet"):
         return path.read_bytes() if path.exists() else None
     return pq.read_table(path).drop_columns(["seconds"]).to_pylist()

@@ -25,7 +25,7 @@ FOLDS = (1, 5)
 
 
 def write(path, runs, fold=1):
-    """A store, written by another process: what this one has held would count as the peak of those that it starts."""
+    """Write a store in another process, as a child's peak of memory begins with that of its parent."""
     call = f"many_runs.write_runs({str(path)!r}, {runs})"
     sizes = f"many_runs.QUESTION_COUNT *= {fold}; many_runs.SEQUENCES *= {fold}; many_runs.PEOPLE = 2"
     subprocess.run([sys.executable, "-c", f"import many_runs; {sizes}; {call}"], check=True, cwd=Path(__file__).parent)

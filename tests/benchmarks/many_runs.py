@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.questions import in_order
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
-from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.panorama import crop_left
 from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
 from jrdb_avr.schema.templates import FAMILIES
@@ -153,7 +153,8 @@ def write_runs(path, runs=RUN_COUNT):
     owner = evidence["question_id"].combine_chunks()
     for sequence in tables["sequences"]["sequence"].to_pylist():
         own = tables["questions"].filter(pc.field("sequence") == sequence)["question_id"].combine_chunks()
-        store.write_evidence(sequence, evidence.filter(pc.is_in(owner, value_set=own)), {})
+        own = evidence.filter(pc.is_in(owner, value_set=own))
+        write_table(store.evidence_path(sequence), own, QUESTIONS["evidence"])
     for sequence in tables["sequences"]["sequence"].to_pylist():
         store.write_interval("sightings", sequence, made_up_sightings(sequence, rng))
     questions = in_order(tables["questions"])

@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 from known_runs import table
 
-from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 RING = 3760
@@ -63,7 +63,7 @@ def world(tmp_path_factory):
             expected[run_id, "boxes"] += 1
             expected[run_id, "read"] += frame == 7 and overlap(stitched, gold) >= 0.5
             expected[run_id, "swapped"] += frame == 7 and overlap(swapped, gold) >= 0.5
-    store.write_evidence("s", table(evidence, QUESTIONS["evidence"]), {})
+    write_table(store.evidence_path("s"), table(evidence, QUESTIONS["evidence"]), QUESTIONS["evidence"])
     for run_id in ("a", "b"):
         for name, rows in (("predictions", predictions), ("steps", steps)):
             own = [row for row in rows if row["run_id"] == run_id]

@@ -3,6 +3,7 @@
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.queries.store import write_table
 from jrdb_avr.schema.tables import QUESTIONS
 
 
@@ -21,7 +22,7 @@ def write_evidence(store, table, metadata=None):
     for name in questions["sequence"].unique().to_pylist():
         ids = questions.filter(pc.field("sequence") == name)["question_id"].combine_chunks()
         own = table.filter(pc.is_in(table["question_id"], value_set=ids))
-        store.write_evidence(name, own, metadata or {})
+        write_table(store.evidence_path(name), own, QUESTIONS["evidence"], metadata)
 
 
 def question_files(store):

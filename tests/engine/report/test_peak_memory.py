@@ -11,7 +11,7 @@ import pytest
 from known_runs import BOX, Benchmark
 
 from jrdb_avr.queries.runs import questions_hash, write_run_manifest
-from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 QUESTIONS_EACH, BOXES_EACH = 8, 20_000
@@ -45,7 +45,9 @@ def store_of(path, sequences):
         sides = {side: np.full(QUESTIONS_EACH * BOXES_EACH, value) for side, value in zip("xywh", BOX, strict=True)}
         frames = np.tile(np.arange(BOXES_EACH), QUESTIONS_EACH)
         columns = {"question_id": np.repeat(ids, BOXES_EACH), "frame": frames, **sides}
-        store.write_evidence(f"s{s:02}", pa.table(columns).cast(QUESTIONS["evidence"]), {})
+        write_table(
+            store.evidence_path(f"s{s:02}"), pa.table(columns).cast(QUESTIONS["evidence"]), QUESTIONS["evidence"]
+        )
     rows = [row | {"raw": f"{n}{PADDING}"} for n, row in enumerate(benchmark.written["predictions"].to_pylist())]
     store.write_run("r", "predictions", pa.Table.from_pylist(rows, RUNS["predictions"]))
     write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))

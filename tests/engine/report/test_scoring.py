@@ -717,7 +717,7 @@ def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
 
 @pytest.fixture
 def three_sequences(tmp_path):
-    """A store with six questions of three sequences, whose ids mix them, and a run that answers all but the last."""
+    """Six questions about three sequences, not in the order of their ids, and a run that answers all but the last."""
     store, benchmark = Store(tmp_path), Benchmark([(f"q{n}", f"s{n % 3}", "long_range") for n in range(6)])
     benchmark.write(store)
     run = benchmark.run([(1 + n % 2, known_runs.BOX, 7) for n in range(6)])
