@@ -185,9 +185,9 @@ def answer_all(
             done.put(None)
 
     threads = [threading.Thread(target=work, daemon=True) for _ in range(min(concurrency, len(due)))]
-    for thread in threads:
-        thread.start()
     try:
+        for thread in threads:
+            thread.start()
         working = len(threads)
         while working:
             entry = done.get()
@@ -206,4 +206,6 @@ def answer_all(
         stop.set()
         deadline = time.monotonic() + _STOP_S
         for thread in threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
+            # An interrupt may come before all are started.
+            if thread.is_alive():
+                thread.join(max(0.0, deadline - time.monotonic()))

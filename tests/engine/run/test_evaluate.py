@@ -679,6 +679,29 @@ def test_a_run_that_ends_early_leaves_no_question_at_work(tmp_path):
     assert 3 <= len(ended) <= 4
 
 
+def test_an_interrupt_while_threads_are_started_leaves_no_question_at_work(tmp_path, monkeypatch):
+    start, begun, ended = threading.Thread.start, threading.Event(), threading.Event()
+
+    def behave(task):
+        begun.set()
+        try:
+            for _ in range(1000):
+                task.record(Step("model", "", "", 0.0))
+                time.sleep(0.01)
+        finally:
+            ended.set()
+
+    def interrupted(thread):
+        start(thread)
+        begun.wait()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    with opened(tmp_path / "journal.jsonl") as journal, pytest.raises(KeyboardInterrupt):
+        answering.answer_all(Scripted(behave), QUESTIONS_ASKED, {SEQUENCE: INFO}, no_look, no_look, journal, 4)
+    assert ended.is_set()
+
+
 def test_what_utf8_cannot_hold_is_written_out(tmp_path):
     def behave(task):
         task.record(Step("model", "\ud800", "\udfff", 0.0))

@@ -185,7 +185,9 @@ def test_a_run_that_grows_is_unfinished_until_it_is_answered(store, evaluate, tm
     file = tmp_path / "mine.py"
     # Ctrl-C, while the method looks again and again.
     stop = "__import__('signal').pthread_kill(__import__('threading').main_thread().ident, 2)"
-    file.write_text(METHOD.replace("return self.deeper(task)", f"{stop}\n        while True: task.record(None)"))
+    file.write_text(
+        METHOD.replace("return self.deeper(task)", f"{stop}\n        for _ in range(10**7): task.record(None)")
+    )
     assert evaluate("--resume", "--limit", "4", "--concurrency", "1")[0] == 130
     assert not (store.run_path("r") / "predictions.parquet").exists()
     file.write_text(METHOD)
