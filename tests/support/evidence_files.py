@@ -1,10 +1,13 @@
-"""Evidence of a store as one table, which lies in a file per sequence; and all files of a generation."""
+"""Evidence of a store as one table, which lies in a file per sequence; all files of a generation; blocked files."""
+
+import os
+import shutil
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.queries.store import write_table
-from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.queries.store import Store, write_table
+from jrdb_avr.schema.tables import PRIVATE, QUESTIONS
 
 
 def all_evidence(store):
@@ -29,3 +32,15 @@ def question_files(store):
     """The paths of all files of a generation in `questions/`, by name."""
     folder = store.question_path("questions").parent
     return {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*.parquet"))}
+
+
+def blocked_store(original, path):
+    """A copy of a store, without runs, whose private files are pipes: whoever opens one waits for ever."""
+    shutil.copytree(original, path, ignore=shutil.ignore_patterns("runs"))
+    store = Store(path)
+    private = [store.question_path(name) for name in PRIVATE]
+    files = [file for place in private for file in (place.iterdir() if place.is_dir() else [place])]
+    for place in [*files, store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
+        place.unlink(missing_ok=True)
+        os.mkfifo(place)
+    return store

@@ -1,16 +1,14 @@
 """The tasks of Inspect, run by its own `eval`: predictions as by `evaluate`, and nothing private in a log."""
 
 import os
-import shutil
 from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
+from evidence_files import blocked_store
 from extras import needs
 
-from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError
-from jrdb_avr.schema.tables import PRIVATE
 
 needs("inspect_ai", "openai")
 
@@ -36,15 +34,7 @@ def run(model, tmp_path, monkeypatch):
 @pytest.fixture
 def blocked(small_demo, tmp_path):
     """A whole store whose private files are pipes that whoever opens them waits at for ever."""
-    shutil.copytree(small_demo.folder / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
-    store = Store(tmp_path / "store")
-    private = [store.question_path(name) for name in PRIVATE]
-    files = [file for place in private for file in (place.iterdir() if place.is_dir() else [place])]
-    for place in [*files, store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
-        if place.is_file():
-            place.unlink()
-        os.mkfifo(place)
-    return str(store.path)
+    return str(blocked_store(small_demo.folder / "store", tmp_path / "store").path)
 
 
 def rows_of(log):

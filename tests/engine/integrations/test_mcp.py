@@ -5,7 +5,6 @@ import base64
 import contextlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from asked_world import QUESTIONS_ASKED
 from click.testing import CliRunner
+from evidence_files import blocked_store
 from extras import needs
 from segments import journal_lines
 from tool_host import play
@@ -24,7 +24,6 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.tables import PRIVATE
 
 needs("mcp")
 
@@ -104,12 +103,7 @@ def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo,
     """Of a whole store, whose private files are pipes that whoever opens them waits at for ever."""
     import mcp
 
-    shutil.copytree(small_demo.folder / "store", tmp_path / "store", ignore=shutil.ignore_patterns("runs"))
-    store, results = Store(tmp_path / "store"), []
-    for place in [*map(store.question_path, PRIVATE), store.graph_path, *store.path.glob("annotations/**/*.parquet")]:
-        if place.is_file():
-            place.unlink()
-        os.mkfifo(place)
+    store, results = blocked_store(small_demo.folder / "store", tmp_path / "store"), []
 
     async def main(url, token):
         async with httpx2.AsyncClient(headers={"Authorization": f"Bearer {token}"}) as http:
