@@ -42,8 +42,11 @@ _WIDEST_DEG: Final = 120.0
 _LONGEST: Final = 60
 """Frames for which somebody is expected to go on as they did."""
 
-_SLOWED: Final = 45
-"""Frames after which half of the way at their speed is expected: some stop, and some turn back."""
+_SLOWED: Final = 25
+"""Frames after which half of the way at their speed is expected: some stop, and some turn back.
+
+30 and 45 show the same share of people on JRDB's labels, to a hundredth; on samples 25 loses fewer than 45.
+"""
 
 _ASTRAY: Final = 0.05
 """The chance that a box is wrong or a person has done the unexpected; they are then this near all the same."""
