@@ -182,7 +182,7 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> Facts:
     facts = facts.at(ascending(facts.frame, facts.track, facts.value, facts.difficulty))
     facts = facts.at(begins(facts.keys, facts.value))
     pose = np.append(facts.is_pose, False)[facts.value]
-    _, person = np.unique(facts.keys, return_inverse=True)
+    person = np.cumsum(begins(facts.keys)) - 1
     poses = np.bincount(person, weights=pose & (facts.difficulty < _UNWRITTEN))[person]
     whole = np.append(boxes.listed, False)[boxes.rows(facts.frame, facts.track)]
     certain = facts.certain & (~pose | ((poses == 1) & whole))

