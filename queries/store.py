@@ -13,6 +13,7 @@ A file is written whole (`queries/files.py`), so a reader sees the old one or th
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import fcntl
 import hashlib
@@ -339,22 +340,39 @@ class Store(Displayed):
 
 
 def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:
-    """Write a table under a schema, atomically; equal tables give equal bytes. Returns the sha256 of the file."""
-    # Numbered texts are written out a row group at a time: all at once they would take many times the memory.
+    """Write a table under a schema, atomically; equal tables give equal bytes. Returns the sha256 of the file.
+
+    Numbered texts (dictionaries) are written by their numbers, in half the time, and read as plain texts.
+    """
+    table = table.select(schema.names)
     groups = (table.slice(start, ROW_GROUP) for start in range(0, table.num_rows, ROW_GROUP))
-    return write_groups(path, groups, schema, metadata)
+    return _write(path, groups, schema, with_numbered(schema, table), metadata)
 
 
 def write_groups(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, metadata: dict[str, str] | None = None
 ) -> str:
     """Write tables as the row groups of one file, as `write_table` does; only one of them is in memory at a time."""
+    return _write(path, groups, schema, schema, metadata)
+
+
+def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
+    """The schema with the types of those columns of a table that are numbered texts (dictionaries)."""
+    kinds = [(field, table.schema.field(field.name).type) for field in schema]
+    return pa.schema([field.with_type(kind) if pa.types.is_dictionary(kind) else field for field, kind in kinds])
+
+
+def _write(
+    path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
+) -> str:
+    """Write tables, as `kinds` has their types, as row groups of a file that is read under a schema."""
+    read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
 
     def write(temporary: Path) -> None:
-        with pq.ParquetWriter(temporary, schema.with_metadata(metadata or None), **_written(schema)) as writer:
+        with pq.ParquetWriter(temporary, kinds, store_schema=False, **_written(schema)) as writer:
             for group in groups:
-                table = group.select(schema.names).cast(schema)
-                writer.write_table(table.replace_schema_metadata(metadata or None))
+                writer.write_table(group.select(schema.names).cast(kinds).unify_dictionaries())
+            writer.add_key_value_metadata({**(metadata or {}), "ARROW:schema": read_as})
 
     write_atomic(path, write)
     return file_hash(path)

@@ -131,9 +131,9 @@ class People:
 def with_other_words(table: pa.Table, column: str) -> pa.Table:
     """A table of labels with doubtful rows added: labels whose words may also be said of the same person."""
     tables = [table]
-    there = set(pc.unique(table[column]).to_pylist())
-    for label, other in ((label, other) for label, other in ALSO if label in there):
-        rows = table.filter(pc.equal(table[column], label))
+    names, written = ranked(table[column])
+    for label, other in ((label, other) for label, other in ALSO if label in names):
+        rows = table.take(np.flatnonzero(written == names.index(label)))
         for name, value in ((column, other), ("difficulty", _UNWRITTEN)):
             field = rows.schema.field(name)
             column_of = pa.repeat(pa.scalar(value), len(rows)).cast(field.type)
@@ -182,7 +182,7 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> Facts:
     facts = facts.at(ascending(facts.frame, facts.track, facts.value, facts.difficulty))
     facts = facts.at(begins(facts.keys, facts.value))
     pose = np.append(facts.is_pose, False)[facts.value]
-    _, person = np.unique(facts.keys, return_inverse=True)
+    person = np.cumsum(begins(facts.keys)) - 1
     poses = np.bincount(person, weights=pose & (facts.difficulty < _UNWRITTEN))[person]
     whole = np.append(boxes.listed, False)[boxes.rows(facts.frame, facts.track)]
     certain = facts.certain & (~pose | ((poses == 1) & whole))

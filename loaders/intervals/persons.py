@@ -26,6 +26,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     distinct_of,
     nullable,
     paired,
+    places,
     ranked,
     texts,
     unpaired,
@@ -105,20 +106,21 @@ def _count(table: pa.Table, subject: Ints, has: Bools) -> pa.Table:
     """
     attributes, attribute = ranked(table["attribute"])
     values, value = ranked(table["value"])
-    subjects, number = np.unique(subject, return_inverse=True)
+    subjects, number = places(subject)
     record = np.cumsum(begins(whole_numbers(table, "frame"), whole_numbers(table, "track")))
     cast = has & (table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD) & (value >= 0)
     # As one number each: texts would take many times the time and memory.
-    words = max(len(values), 1)
-    facts = len(subjects) * len(attributes) * words + 1
-    keys = distinct_of(np.sort((record * facts + (number * len(attributes) + attribute) * words + value)[cast]))
-    record, fact = np.divmod(keys, facts)
-    topics, records = np.unique(distinct_of(record * facts + fact // words) % facts, return_counts=True)
-    fact, votes = np.unique(fact, return_counts=True)
+    words, topics = max(len(values), 1), max(len(subjects) * len(attributes), 1)
+    keys = ((record * topics + number * len(attributes) + attribute) * words + value)[cast]
+    # They are nearly in order, which a stable sort is fast for.
+    keys = distinct_of(np.sort(keys, kind="stable"))
+    told, of_told = places(distinct_of(keys // words) % topics)
+    fact, of_fact = places(keys % (topics * words))
+    votes, records = np.bincount(of_fact), np.bincount(of_told)
     topic, value = np.divmod(fact, words)
     subject, attribute = np.divmod(topic, max(len(attributes), 1))
     columns = {"subject": subjects[subject], "attribute": texts(attributes, attribute), "value": texts(values, value)}
-    return pa.table({**columns, "votes": votes, "records": records[np.searchsorted(topics, topic)]})
+    return pa.table({**columns, "votes": votes, "records": records[np.searchsorted(told, topic)]})
 
 
 def _of_topic(votes: pa.Table, topics: pa.Table, name: str) -> pa.ChunkedArray:

@@ -20,7 +20,17 @@ import pyarrow as pa
 from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Facts, rows_of
 from jrdb_avr.loaders.intervals.persons import of_people
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, nullable, paired, ranked, texts, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import (
+    Rows,
+    ascending,
+    begins,
+    nullable,
+    paired,
+    places,
+    ranked,
+    texts,
+    whole_numbers,
+)
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.rules import LoadRules
 
@@ -140,7 +150,8 @@ def _distinct(columns: tuple[Ints, ...]) -> tuple[Ints, tuple[Ints, ...]]:
     """Numbers the distinct rows of columns; per number, the values of each column."""
     code = np.zeros(len(columns[0]), np.int64)
     for column in columns:
-        values, place = np.unique(column, return_inverse=True)
-        _, code = np.unique(code * max(len(values), 1) + place, return_inverse=True)
-    _, first = np.unique(code, return_index=True)
-    return code, tuple(column[first] for column in columns)
+        values, place = places(column)
+        _, code = places(code * max(len(values), 1) + place)
+    row = np.empty(int(code.max(initial=-1)) + 1, np.int64)
+    row[code] = np.arange(len(code))
+    return code, tuple(column[row] for column in columns)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.loaders.problems import Problems
+from jrdb_avr.queries.store import with_numbered
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
@@ -46,6 +47,15 @@ def texts(values: Sequence[str], codes: Ints) -> pa.Array:
     return dictionary.take(pa.array(codes, pa.int64(), mask=codes < 0))
 
 
+def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
+    """The column `values[code]` of a type, texts numbered (a dictionary)."""
+    column, taken = pa.array(values, kind), pa.array(codes)
+    if not pa.types.is_string(kind):
+        return column.take(taken)
+    column = column.dictionary_encode()
+    return pa.DictionaryArray.from_arrays(column.indices.take(taken), column.dictionary)
+
+
 def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
     """The distinct texts of a column, ascending, and the place of each row's text among them; -1 for null."""
     written = column.combine_chunks().dictionary_encode()
@@ -54,6 +64,16 @@ def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
     place = {name: i for i, name in enumerate(names)}
     rank = np.array([place[name] for name in spelled] + [-1], np.int64)
     return names, rank[written.indices.fill_null(len(names)).to_numpy()]
+
+
+def places(values: Ints) -> tuple[Ints, Ints]:
+    """The distinct numbers, ascending, and the place of each value among them; a fifth of the time of sorting all."""
+    found = pa.array(values).dictionary_encode()
+    known = found.dictionary.to_numpy()
+    order = np.argsort(known)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return known[order], rank[found.indices.to_numpy()]
 
 
 def constant(value: str, n: int) -> pa.Array:
@@ -68,11 +88,7 @@ def annotation_table(name: str, sequence: str, table: pa.Table) -> pa.Table:
     Few of them differ, and written out they would be most of the memory of a load.
     """
     table = table.add_column(0, "sequence", constant(sequence, len(table)))
-    fields = [
-        field.with_type(column.type) if pa.types.is_dictionary(column.type) else field
-        for field, column in zip(ANNOTATIONS[name], table.columns, strict=True)
-    ]
-    return table.cast(pa.schema(fields))
+    return table.cast(with_numbered(ANNOTATIONS[name], table))
 
 
 def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.Array:

@@ -26,6 +26,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     known_frames,
     mask_of,
     ragged,
+    spread,
 )
 from jrdb_avr.loaders.labelfiles.json import ABSENT, first_members, parse_members
 from jrdb_avr.loaders.problems import shorten
@@ -254,14 +255,9 @@ def facts_table(
     rank[ascending] = np.arange(len(ascending))
     order = _order((facts.row, *(ends or {}).values(), rank[facts.code]))
     columns: dict[str, Any] = {name: column[order] for name, column in rows.items()}
-    taken = pa.array(facts.code[order])
+    code = facts.code[order]
     for i, name in enumerate(names):
-        column = pa.array([value[i] for value in facts.values], ANNOTATIONS[layer].field(name).type)
-        if pa.types.is_string(column.type):
-            column = column.dictionary_encode()
-            columns[name] = pa.DictionaryArray.from_arrays(column.indices.take(taken), column.dictionary)
-        else:
-            columns[name] = column.take(taken)
+        columns[name] = spread([value[i] for value in facts.values], ANNOTATIONS[layer].field(name).type, code)
     return pa.table(columns)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain, repeat
-from operator import attrgetter, is_not
+from itertools import chain
+from operator import attrgetter, countOf
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
@@ -158,7 +158,7 @@ def _having(records: list[Any], field: msgspec.structs.FieldInfo) -> int:
     """Records that have a field; one with the default written out counts as lacking it."""
     if field.required:
         return len(records)
-    return sum(map(is_not, map(attrgetter(field.name), records), repeat(field.default)))
+    return len(records) - countOf(map(attrgetter(field.name), records), field.default)
 
 
 def is_utf8(value: bytes) -> bool:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
-from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, known_frames, mask_of
+from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, known_frames, mask_of, spread
 from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import gather, take_fields
 from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING
@@ -191,7 +191,7 @@ def _taken(
     if refusals is not None and wrong:
         refused = np.isin(code, list(wrong))
         refusals.count(refused, "field", next(iter(wrong.values())), field, lambda row: values[code[row]])
-    return pa.array(usable, kind).take(pa.array(code))
+    return spread(usable, kind, code)
 
 
 def _occlusion(value: str) -> str:

@@ -7,6 +7,7 @@ rows of the panorama follow from the medians of fy and cy over the cameras (`sch
 
 from __future__ import annotations
 
+import functools
 import re
 from pathlib import Path
 from typing import Final
@@ -31,6 +32,9 @@ TOLERANCE: Final = 0.05
 """Share by which the cameras' medians may differ from the panorama's constants."""
 
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+
+# The sequences of a root share the file, and the parser takes as long as hundreds of frames do.
+_tree: Final = functools.lru_cache(maxsize=1)(lambda text: yaml.compose(text, yaml.SafeLoader))
 
 _Row = tuple[str, int | None, int | None, float, float, float, float]
 
@@ -64,7 +68,7 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
     if len(text) > _MAX_BYTES:
         raise InputError(f"{path.name}: larger than the limit of {_MAX_BYTES >> 10} kB", file=path.name)
     try:
-        top = yaml.compose(text.decode(), yaml.SafeLoader)
+        top = _tree(text.decode())
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark else ""

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, ascending, paired, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, ascending, paired, places, whole_numbers
 from jrdb_avr.loaders.report import ShiftCheck
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
@@ -192,7 +192,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     if not len(track):
         return None
     speed, apart = _without_means(speed[usable], track), _without_means(apart[usable], track)
-    spell = _numbered(paired(frame // SPELL, track))
+    _, spell = places(paired(frame // SPELL, track))
     weight = np.bincount(spell, speed * speed)
     # One person who rushes past must not outweigh everybody else.
     most = float(weight.sum()) * MOST
@@ -203,7 +203,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     total = float(weighted.sum())
     frames = float(product.sum()) / total
     rest = product - frames * weighted
-    groups = (spell, _numbered(track), _numbered(frame // SPELL))
+    groups = (spell, places(track)[1], places(frame // SPELL)[1])
     sizes = [_effective(np.bincount(group, weighted)) for group in groups]
     if sizes[0] < MIN_SPELLS or sizes[1] < MIN_TRACKS:
         return None
@@ -275,12 +275,8 @@ def _apart(a: Floats, b: Floats) -> Floats:
 
 
 def _without_means(values: Floats, track: Ints) -> Floats:
-    group = _numbered(track)
+    _, group = places(track)
     return values - (np.bincount(group, values) / np.bincount(group))[group]
-
-
-def _numbered(keys: Ints) -> Ints:
-    return np.unique(keys, return_inverse=True)[1]
 
 
 def _effective(weights: npt.NDArray[Any]) -> float:

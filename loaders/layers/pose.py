@@ -88,8 +88,10 @@ def _usable(frame: Ints, track: Ints, raws: Sequence[msgspec.Raw], problems: Pro
     refusals.count((frame >= 0) & ~person, "record", "number out of range", "track_id", lambda row: int(track[row]))
     rows, values = _decoded(np.flatnonzero((frame >= 0) & person).tolist(), raws, refusals)
     points = values.reshape(-1, POINTS, 3)
-    near = (np.abs(points[:, :, :2]) <= records.MAX_PIXEL).all(axis=(1, 2))
-    coded = np.isin(points[:, :, 2], (0, 1, 2)).all(axis=1)
+    codes = points[:, :, 2]
+    near, coded = np.ones((2, len(rows)), np.bool_)
+    near[np.nonzero(np.abs(points[:, :, :2]) > records.MAX_PIXEL)[0]] = False
+    coded[np.nonzero((codes != 0) & (codes != 1) & (codes != 2))[0]] = False
     for fault, reason in ((~near, "far outside the image"), (near & ~coded, "visibility is not 0, 1 or 2")):
         wrong = mask_of(rows[fault], len(frame))
         refusals.count(wrong, "record", f"keypoints: {reason}", "keypoints", lambda row: bytes(raws[row]))
