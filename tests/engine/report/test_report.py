@@ -392,7 +392,8 @@ def write_every_format(path, folder):
     folder = Path(folder)
     folder.mkdir()
     calls = {form: ("--table", "all", f"--{form}") for form in ("markdown", "latex", "json")}
-    calls |= {f"{name}.csv": ("--table", name, "--csv") for name in TABLES}
+    # The rows of a table as CSV are those of the JSON: one of them is enough.
+    calls |= {"csv": ("--table", "template", "--csv")}
     for name, options in calls.items():
         code, text, err = entry.run("report", "--store", path, "--paper", *options)
         assert code == 0, err
@@ -431,6 +432,7 @@ def test_a_report_is_the_same_under_any_hash_seed(tmp_path):
     }
     subprocess.run([sys.executable, "-c", again], env=environment, check=True)
     here, there = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("here", "again"))
-    assert len(here) == len(TABLES) + 4
-    assert all(here.values())
+    assert here.keys() == {"markdown", "latex", "json", "csv", "html"} and all(here.values())
+    # Nobody played, and no run has epochs.
+    assert {row["table"] for row in json.loads(here["json"])} == {*TABLES} - {"people", "epochs"}
     assert here == there
