@@ -178,6 +178,11 @@ class Mirror:
                 # Until the new one is there, nobody takes the tables of two loads for a store.
                 self._remote.delete(MANIFEST_NAME)
                 del there[MANIFEST_NAME]
+            # First, as on a disk: no reader finds evidence of dropped questions beside new ones.
+            for name in gone:
+                if name in there:
+                    self._remote.delete(name)
+                del known[name]
             sent: list[str] = []
             try:
                 self._send_waves(changed, there, sent)
@@ -187,10 +192,6 @@ class Mirror:
                 with contextlib.suppress(StoreError):
                     known.update({name: Known(at, here[name]) for name, at in self._there(of_runs).items()})
                 raise
-            for name in gone:
-                if name in there:
-                    self._remote.delete(name)
-                del known[name]
             there = self._there(parts)
             known.update({name: Known(there[name], stamp) for name, stamp in here.items() if name in there})
 

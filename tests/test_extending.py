@@ -60,6 +60,10 @@ for line in sys.stdin:
 """
 
 
+ALONE = ("--workers", "1")
+"""Each process of the copy reads and imports all of it anew."""
+
+
 def listed(what):
     """The files that the page lists for adding something; a folder stands for files in it."""
     entry = re.search(rf"^\*\*{what}\*\*(.*?)(?=^\*\*|\Z)", ARCHITECTURE, re.M | re.S)[1]
@@ -116,10 +120,10 @@ def test_a_template_takes_a_row_and_a_query(copy, tmp_path):
     store = load_world(tmp_path, lively_world(random.Random(8), "yard-2020-01-01_0")).path
     query = "SELECT question FROM questions WHERE template = 'toy'"
     generated, found, checked = copy.run(
-        ("generate", "--store", store, "--json"),
+        ("generate", "--store", store, "--json", *ALONE),
         ("sql", query, "--store", store, "--json"),
         # Proofs, the second program, and the plan over the graph.
-        ("validate", "--replay", "--store", store, "--json"),
+        ("validate", "--replay", "--store", store, "--json", *ALONE),
     )
     assert '"toy"' in generated
     questions = [row["question"] for row in json.loads(found)]
@@ -154,7 +158,7 @@ def test_a_layer_takes_a_reader_a_table_and_their_names(copy, tmp_path):
     toys = "SELECT frame, track FROM annotations_toys ORDER BY track"
     records = "SELECT frame, records FROM annotations_frames WHERE layer = 'toys' ORDER BY frame"
     _, *found = copy.run(
-        ("load", root, "--store", store),
+        ("load", root, "--store", store, *ALONE),
         ("sql", toys, "--store", store, "--json"),
         ("sql", records, "--store", store, "--json"),
     )

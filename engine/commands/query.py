@@ -100,6 +100,11 @@ def _run(
             raise click.UsageError(f"--param {name}: not the name of a parameter")
     values = {name: parse_value(text) for name, text in params}
     stores = [(store.remote.url if store.remote else str(store.path), store), *options["others"]]
+    folders: set[Path] = set()
+    for place, own in stores:
+        if own.path.resolve() in folders:
+            raise click.UsageError(f"{place} is given twice, and its rows would count twice: name each store once")
+        folders.add(own.path.resolve())
     tables: dict[str, Any] = {}
     for place, own in stores:
         if language == "cypher":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,6 +21,9 @@ Examples:
   jrdb-avr report --store S --paper --latex             beside the paper's rows
   jrdb-avr report --store S --leaderboard B1 B2 --html leaderboard.html
 """
+
+# Bootstrap multiplies small matrices: with threads of its own, linear algebra takes twice the time of processors.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _MACRO: Final = "_macro_"
 
@@ -101,8 +105,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         _leaderboard(store, options["runs"], iou, html, form)
         return
 
-    from jrdb_avr.engine.report import comparison
-    from jrdb_avr.engine.report.formats import MARK, with_intervals
+    from jrdb_avr.engine.report import comparison, formats
     from jrdb_avr.engine.report.tables import TABLES
     from jrdb_avr.schema.errors import did_you_mean
 
@@ -121,29 +124,34 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         write_page(html, report_page(found))
         note(f"wrote {html}")
         return
+    rows_of = found.tables(names)
     if form == "csv":
-        print_data(found.table(names[0]), form)
+        print_data(rows_of[names[0]], form)
         return
     if form:
         settings = {run.manifest.run_id: {"settings": run.manifest.settings} for run in found.runs}
-        rows = [{"table": name, **row} for name in names for row in found.table(name)]
+        rows = [{"table": name, **row} for name in names for row in rows_of[name]]
         print_data(({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows), form)
         return
     for name in names:
         title = name if len(names) > 1 else ""
         if as_markdown:
-            click.echo((f"### {title}\n\n" if title else "") + found.markdown(name), nl=False)
+            text = formats.markdown(formats.for_paper(name, rows_of[name]))
+            click.echo((f"### {title}\n\n" if title else "") + text, nl=False)
         elif as_latex:
-            click.echo((f"% {title}\n" if title else "") + found.latex(name), nl=False)
+            text = formats.latex(formats.for_paper(name, rows_of[name]))
+            click.echo((f"% {title}\n" if title else "") + text, nl=False)
         else:
-            _print_table(name, found.table(name), title)
+            _print_table(name, rows_of[name], title)
     note(f"percent of n; evidence scores from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
-    if MARK in "".join(str(row.get("n")) for name in names for row in with_intervals(found.table(name))):
-        note(f"{MARK} another number of questions than most runs: --table pairs compares on those that two share")
+    if any(map(formats.other_counts, rows_of.values())):
+        note(
+            f"{formats.MARK} another number of questions than most runs: --table pairs compares on those that two share"
+        )
     if paper and "ablation" in names:
         from jrdb_avr.engine.report.directions import direction_lines
 
-        for line in direction_lines(found.table("ablation")):
+        for line in direction_lines(rows_of["ablation"]):
             note(line)
     if found.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")

@@ -14,7 +14,7 @@ from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
 from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.formats import filled, without_rough
 from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
-from jrdb_avr.engine.report.tables import TABLES, TOO_FEW, Row
+from jrdb_avr.engine.report.tables import TOO_FEW, Row
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "group": "the paper's groups",
@@ -26,7 +26,7 @@ _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
 def report_page(comparison: Comparison, links: Callable[..., str] | None = None) -> str:
     """The page's HTML; `links` makes the addresses of pages that `view` serves, to which runs and pairs then lead."""
     runs = comparison.runs
-    tables = {name: without_rough(comparison.table(name)) for name in TABLES}
+    tables = {name: without_rough(rows) for name, rows in comparison.tables().items()}
     names = [run.manifest.run_id for run in runs]
     own = [row for row in tables["main"] if row["run"]]
     families = pivot(tables["family"], "family", "run")

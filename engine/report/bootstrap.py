@@ -11,7 +11,6 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -24,8 +23,10 @@ LEVEL: Final = 0.95
 LEAST_CLUSTERS: Final = 10
 """Below so many sequences the draws say little of others: tables show no interval."""
 
+_TAILS: Final = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
+
 _BATCH: Final = 32
-"""Comparisons drawn at a time: 10 MB."""
+"""Comparisons at a time, of 80 kB for each score."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,10 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
     # Laid out by column, as statistics go through columns.
     drawn = (sums.T @ draws(len(sums), n, seed).T).T
     found = np.stack([statistic(drawn) for statistic in statistics])
-    tails = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
-    bounds = np.quantile(found, tails, axis=1)
+    bounds = np.quantile(found, _TAILS, axis=1, overwrite_input=True)
     for number in np.flatnonzero(np.isnan(found).any(axis=1)).tolist():
         known = found[number][~np.isnan(found[number])]
-        bounds[:, number] = np.quantile(known, tails) if len(known) else math.nan
+        bounds[:, number] = np.quantile(known, _TAILS) if len(known) else math.nan
     return [
         Interval(None, None, None) if math.isnan(value) else Interval(value, *own)
         for value, own in zip(values, bounds.T.tolist(), strict=True)
@@ -119,28 +119,32 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2 * below / (1 << n))
 
 
-def compare(runs: Sequence[tuple[Ints, Digits, Digits]], n: int = DRAWS, seed: int = SEED) -> list[list[Pair]]:
-    """Two runs on the same questions, often: for each a pair per score.
+def compare(
+    clusters: Ints, scores: Sequence[Digits], pairs: Sequence[tuple[int, int]], n: int = DRAWS, seed: int = SEED
+) -> list[list[Pair]]:
+    """Compare runs on the same questions, two by two: for each of `pairs`, places in `scores`, a Pair per score.
 
-    runs: the questions' clusters (questions), and either run's 0/1 scores (questions, scores), in the same order.
+    clusters: of the questions (questions); scores: each run's 0/1 scores (questions, scores), in the same order.
     """
-    sums = [
-        cluster_sums(clusters, np.concatenate([second - first, np.ones((len(first), 1))], axis=1))
-        for clusters, first, second in runs
-    ]
-    differences: dict[int, list[Interval]] = {}
-    for count in {len(own) for own in sums}:
-        # A product of many columns takes hardly longer than one of a few.
-        alike = [number for number, own in enumerate(sums) if len(own) == count]
-        for batch in (alike[start : start + _BATCH] for start in range(0, len(alike), _BATCH)):
-            statistics, column = [], 0
-            for number in batch:
-                n_column = column + sums[number].shape[1] - 1
-                statistics += [mean_ratio((score, n_column)) for score in range(column, n_column)]
-                column = n_column + 1
-            found = iter(intervals(np.concatenate([sums[number] for number in batch], axis=1), statistics, n, seed))
-            differences |= {number: list(islice(found, sums[number].shape[1] - 1)) for number in batch}
-    return [_pairs(first, second, differences[number]) for number, (_, first, second) in enumerate(runs)]
+    sums = cluster_sums(clusters, np.concatenate([*scores, np.ones((len(clusters), 1))], axis=1))
+    # Every run is drawn once, however often it is compared. In front of the draws, each cluster once: the shares.
+    times = np.concatenate([np.ones((1, len(sums))), draws(len(sums), n, seed)])
+    *drawn, questions = sums.T @ times.T
+    of_runs = np.reshape(drawn, (len(scores), -1, len(times)))
+    found = []
+    for batch in (pairs[start : start + _BATCH] for start in range(0, len(pairs), _BATCH)):
+        first, second = np.transpose(batch)
+        differences = of_runs[second]
+        differences -= of_runs[first]
+        differences /= questions
+        values = differences[..., 0].tolist()
+        bounds = np.moveaxis(np.quantile(differences[..., 1:], _TAILS, axis=-1, overwrite_input=True), 0, -1).tolist()
+        for (one, other), *shares in zip(batch, values, bounds, strict=True):
+            known = [
+                Interval(value, *(own if len(sums) > 1 else (None, None))) for value, own in zip(*shares, strict=True)
+            ]
+            found.append(_pairs(scores[one], scores[other], known))
+    return found
 
 
 def _pairs(first: Digits, second: Digits, differences: Sequence[Interval]) -> list[Pair]:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +18,7 @@ from jrdb_avr.engine.report.people import agreement_rows
 from jrdb_avr.engine.report.run_scores import score_runs, scores_table, submission, write_scores
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.tables import (
+    RESULTS,
     TABLES,
     Row,
     ablation_rows,
@@ -34,12 +34,10 @@ from jrdb_avr.engine.report.tables import (
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.runs import run_ids
-from jrdb_avr.queries.sql import query_tables
+from jrdb_avr.queries.sql import open_tables, query_tables
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
-
-_PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,8 +75,17 @@ class Comparison(Displayed):
 
     def table(self, name: str = "main") -> list[Row]:
         """The rows of one table of `engine.report.tables.TABLES`. Raises InputError for another name."""
-        if name not in TABLES:
-            raise InputError(f"no table {name!r}; there are {', '.join(TABLES)}", field="table")
+        return self.tables([name])[name]
+
+    def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Row]]:
+        """The rows of several tables by name, quicker than one by one. Raises InputError for a name of none."""
+        for name in names:
+            if name not in TABLES:
+                raise InputError(f"no table {name!r}; there are {', '.join(TABLES)}", field="table")
+        own = {name: self._computed(name) for name in names if name not in RESULTS}
+        return own | self._results([name for name in names if name in RESULTS])
+
+    def _computed(self, name: str) -> list[Row]:
         index, runs = self.index, self.runs
         match name:
             case "main":
@@ -91,16 +98,16 @@ class Comparison(Displayed):
                 return agreement_rows(index, runs)
             case "epochs":
                 return epoch_rows(runs)
-            case "wrong_choices" | "evidence_failures" | "cost":
-                return self._query(name)
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
-    def _query(self, name: str) -> list[Row]:
-        """The rows of a query of `queries/results/` over these runs, in their order."""
-        ids = [run.manifest.run_id for run in self.runs]
-        found = query_tables(self.store.path, named_queries("sql")[name].text, tables={"scores": self.scores})
-        rows = found.rename_columns({"run_id": "run"}).to_pylist()
-        return sorted(rows, key=lambda row: ids.index(row["run"]))
+    def _results(self, names: Sequence[str]) -> dict[str, list[Row]]:
+        """The rows of queries of `queries/results/` over these runs, in their order."""
+        if not names:
+            return {}
+        place = {run.manifest.run_id: place for place, run in enumerate(self.runs)}
+        with open_tables(self.store.path, {"scores": self.scores}) as select:
+            found = {name: select(named_queries("sql")[name].text).rename_columns({"run_id": "run"}) for name in names}
+        return {name: sorted(table.to_pylist(), key=lambda row: place[row["run"]]) for name, table in found.items()}
 
     def causes(self) -> dict[tuple[str, str], str]:
         """Why each box that does not score fails, by run and question: what the table `evidence_failures` counts."""
@@ -112,27 +119,11 @@ class Comparison(Displayed):
 
     def markdown(self, name: str = "main") -> str:
         """A table in Markdown, in the columns of a paper."""
-        return formats.markdown(self._for_paper(name))
+        return formats.markdown(formats.for_paper(name, self.table(name)))
 
     def latex(self, name: str = "main") -> str:
         """A table in LaTeX for the package booktabs, in the columns of a paper."""
-        return formats.latex(self._for_paper(name))
-
-    def _for_paper(self, name: str) -> list[Row]:
-        """The table with its intervals, without macro averages; the runs of a model together, the best model first."""
-        rows: list[Row] = formats.with_intervals(self.table(name))
-        if name != "main":
-            return rows
-        models = [row["model"] for row in rows]
-        rows = sorted(rows, key=lambda row: models.index(row["model"]))
-        names = [(row["model"], row["method"], row.get("setting", "")) for row in rows]
-        settings = ["setting"] if any(row.get("setting") for row in rows) else []
-        # Rows that are alike in all of these are distinguished by the ids of their runs.
-        ids = ["run"] if len(set(names)) < len(names) else []
-        few = ["interval"] if any("interval" in row for row in rows) else []
-        columns = ["model", "method", *settings, *ids, *_PRINTED, *few]
-        texts = ("setting", "interval")
-        return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in rows]
+        return formats.latex(formats.for_paper(name, self.table(name)))
 
     def _summary(self) -> str:
         return f"{len(self.runs)} runs, evidence from IoU {self.iou:g} on"

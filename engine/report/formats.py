@@ -31,6 +31,9 @@ _MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"}
 MARK: Final = "*"
 """Behind the n of a run that has another number of questions than most."""
 
+_PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
+"""Columns of the table `main` in a paper, after those that say which run it is."""
+
 _SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
 """A cell of a column of numbers."""
 
@@ -54,18 +57,41 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
     """
     rows = without_rough(rows)
     few = any(row.get("interval") == TOO_FEW for row in rows)
-    runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
-    most = max(sorted(set(runs), reverse=True), key=runs.count, default=None)
+    other = other_counts(rows)
     return [
         {
             name: cell(value, name)
-            + (MARK if name == "n" and value in runs and value != most else "")
+            + (MARK if name == "n" and value in other else "")
             + _bounds(row.get(f"{name}_low"), row.get(f"{name}_high"))
             for name, value in row.items()
             if not name.endswith(("_low", "_high")) and (few or name != "interval")
         }
         for row in rows
     ]
+
+
+def other_counts(rows: Rows) -> set[int]:
+    """The `n` of runs that are not that of most of them; none in tables that have several rows of a run."""
+    runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
+    return set(runs) - set(sorted(runs, key=lambda n: (-runs.count(n), -n))[:1])
+
+
+def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
+    """The rows of a table of a report with their intervals. Those of `main` are without macro averages; the runs of a
+    model stand together, the best model first."""
+    found: list[dict[str, Any]] = with_intervals(rows)
+    if name != "main":
+        return found
+    models = [row["model"] for row in found]
+    found = sorted(found, key=lambda row: models.index(row["model"]))
+    names = [(row["model"], row["method"], row.get("setting", "")) for row in found]
+    settings = ["setting"] if any(row.get("setting") for row in found) else []
+    # Rows that are alike in all of these are distinguished by the ids of their runs.
+    ids = ["run"] if len(set(names)) < len(names) else []
+    few = ["interval"] if any("interval" in row for row in found) else []
+    columns = ["model", "method", *settings, *ids, *_PRINTED, *few]
+    texts = ("setting", "interval")
+    return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in found]
 
 
 def without_rough(rows: Rows) -> list[dict[str, Any]]:

@@ -22,6 +22,7 @@ from jrdb_avr.engine.report.scored_runs import (
     distinguishing_settings,
     percent_of,
 )
+from jrdb_avr.schema.arrays import Ints
 
 Row = dict[str, Any]
 
@@ -195,23 +196,29 @@ def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
 
 def rows_of_pairs(index: QuestionIndex, of: Sequence[tuple[ScoredRun, ScoredRun]]) -> list[Row]:
     """The rows of `pair_rows` for these pairs; none for one without common questions."""
-    pairs, shared = [], []
-    for first, second in of:
-        common, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
-        if len(common):
-            clusters = index.labels["sequence"].numbers[common]
-            label = interval_label(len(np.unique(clusters)))
-            ids = {"first": first.manifest.run_id, "second": second.manifest.run_id}
-            pairs.append(ids | {"n": len(common), "interval": label})
-            shared.append((clusters, first.scores[mine], second.scores[yours]))
-    return [
-        {"first": pair["first"], "second": pair["second"], "score": name, "n": pair["n"]}
-        | {"only_first": only_first, "only_second": only_second, "p": p}
-        | _with_bounds("difference", difference)
-        | {"interval": pair["interval"]}
-        for pair, found in zip(pairs, compare(shared), strict=True)
-        for name, (only_first, only_second, p, difference) in zip(SCORES, found, strict=True)
-    ]
+    groups: dict[bytes, tuple[Ints, list[int]]] = {}
+    for number, (first, second) in enumerate(of):
+        common = np.intersect1d(first.rows, second.rows, assume_unique=True)
+        groups.setdefault(common.tobytes(), (common, []))[1].append(number)
+    found: dict[int, list[Row]] = {}
+    for common, numbers in groups.values():
+        if not len(common):
+            continue
+        clusters = index.labels["sequence"].numbers[common]
+        label = interval_label(len(np.unique(clusters)))
+        place = {run: place for place, run in enumerate({run: None for number in numbers for run in of[number]})}
+        scores = [run.scores[np.searchsorted(run.rows, common)] for run in place]
+        pairs = compare(clusters, scores, [(place[of[own][0]], place[of[own][1]]) for own in numbers])
+        for number, pair in zip(numbers, pairs, strict=True):
+            first, second = of[number]
+            found[number] = [
+                {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": len(common)}
+                | {"only_first": only_first, "only_second": only_second, "p": p}
+                | _with_bounds("difference", difference)
+                | {"interval": label}
+                for name, (only_first, only_second, p, difference) in zip(SCORES, pair, strict=True)
+            ]
+    return [row for number in sorted(found) for row in found[number]]
 
 
 def _name(run: ScoredRun) -> tuple[str, str, str]:
@@ -223,9 +230,8 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
     return sorted(runs, key=lambda run: (-run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
 
 
-TABLES: Final = (
-    *("main", *DIMENSIONS, "ablation", "pairs", "people", "epochs"),
-    *("wrong_choices", "evidence_failures", "cost"),
-)
-"""`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it; the last three: queries of
-`queries/results/`."""
+RESULTS: Final = ("wrong_choices", "evidence_failures", "cost")
+"""Tables that are queries of `queries/results/`."""
+
+TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
+"""`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it."""

@@ -8,9 +8,13 @@ WITH boxes AS (
     LEFT JOIN predictions p USING (run_id, question_id)
     WHERE s.evidence_score = 0
 ), looks AS (
-    SELECT run_id, question_id, TRY_CAST(shown ->> 'frame_id' AS INT) AS frame,
-           coalesce(TRY_CAST(shown ->> 'left' AS INT), 0) AS start, if(shown ->> 'left' IS NULL, 3760, 480) AS width
-    FROM (SELECT run_id, question_id, TRY_CAST(response AS JSON) AS shown FROM steps WHERE kind = 'observe')
+    SELECT run_id, question_id, TRY_CAST(shown[1] AS INT) AS frame,
+           coalesce(TRY_CAST(shown[2] AS INT), 0) AS start, if(shown[2] IS NULL, 3760, 480) AS width
+    FROM (
+        SELECT run_id, question_id, TRY(json_extract_string(response, ['$.frame_id', '$.left'])) AS shown
+        FROM steps
+        WHERE kind = 'observe'
+    )
 ), reached AS (
     -- Columns of the target from the look's left edge on; a box may begin before it and reach in, also over the seam.
     SELECT l.run_id, l.question_id, l.width, e.w,

@@ -105,6 +105,29 @@ def test_questions_are_not_sent_beside_tables_of_another_load(machine, there):
     assert "questions/questions.parquet" not in files(there)
 
 
+def test_evidence_that_is_no_longer_used_is_gone_before_the_new_questions_are_there(machine, there, monkeypatch):
+    """A command that is killed at any time leaves no evidence beside questions that have none there."""
+    store = machine("a")
+    load(store, "boxes")
+    with store.writing("generate"):
+        for name in ("yard_0", "hall_0"):
+            write(store, f"questions/evidence/{name}.parquet", name)
+        write(store, "questions/questions.parquet", "of both")
+    send_one, seen = Mirror._send_one, {}
+
+    def observed(self, name):
+        seen[name] = files(there)
+        return send_one(self, name)
+
+    monkeypatch.setattr(Mirror, "_send_one", observed)
+    with store.writing("generate"):
+        (store.path / "questions/evidence/hall_0.parquet").unlink()
+        write(store, "questions/evidence/yard_0.parquet", "anew")
+        write(store, "questions/questions.parquet", "of one")
+    assert seen["questions/evidence/yard_0.parquet"]["questions/questions.parquet"] == "of both"
+    assert "questions/evidence/hall_0.parquet" not in seen["questions/questions.parquet"]
+
+
 def test_a_send_that_is_cut_off_leaves_no_store_of_two_loads(machine, there, monkeypatch):
     load(machine("a"), "boxes")
     store = machine("a")

@@ -249,6 +249,16 @@ def test_a_query_of_several_stores_gives_the_rows_of_each(store, tmp_path, monke
     assert (code, out, len(err.splitlines())) == (1, "", 1) and "cast it" in err
 
 
+@pytest.mark.parametrize("language", ["cypher", "sql"])
+def test_a_store_that_is_given_twice_is_refused(store, tmp_path, language):
+    (tmp_path / "link").symlink_to(store.path)
+    (tmp_path / "other").mkdir()
+    for also in ([store.path], [tmp_path / "link"], [tmp_path / "other", tmp_path / "other"]):
+        others = [part for path in also for part in ("--also", path)]
+        code, out, err = run(language, "RETURN 1", "--store", store.path, *others)
+        assert (code, out) == (2, "") and f"{also[-1]} is given twice" in err and "name each store once" in err
+
+
 def test_parameters_and_names(store):
     ask = ("sql", "SELECT $a + 1 AS x, $b AS y", "--store", store.path, "--json")
     assert json.loads(run(*ask, "--param", "a=5", "--param", "b=some=text")[1]) == [{"x": 6, "y": "some=text"}]

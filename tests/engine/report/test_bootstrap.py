@@ -60,7 +60,7 @@ def test_a_paired_difference_is_the_paired_bootstrap():
     generator = np.random.default_rng(7)
     first = generator.integers(0, 2, 150)
     second = np.where(generator.random(150) < 0.7, first, 1 - first)
-    ours = compare([(np.arange(150), first[:, None], second[:, None])])[0][0][-1]
+    ours = compare(np.arange(150), [first[:, None], second[:, None]], [(0, 1)])[0][0][-1]
     theirs = stats.bootstrap(
         (first, second),
         lambda a, b, axis: b.mean(axis=axis) - a.mean(axis=axis),
