@@ -56,7 +56,7 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 
 KEYFRAME_NODES: Final[dict[str, str]] = {
     "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, nowhere STRING, seen INT64, "
-    "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, pose STRING, distance DOUBLE, angle DOUBLE, open STRING",
+    "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, pose STRING, distance DOUBLE, angle DOUBLE, open INT64",
     "Condition": "id INT64 PRIMARY KEY, sequence STRING, frame INT64, kind STRING, words STRING",
     "Description": "id INT64 PRIMARY KEY, sequence STRING, conditions STRING",
     "Name": "id INT64 PRIMARY KEY, sequence STRING, size INT64, people INT64, general BOOLEAN, poseless BOOLEAN",
@@ -86,13 +86,13 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Fits": ("Description", "Moment", ()),
     "Begins": ("Moment", "Encounter", ()),
     "Meets": ("Encounter", "Person", ("met INT64", "clear_from INT64", "maybe INT64", "image BOOLEAN")),
-    "Step": ("Moment", "Moment", ("relation STRING", "layer STRING")),
-    "Leads": ("Moment", "Moment", ("relation STRING", "layer STRING")),
+    "Step": ("Moment", "Moment", ("relation STRING", "bit INT64")),
+    "Leads": ("Moment", "Moment", ("relation STRING", "bit INT64")),
     "Describes": ("Name", "Moment", ("anchor BOOLEAN",)),
     "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
 }
 
-STORAGE_VERSION: Final = 7
+STORAGE_VERSION: Final = 8
 """Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
 
 

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
@@ -88,6 +89,9 @@ _FREE: Final = 2
 
 _PRIOR: Final = 5.0
 """So many questions of a set of choices are expected to have the answers that all questions have."""
+
+_SOUGHT: Final = 4
+"""So many times the options that come first are sought before all are put in order."""
 
 _WORTH: Final = 0.1
 """An aim is met where at least this share of what could be chosen stays."""
@@ -247,15 +251,15 @@ class Form:
             options = options[level[self.sets[options]]]
         cells, sets = self.cells[options], self.sets[options]
         # How much oftener the answer goes with the words and waits of a cell than the others that could.
-        own, total, variety = self.by_cell[cells, answer], self.by_cell[cells].sum(axis=1), self.varieties[cells]
+        own, total, variety = self.by_cell[:, answer], self.by_cell.sum(axis=1), self.varieties
         excess = own - (total - own) / np.maximum(variety - 1, 1)
         telling = (variety > 1) & (own >= _FREE) & (excess > 0) & (own > share * (total + 1))
         # How often the answer goes with a set of choices, smoothed by how often it goes with any.
         prior = _PRIOR * (self.by_set.sum(axis=0) + 1) / (len(self.chosen) + 1)
         likely = (self.by_set[:, answer] + prior[answer]) / (self.by_set.sum(axis=1) + self.offers @ prior)
         # Processors sum a product in different orders, so that what is equal may not look so: hence the rounding.
-        ranks = np.lexsort((-variety, excess, likely.round(9)[sets], self.blocks[options], telling))
-        for place in ranks.tolist():
+        keys = telling[cells], self.blocks[options], likely.round(9)[sets], excess[cells], -variety[cells]
+        for place in _ascending(keys):
             option = int(options[place])
             self.open[option] = False
             if self.taken.admits(self.options[option].subject):
@@ -291,6 +295,24 @@ class Form:
                 return
         for option in set(self.chosen) - {self.chosen[number] for number in stays.tolist()}:
             self._give_back(option)
+
+
+def _ascending(keys: Sequence[npt.NDArray[Any]]) -> Iterator[int]:
+    """Row numbers in the order of several columns, the first one first; equal rows as they stand.
+
+    Mostly one of the first is all that is wanted, and least values are found much sooner than an order of all.
+    """
+    left = np.arange(len(keys[0]))
+    for _ in range(_SOUGHT):
+        if not len(left):
+            return
+        least = left
+        for key in keys:
+            values = key[least]
+            least = least[values == values.min()]
+        yield from least.tolist()
+        left = np.setdiff1d(left, least, assume_unique=True)
+    yield from left[np.lexsort([key[left] for key in reversed(keys)])].tolist()
 
 
 def _dense(values: Sequence[Hashable]) -> Ints:

@@ -23,8 +23,8 @@ import pyarrow.compute as pc
 from jrdb_avr.engine.generate.context import LayerJob, SearchContext
 from jrdb_avr.engine.generate.fork_join import find_joins
 from jrdb_avr.engine.generate.keyframes import keyframe_tables
-from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS
-from jrdb_avr.engine.generate.scene import Ints, coded, ints, load_scene
+from jrdb_avr.engine.generate.relations import RELATION_BITS, RELATIONS
+from jrdb_avr.engine.generate.scene import UNDECIDED, Ints, coded, ints, load_scene
 from jrdb_avr.loaders.digests import digests_of, staged_digests
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
 from jrdb_avr.loaders.verify import FILE, checks_of
@@ -110,11 +110,11 @@ def derived_tables(context: SearchContext) -> dict[str, pa.Table]:
             "from": ints(steps, "source") + low,
             "to": np.where(target < 0, target + SPAN, target) + low,
             "relation": steps["relation"],
-            "layer": pa.array(RELATION_LAYERS).take(pa.array(KIND[code])),
+            "bit": RELATION_BITS[code],
         }
     )
-    # A relation that leads nowhere in the scene is of no use to any plan.
-    leading = np.isin(code, np.unique(code[target >= 0]))
+    # A relation that leads nowhere in the scene is of no use to any plan; what is undecided, `open` says.
+    leading = np.isin(code, np.unique(code[target >= 0])) & (target != UNDECIDED)
     names = context.query("search", "anchors")
     describes = {"from": ints(names, "name") + low, "to": ints(names, "moment") + low, "anchor": names["anchor"]}
     general = ints(names.filter(names["general"]), "moment")

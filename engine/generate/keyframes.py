@@ -35,7 +35,7 @@ from jrdb_avr.engine.generate.conditions import FALSE, TRUE
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.descriptions import Descriptions
 from jrdb_avr.engine.generate.encounters import encounter_tables
-from jrdb_avr.engine.generate.relations import KIND, RELATION_LAYERS, RELATIONS, unknown_others
+from jrdb_avr.engine.generate.relations import KIND, RELATION_BITS, RELATION_LAYERS, RELATIONS, Facts, unknown_others
 from jrdb_avr.engine.generate.scene import (
     NOBODY,
     NOWHERE,
@@ -90,9 +90,6 @@ def _moments(context: SearchContext) -> dict[str, pa.Table]:
     moments = np.flatnonzero((scene.moment_rows != NOBODY) | scene.absent)
     rows, times = scene.moment_rows[moments], scene.frames(moments)
     clear, in_front = _seen(scene, rows, rules)
-    kinds = range(len(RELATION_LAYERS))
-    words = [",".join(RELATION_LAYERS[kind] for kind in kinds if mask >> kind & 1) for mask in range(1 << len(kinds))]
-    is_open = unknown_others(scene, context.facts.known)[:, moments] > 0
     table = pa.table(
         {
             "id": moments,
@@ -107,7 +104,7 @@ def _moments(context: SearchContext) -> dict[str, pa.Table]:
             "pose": named(scene.moment_poses[moments], POSES),
             "distance": pc.take(pa.array(scene.distances, from_pandas=True), masked(rows)),
             "angle": pc.take(pa.array(scene.geometry["angle"]), masked(rows)),
-            "open": pa.array(words).take(pa.array(np.sum(is_open << np.array(kinds)[:, None], axis=0))),
+            "open": _open(scene, context.facts)[moments],
         }
     )
     nowhere = {"id": pa.array(NOWHERE, pa.int64()), "nowhere": pa.array(OUTCOMES_NOWHERE)}
@@ -117,6 +114,16 @@ def _moments(context: SearchContext) -> dict[str, pa.Table]:
         "At": pa.table({"from": scene.people(moments), "to": moments}),
         "Shift": pa.concat_tables(_shift(scene, moments, by) for by in shift_frames(rules)),
     }
+
+
+def _open(scene: Scene, facts: Facts) -> Ints:
+    """Per moment the bits of all relations that somebody could have with the person without it being certain: as a
+    fact that is possible, or for want of knowledge."""
+    of_kind = np.array([RELATION_BITS[kind == KIND].sum() for kind in range(len(RELATION_LAYERS))])
+    found = of_kind @ (unknown_others(scene, facts.known) > 0)
+    possible = ~facts.certain
+    np.bitwise_or.at(found, facts.source[possible], RELATION_BITS[facts.relation[possible]])
+    return np.asarray(found)
 
 
 def shift_frames(rules: Rules) -> tuple[int, int]:

@@ -32,6 +32,9 @@ there are no facts here and no steps: see `fork_join`."""
 
 KIND: Final = np.array([RELATION_LAYERS.index(LAYER_OF_KIND[ROWS[label].kind]) for label in RELATIONS], np.int64)
 
+RELATION_BITS: Final = np.int64(1) << np.arange(len(RELATIONS))
+"""The bit of each relation, in sums of them."""
+
 STATED_POSES: Final = np.array([[pose in poses_of(relation) for pose in POSES] for relation in RELATIONS])
 """(relations, poses): the poses that a relation's words name."""
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.engine.rederive.actions import ActionFacts
 from jrdb_avr.engine.rederive.truth import (
@@ -41,7 +42,10 @@ class SocialFacts(ActionFacts):
         super().__init__(tables, rules)
         self._chosen = _chosen(tables["demographics"])
         self._faces = _faces(tables["poses"])
-        self._listed = set(rows(tables["listed"], "layer", "frame", "track"))
+        self._listed: dict[str, set[tuple[int, int]]] = {
+            layer: set(rows(tables["listed"].filter(pc.field("layer") == layer), "frame", "track"))
+            for layer in ("interactions", "handles")
+        }
         self._groups: dict[tuple[int, int], tuple[int, bool]] = {}
         self._clusters: dict[int, dict[int, _Labels]] = defaultdict(lambda: defaultdict(dict))
         for frame, track, cluster, difficulty in rows(tables["groups"], "frame", "track", "cluster", "difficulty"):
@@ -59,15 +63,15 @@ class SocialFacts(ActionFacts):
                     _add_label(self._together[*pair, other], frame, None)
             else:
                 # With somebody unseen, so that nothing is known of whom else it could be said.
-                self._listed -= {("interactions", frame, one) for one in (track, partner)}
+                self._listed["interactions"] -= {(frame, track), (frame, partner)}
         names = dict(rows(tables["categories"], "category_id", "category"))
-        self._handled: dict[int, dict[tuple[str, int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
+        self._handled: dict[tuple[int, str], dict[tuple[int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
         things = rows(tables["handles"], "frame", "track", "object", "category_id", "verb", "difficulty")
         for frame, track, thing, category, verb, difficulty in things:
             if track in self._people.get(frame, ()) and names.get(category) not in PERSON_CATEGORIES:
-                _add_label(self._handled[track][verb, category, thing], frame, difficulty)
+                _add_label(self._handled[track, verb][category, thing], frame, difficulty)
                 for other in also_said(verb):
-                    _add_label(self._handled[track][other, category, thing], frame, None)
+                    _add_label(self._handled[track, other][category, thing], frame, None)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
         numbers = sorted(self.layers.get("2d", []))
         self._unread = self._find_unread(numbers) if numbers else frozenset()
@@ -100,7 +104,7 @@ class SocialFacts(ActionFacts):
 
     def tells(self, track: int, frame: int, layer: str) -> bool:
         """Whether the whole list of a person could be read, so that what it lacks is false."""
-        return (layer, frame, track) in self._listed
+        return (frame, track) in self._listed[layer]
 
     # -- what a person is ---------------------------------------------------------------------------------------
 
@@ -185,9 +189,9 @@ class SocialFacts(ActionFacts):
         if verb in POSES or category in PERSON_CATEGORIES:
             return UNKNOWN
         possible = False
-        for (done, number, _), labels in self._handled.get(track, {}).items():
+        for (number, _), labels in self._handled.get((track, verb), {}).items():
             of = self._categories.get(number)
-            certain = self._when(labels, frame, "handles") if done == verb and of in (category, None) else None
+            certain = self._when(labels, frame, "handles") if of in (category, None) else None
             if certain and of == category:
                 return TRUE
             possible |= certain is not None

@@ -23,6 +23,6 @@ RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.tr
        a.image AND s.first_image AS image,
        s.first_ahead AS ahead,
        x.track AS skip_1_person,
-       coalesce(x.nowhere, CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE 'unknown' END)
+       coalesce(x.nowhere, CASE WHEN x.id IS NULL AND bitwise_and(a.open, s2.bit) = 0 THEN 'empty' ELSE 'unknown' END)
          AS skip_1
 ORDER BY name, segment, r1, r2

@@ -20,12 +20,12 @@ WHERE z.id >= $low AND z.id < $high AND k.relation = s3.relation
 HINT (b JOIN k) JOIN z
 WITH n, e, a, s1, b, s2, c, s3, d, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
      coalesce(c.pose, 'unknown') AS stop_2,
-     CASE WHEN x.id IS NULL THEN CASE WHEN a.open CONTAINS s2.layer THEN 'unknown' ELSE 'empty' END
+     CASE WHEN x.id IS NULL THEN CASE WHEN bitwise_and(a.open, s2.bit) > 0 THEN 'unknown' ELSE 'empty' END
           WHEN x.nowhere IS NOT NULL THEN x.nowhere
-          WHEN y.id IS NULL THEN CASE WHEN x.open CONTAINS s3.layer THEN 'unknown' ELSE 'empty' END
+          WHEN y.id IS NULL THEN CASE WHEN bitwise_and(x.open, s3.bit) > 0 THEN 'unknown' ELSE 'empty' END
           WHEN y.id = a.id THEN 'empty'
           ELSE coalesce(y.nowhere, y.pose, 'unknown') END AS skip_1,
-     CASE WHEN z.id IS NULL THEN CASE WHEN b.open CONTAINS s3.layer THEN 'unknown' ELSE 'empty' END
+     CASE WHEN z.id IS NULL THEN CASE WHEN bitwise_and(b.open, s3.bit) > 0 THEN 'unknown' ELSE 'empty' END
           WHEN z.id = a.id THEN 'empty'
           ELSE coalesce(z.nowhere, z.pose, 'unknown') END AS skip_2
 RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,

@@ -14,7 +14,7 @@ WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
 HINT (a JOIN k) JOIN x
 WITH n, d, a, s1, b, s2, c, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
      coalesce(x.nowhere, x.pose,
-              CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE 'unknown' END) AS skip_1
+              CASE WHEN x.id IS NULL AND bitwise_and(a.open, s2.bit) = 0 THEN 'empty' ELSE 'unknown' END) AS skip_1
 RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,
        c.track AS c,
        c.pose AS answer,

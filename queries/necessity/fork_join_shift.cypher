@@ -19,9 +19,9 @@ OPTIONAL MATCH (a2)-[k2:Step]->(c2:Moment)
 WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
 HINT (a2 JOIN k2) JOIN c2
 WITH n, s1, s2, a2, b2, c2,
-     CASE WHEN b2.id IS NULL AND a2.nowhere IS NULL AND NOT a2.open CONTAINS s1.layer THEN 'empty'
+     CASE WHEN b2.id IS NULL AND a2.nowhere IS NULL AND bitwise_and(a2.open, s1.bit) = 0 THEN 'empty'
           ELSE coalesce(a2.nowhere, b2.nowhere, 'unknown') END AS b_outcome,
-     CASE WHEN c2.id IS NULL AND a2.nowhere IS NULL AND NOT a2.open CONTAINS s2.layer THEN 'empty'
+     CASE WHEN c2.id IS NULL AND a2.nowhere IS NULL AND bitwise_and(a2.open, s2.bit) = 0 THEN 'empty'
           ELSE coalesce(a2.nowhere, c2.nowhere, 'unknown') END AS c_outcome
 RETURN n.id - $low AS name, s1.relation AS r1, s2.relation AS r2, a2.track AS a, b2.track AS b, c2.track AS c,
        coalesce(a2.nowhere, 'unknown') AS a_outcome, b_outcome, c_outcome

@@ -18,7 +18,7 @@ HINT (a JOIN k) JOIN x
 WITH n.id AS name, m1.frame AS t1, m1.pose AS pose, s1.relation AS r1, s2.relation AS r2, a.id + m1.id - c.id AS a_then,
      b.id + m1.id - c.id AS b_then,
      CASE WHEN x.nowhere IS NULL THEN coalesce(x.id + m1.id - c.id, -1) ELSE -1 END AS x_then,
-     CASE WHEN x.id IS NULL AND NOT a.open CONTAINS s2.layer THEN 'empty' ELSE coalesce(x.nowhere, 'unknown') END
+     CASE WHEN x.id IS NULL AND bitwise_and(a.open, s2.bit) = 0 THEN 'empty' ELSE coalesce(x.nowhere, 'unknown') END
        AS outcome
 OPTIONAL MATCH (a1:Moment)
 WHERE a1.id >= $low AND a1.id < $high AND a1.id = a_then

@@ -27,12 +27,12 @@ WHERE d2.id >= $low AND d2.id < $high AND k3.relation = s3.relation
 HINT (c2 JOIN k3) JOIN d2
 RETURN n.id - $low AS name, s1.relation AS r1, s2.relation AS r2, s3.relation AS r3,
        CASE WHEN a2.nowhere IS NOT NULL THEN a2.nowhere
-            WHEN b2.id IS NULL THEN CASE WHEN a2.open CONTAINS s1.layer THEN 'unknown' ELSE 'empty' END
+            WHEN b2.id IS NULL THEN CASE WHEN bitwise_and(a2.open, s1.bit) > 0 THEN 'unknown' ELSE 'empty' END
             WHEN b2.nowhere IS NOT NULL THEN b2.nowhere
-            WHEN c2.id IS NULL THEN CASE WHEN b2.open CONTAINS s2.layer THEN 'unknown' ELSE 'empty' END
+            WHEN c2.id IS NULL THEN CASE WHEN bitwise_and(b2.open, s2.bit) > 0 THEN 'unknown' ELSE 'empty' END
             WHEN c2.id = a2.id THEN 'empty'
             WHEN c2.nowhere IS NOT NULL THEN c2.nowhere
-            WHEN d2.id IS NULL THEN CASE WHEN c2.open CONTAINS s3.layer THEN 'unknown' ELSE 'empty' END
+            WHEN d2.id IS NULL THEN CASE WHEN bitwise_and(c2.open, s3.bit) > 0 THEN 'unknown' ELSE 'empty' END
             WHEN d2.id IN [a2.id, b2.id] THEN 'empty'
             ELSE coalesce(d2.nowhere, d2.pose, 'unknown') END AS answer
 ORDER BY name, r1, r2, r3

@@ -22,9 +22,9 @@ WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
 HINT (b2 JOIN k2) JOIN c2
 RETURN n.id - $low AS name, s1.relation AS r1, s2.relation AS r2,
        CASE WHEN a2.nowhere IS NOT NULL THEN a2.nowhere
-            WHEN b2.id IS NULL THEN CASE WHEN a2.open CONTAINS s1.layer THEN 'unknown' ELSE 'empty' END
+            WHEN b2.id IS NULL THEN CASE WHEN bitwise_and(a2.open, s1.bit) > 0 THEN 'unknown' ELSE 'empty' END
             WHEN b2.nowhere IS NOT NULL THEN b2.nowhere
-            WHEN c2.id IS NULL THEN CASE WHEN b2.open CONTAINS s2.layer THEN 'unknown' ELSE 'empty' END
+            WHEN c2.id IS NULL THEN CASE WHEN bitwise_and(b2.open, s2.bit) > 0 THEN 'unknown' ELSE 'empty' END
             WHEN c2.id = a2.id THEN 'empty'
             ELSE coalesce(c2.nowhere, c2.pose, 'unknown') END AS answer
 ORDER BY name, r1, r2

@@ -11,10 +11,11 @@ about 957,000 boxes). Printed, all of it measured in one run:
   together, sampled fifty times a second;
 - where the time goes, one process: by step, and by template with everything that is done for it;
 - two_hop and three_hop from the same described people, in networkx and here, in processor seconds; both must find the
-  same chains. networkx holds the same relations twice: as one MultiDiGraph of a sequence with timed edges, as the
-  annotations tell them (and as the scene's graph stores them), and as a MultiDiGraph per keyframe. Either is built
-  beforehand, and a person's steps at a keyframe are worked out once. Here it is the statement alone, which also proves
-  hop.stop and hop.skip, and the statement with all rows of the keyframe layer worked out.
+  same rows: the chains, what is seen of their people, and what every program of hop.stop and hop.skip answers.
+  networkx holds the same relations twice: as one MultiDiGraph of a sequence with timed edges, as the annotations tell
+  them (and as the scene's graph stores them), and as a MultiDiGraph per keyframe. Either is built beforehand, and a
+  person's steps at a keyframe are worked out once. Here it is the statement alone, and the statement with all rows of
+  the keyframe layer worked out.
 
 On a machine that is busy with other things processor seconds hold better than wall seconds.
 """
@@ -27,6 +28,7 @@ import tempfile
 import time
 from collections import defaultdict
 from pathlib import Path
+from typing import NamedTuple
 from unittest import mock
 
 import msgspec
@@ -36,7 +38,7 @@ import pyarrow.parquet as pq
 from bench_load import Clock, Memory, sample
 
 from jrdb_avr.engine.generate import context as contexts
-from jrdb_avr.engine.generate import records, search
+from jrdb_avr.engine.generate import records, search, views
 from jrdb_avr.engine.generate import sequence as shard
 from jrdb_avr.engine.generate.context import LayerJob
 from jrdb_avr.engine.generate.keyframe_graph import derived_tables, ensure_layer
@@ -50,6 +52,7 @@ from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import KEYFRAME_RELS
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import LoadRules, Rules
 
@@ -231,41 +234,77 @@ class PerKeyframe:
             yield other, edge
 
 
+class Person(NamedTuple):
+    """Somebody with a box at a keyframe; told: by kind of relation, whether it is told of the person."""
+
+    pose: str | None
+    clear: bool
+    ahead: bool
+    told: list[bool]
+
+
 def people_there(scene, facts):
-    """Per keyframe, of everybody with a box: the pose, and of which kinds of relations it is told."""
+    """Everybody with a box, per keyframe."""
     count = len(scene.keyframes)
     there = [{} for _ in range(count)]
-    for moment in np.flatnonzero(scene.moment_rows != NOBODY).tolist():
-        told = facts.known[:, moment].tolist()
-        there[moment % count][moment // count] = int(scene.moment_poses[moment]), told
+    in_front = views.ahead(scene.geometry["x"], scene.geometry["w"], RULES.visible_share)
+    for moment in scene.seen_moments.tolist():
+        row, pose = scene.moment_rows[moment], scene.moment_poses[moment]
+        seen = bool(scene.clear[row]), bool(in_front[row])
+        person = Person(POSES[pose] if pose != NOBODY else None, *seen, facts.known[:, moment].tolist())
+        there[moment % count][moment // count] = person
     return there
 
 
 def silent_of(there):
     """By kind of relation, everybody of whom it is not told."""
-    return [{person for person, (_, told) in there.items() if not told[kind]} for kind in range(max(KINDS) + 1)]
+    return [{one for one, person in there.items() if not person.told[kind]} for kind in range(max(KINDS) + 1)]
 
 
 def steps_of(graph, person, keyframe):
-    """(relation, other) for every relation that one other person certainly has and nobody else could."""
+    """By relation, the one other person who certainly has it while nobody else could, or why there is none."""
     partners = defaultdict(dict)
     for other, edge in graph.edges(person, keyframe):
         of_relation = partners[edge["relation"]]
         of_relation[other] = of_relation.get(other, False) or edge["sure"]
-    there, found = graph.there[keyframe], []
+    there, found = graph.there[keyframe], {}
     for relation, others in partners.items():
-        (other, sure), *more = others.items()
-        if more or not sure:
-            continue
-        kind = KINDS[relation]
-        told = there[person][1][kind]
-        if not (graph.silent[keyframe][kind] - {person, other} if told else len(there) > 2):
-            found.append((relation, other))
+        certain = [other for other, sure in others.items() if sure]
+        if len(certain) == len(others) == 1 and not _others_could(graph, there, person, keyframe, relation, certain):
+            found[relation] = certain[0]
+        else:
+            found[relation] = "ambiguous" if len(certain) > 1 else "unknown"
     return found
 
 
-def chains(graph, starts, count, hops):
-    """Every chain of so many steps from the people described: (name, relation, moment, relation, moment, ...)."""
+def _others_could(graph, there, person, keyframe, relation, besides=()):
+    """Whether anybody else could have a relation with a person, as it is not told."""
+    kind = KINDS[relation]
+    if there[person].told[kind]:
+        return bool(graph.silent[keyframe][kind] - {person, *besides})
+    return len(there) > 1 + len(besides)
+
+
+class Chain(NamedTuple):
+    """A row of `two_hop` or `three_hop`, with numbers of people and relations in place of tracks and texts."""
+
+    name: int
+    keyframe: int
+    people: tuple[int, ...]
+    relations: tuple[int, ...]
+    answer: str
+    anchor: bool
+    evidence: bool
+    image: bool
+    ahead: bool
+    stops: tuple[str, ...]
+    hop_stop: bool
+    skips: tuple[str, ...]
+    hop_skip: bool
+
+
+def chains(graph, starts, images, hops):
+    """Every chain of so many steps, with its proofs, from the people described: (name, person, keyframe, anchor)."""
     known, found = {}, []
 
     def steps(person, keyframe):
@@ -274,22 +313,61 @@ def chains(graph, starts, count, hops):
             known[place] = steps_of(graph, person, keyframe)
         return known[place]
 
-    def walk(chain, people, keyframe):
-        for relation, other in steps(people[-1], keyframe):
+    def read(people, relations, keyframe):
+        """The pose at the end of a walk that goes on from these people, or why there is none."""
+        there = graph.there[keyframe]
+        for relation in relations:
+            other = steps(people[-1], keyframe).get(relation)
+            if other is None:
+                return "unknown" if _others_could(graph, there, people[-1], keyframe, relation) else "empty"
+            if isinstance(other, str):
+                return other
             if other in people:
-                continue
-            longer = (*chain, relation, other * count + keyframe)
-            if len(people) < hops:
-                walk(longer, (*people, other), keyframe)
-            elif graph.there[keyframe][other][0] != NOBODY:
-                found.append(longer)
+                return "empty"
+            people = (*people, other)
+        return there[people[-1]].pose or "unknown"
 
-    for name, moment in starts:
-        walk((name,), (moment // count,), moment % count)
+    def walk(name, anchor, keyframe, people, relations):
+        for relation, other in steps(people[-1], keyframe).items():
+            if isinstance(other, str) or other in people:
+                continue
+            longer, roads = (*people, other), (*relations, relation)
+            if len(people) < hops:
+                walk(name, anchor, keyframe, longer, roads)
+            elif graph.there[keyframe][other].pose is not None:
+                found.append(proven(name, anchor, keyframe, longer, roads))
+
+    def proven(name, anchor, keyframe, people, relations):
+        everybody = [graph.there[keyframe][person] for person in people]
+        answer, ahead = everybody[-1].pose, everybody[-1].ahead
+        stops = tuple(person.pose or "unknown" for person in everybody[:-1])
+        skips = tuple(read(people[:hop], relations[hop:], keyframe) for hop in range(1, hops))
+        proves = [not {"unknown", answer}.intersection(answers) for answers in (stops, skips)]
+        evidence, image = all(person.clear for person in everybody), images[keyframe]
+        seen = anchor, evidence, image, ahead
+        return Chain(name, keyframe, people, relations, answer, *seen, stops, proves[0], skips, proves[1])
+
+    for name, person, keyframe, anchor in starts:
+        walk(name, anchor, keyframe, (person,), ())
     return found
 
 
-CHAINS = {"two_hop": ("r1", "b", "r2", "c"), "three_hop": ("r1", "b", "r2", "c", "r3", "d")}
+def stored_chains(scene, table, hops):
+    """The rows of a statement as chains."""
+    times = ints(table, "t0")
+    columns = {
+        "people": [scene.people(scene.moments(ints(table, node), times)).tolist() for node in "abcd"[: hops + 1]],
+        "relations": [coded(table[f"r{hop}"], RELATIONS).tolist() for hop in range(1, hops + 1)],
+        "stops": [table[f"stop_{place}"].to_pylist() for place in range(hops)],
+        "skips": [table[f"skip_{hop}"].to_pylist() for hop in range(1, hops)],
+    }
+    rows = {name: list(zip(*parts, strict=True)) for name, parts in columns.items()}
+    rows["keyframe"] = np.searchsorted(scene.keyframes, times).tolist()
+    rows |= {name: table[name].to_pylist() for name in Chain._fields if name not in rows}
+    return [Chain(*row) for row in zip(*(rows[name] for name in Chain._fields), strict=True)]
+
+
+HOPS = {"two_hop": 2, "three_hop": 3}
 
 
 def measure_chains(store):
@@ -307,7 +385,11 @@ def measure_chains(store):
     for sequence, low in lows.items():
         with LayerJob(store.path, sequence, low, RULES).searching() as context:
             scene, facts, names = context.scene, context.facts, context.descriptions
-            starts = [(name, int(names.moment[name])) for name in np.flatnonzero(names.general).tolist()]
+            described = context.query("generators", "described")
+            anchors = dict(zip(described["name"].to_pylist(), described["anchor"].to_pylist(), strict=True))
+            moments = {name: int(names.moment[name]) for name in np.flatnonzero(names.general).tolist()}
+            count, images = len(scene.keyframes), scene.has_image(scene.keyframes).tolist()
+            starts = [(name, moment // count, moment % count, anchors[name]) for name, moment in moments.items()]
             with clock("built"):
                 graphs = {"timed edges": Timed(scene, facts), "a graph per keyframe": PerKeyframe(scene, facts)}
             edges["timed edges"] += graphs["timed edges"].graph.number_of_edges()
@@ -315,19 +397,14 @@ def measure_chains(store):
             with clock("layer"):
                 made = dict(keyframe_tables(context)) | derived_tables(context)
             edges["keyframe layer"] += sum(len(table) for name, table in made.items() if name in KEYFRAME_RELS)
-            for template, columns in CHAINS.items():
+            for template, hops in HOPS.items():
                 with clock("here", template):
                     table = context.query("generators", template)
-                times = ints(table, "t0")
-                numbers = [
-                    coded(table[column], RELATIONS) if column[0] == "r" else scene.moments(ints(table, column), times)
-                    for column in columns
-                ]
-                here = sorted(map(tuple, np.stack([ints(table, "name"), *numbers], axis=1).tolist()))
+                here = sorted(stored_chains(scene, table, hops))
                 rows[template] += len(here)
                 for kind, there in graphs.items():
                     with clock(kind, template):
-                        found = chains(there, starts, len(scene.keyframes), len(columns) // 2)
+                        found = chains(there, starts, images, hops)
                     assert sorted(found) == here, f"{sequence}: networkx finds other chains"
         rows["starts"] += len(starts)
     held.close()
@@ -336,7 +413,7 @@ def measure_chains(store):
         f"{'cpu s':12}{'chains':>8}{'query':>8}{'+ layer':>13}"
         + "".join(f"{kind:>24}{'ratios':>14}" for kind in graphs)
     )
-    for template in CHAINS:
+    for template in HOPS:
         own = seconds["here", template], seconds["here", template] + seconds["layer",]
         line = f"{template:12}{rows[template]:8,}{own[0]:8.2f}{own[1]:13.2f}"
         for kind in graphs:
