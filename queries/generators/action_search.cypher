@@ -14,7 +14,7 @@ WHERE n.id >= $low AND n.id < $high
   AND abs(s.angle - c.angle) > $turn AND abs(s.angle - c.angle) < 360 - $turn
 HINT (((((((((n JOIN d) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN e0) JOIN p) JOIN e1) JOIN s
 OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
-WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
+WHERE x.id >= $low AND x.id < $high AND k.bit = s2.bit
 HINT (a JOIN k) JOIN x
 RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,
        c.track AS c, s.id - $low AS segment,

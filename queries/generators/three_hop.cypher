@@ -10,13 +10,13 @@ WHERE n.id >= $low AND n.id < $high
   AND n.general AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND d.pose IS NOT NULL
 HINT (((((((n JOIN e) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN s3) JOIN d
 OPTIONAL MATCH (a)-[k2:Step]->(x:Moment)
-WHERE x.id >= $low AND x.id < $high AND k2.relation = s2.relation
+WHERE x.id >= $low AND x.id < $high AND k2.bit = s2.bit
 HINT (a JOIN k2) JOIN x
 OPTIONAL MATCH (x)-[k3:Step]->(y:Moment)
-WHERE y.id >= $low AND y.id < $high AND k3.relation = s3.relation
+WHERE y.id >= $low AND y.id < $high AND k3.bit = s3.bit
 HINT (x JOIN k3) JOIN y
 OPTIONAL MATCH (b)-[k:Step]->(z:Moment)
-WHERE z.id >= $low AND z.id < $high AND k.relation = s3.relation
+WHERE z.id >= $low AND z.id < $high AND k.bit = s3.bit
 HINT (b JOIN k) JOIN z
 WITH n, e, a, s1, b, s2, c, s3, d, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
      coalesce(c.pose, 'unknown') AS stop_2,

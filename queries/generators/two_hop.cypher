@@ -10,7 +10,7 @@ WHERE n.id >= $low AND n.id < $high
   AND n.general AND c.id <> a.id AND c.pose IS NOT NULL
 HINT (((((n JOIN d) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c
 OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
-WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
+WHERE x.id >= $low AND x.id < $high AND k.bit = s2.bit
 HINT (a JOIN k) JOIN x
 WITH n, d, a, s1, b, s2, c, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
      coalesce(x.nowhere, x.pose,

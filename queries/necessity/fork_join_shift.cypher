@@ -13,10 +13,10 @@ WHERE n.id >= $low AND n.id < $high
   AND e.anchor AND a.clear AND b.clear AND c.clear AND a.image
 HINT (((((((n JOIN e) JOIN v) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN a2
 OPTIONAL MATCH (a2)-[k1:Step]->(b2:Moment)
-WHERE b2.id >= $low AND b2.id < $high AND k1.relation = s1.relation
+WHERE b2.id >= $low AND b2.id < $high AND k1.bit = s1.bit
 HINT (a2 JOIN k1) JOIN b2
 OPTIONAL MATCH (a2)-[k2:Step]->(c2:Moment)
-WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
+WHERE c2.id >= $low AND c2.id < $high AND k2.bit = s2.bit
 HINT (a2 JOIN k2) JOIN c2
 WITH n, s1, s2, a2, b2, c2,
      CASE WHEN b2.id IS NULL AND a2.nowhere IS NULL AND bitwise_and(a2.open, s1.bit) = 0 THEN 'empty'

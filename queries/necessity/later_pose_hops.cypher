@@ -13,7 +13,7 @@ WHERE n.id >= $low AND n.id < $high
   AND d.anchor AND a.clear AND b.clear AND c.clear AND m1.clear AND a.image AND m1.image AND NOT m1.ahead
 HINT (((((((((n JOIN d) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN e0) JOIN p) JOIN e1) JOIN m1
 OPTIONAL MATCH (a)-[k:Step]->(x:Moment)
-WHERE x.id >= $low AND x.id < $high AND k.relation = s2.relation
+WHERE x.id >= $low AND x.id < $high AND k.bit = s2.bit
 HINT (a JOIN k) JOIN x
 WITH n.id AS name, m1.frame AS t1, m1.pose AS pose, s1.relation AS r1, s2.relation AS r2, a.id + m1.id - c.id AS a_then,
      b.id + m1.id - c.id AS b_then,

@@ -17,13 +17,13 @@ WHERE n.id >= $low AND n.id < $high
   AND a.pose <> d.pose AND b.pose <> d.pose AND c.pose <> d.pose
 HINT (((((((((n JOIN e) JOIN v) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN s3) JOIN d) JOIN a2
 OPTIONAL MATCH (a2)-[k1:Step]->(b2:Moment)
-WHERE b2.id >= $low AND b2.id < $high AND k1.relation = s1.relation
+WHERE b2.id >= $low AND b2.id < $high AND k1.bit = s1.bit
 HINT (a2 JOIN k1) JOIN b2
 OPTIONAL MATCH (b2)-[k2:Step]->(c2:Moment)
-WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
+WHERE c2.id >= $low AND c2.id < $high AND k2.bit = s2.bit
 HINT (b2 JOIN k2) JOIN c2
 OPTIONAL MATCH (c2)-[k3:Step]->(d2:Moment)
-WHERE d2.id >= $low AND d2.id < $high AND k3.relation = s3.relation
+WHERE d2.id >= $low AND d2.id < $high AND k3.bit = s3.bit
 HINT (c2 JOIN k3) JOIN d2
 RETURN n.id - $low AS name, s1.relation AS r1, s2.relation AS r2, s3.relation AS r3,
        CASE WHEN a2.nowhere IS NOT NULL THEN a2.nowhere

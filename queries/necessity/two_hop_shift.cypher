@@ -15,10 +15,10 @@ WHERE n.id >= $low AND n.id < $high
   AND a.pose <> c.pose AND b.pose <> c.pose
 HINT (((((((n JOIN d) JOIN v) JOIN a) JOIN s1) JOIN b) JOIN s2) JOIN c) JOIN a2
 OPTIONAL MATCH (a2)-[k1:Step]->(b2:Moment)
-WHERE b2.id >= $low AND b2.id < $high AND k1.relation = s1.relation
+WHERE b2.id >= $low AND b2.id < $high AND k1.bit = s1.bit
 HINT (a2 JOIN k1) JOIN b2
 OPTIONAL MATCH (b2)-[k2:Step]->(c2:Moment)
-WHERE c2.id >= $low AND c2.id < $high AND k2.relation = s2.relation
+WHERE c2.id >= $low AND c2.id < $high AND k2.bit = s2.bit
 HINT (b2 JOIN k2) JOIN c2
 RETURN n.id - $low AS name, s1.relation AS r1, s2.relation AS r2,
        CASE WHEN a2.nowhere IS NOT NULL THEN a2.nowhere
