@@ -33,8 +33,8 @@ RETURN n.id - $low AS name ORDER BY name"""
 STEPS = """MATCH (a:Moment)-[s:Step]->(b:Moment) WHERE a.id >= $low AND a.id < $high
 RETURN a.frame / 15 AS t, a.track AS who, s.relation AS relation, b.track AS whom, b.nowhere AS nowhere
 ORDER BY t, who, relation"""
-UNSURE = """MATCH (a:Moment) WHERE a.id >= $low AND a.id < $high AND a.open CONTAINS 'groups'
-RETURN a.frame / 15 AS t, a.track AS who ORDER BY t, who"""
+OPEN = """MATCH (a:Moment) WHERE a.id >= $low AND a.id < $high AND a.open > 0
+RETURN a.frame / 15 AS t, a.track AS who, a.open AS bits ORDER BY t, who"""
 EMPTY, SEVERAL, UNKNOWN = "empty", "several", "unknown"
 NO, YES, MAYBE = 0, 1, 2
 
@@ -155,9 +155,11 @@ def compare(seed, folder):
     with searched(memory_store(folder, root_of(seconds)), SEQUENCE, Rules()) as context:
         rows = find_candidates(context, template)
         ids = {"low": context.low, "high": context.low + SPAN}
-        anchors, led, unsure = (context.graph.query(text, ids).to_pylist() for text in (ANCHORS, STEPS, UNSURE))
-    anchors, unsure = {row["name"] for row in anchors}, {(row["t"], row["who"]) for row in unsure}
+        anchors, led, left = (context.graph.query(text, ids).to_pylist() for text in (ANCHORS, STEPS, OPEN))
+    anchors, left = {row["name"] for row in anchors}, {(row["t"], row["who"]): row["bits"] for row in left}
     scene, names = context.scene, context.descriptions
+
+    place_of = {label: place for place, label in enumerate(RELATIONS)}
 
     def track(moment):
         nowhere = {-1: EMPTY, -2: SEVERAL, -3: UNKNOWN}
@@ -170,7 +172,7 @@ def compare(seed, folder):
     leads = {(row["t"], row["who"], row["relation"]): row["whom"] or outcomes[row["nowhere"]] for row in led}
 
     def step(t, a, label):
-        return leads.get((t, a, label)) or (UNKNOWN if label == GROUP and (t, a) in unsure else EMPTY)
+        return leads.get((t, a, label)) or (UNKNOWN if left.get((t, a), 0) >> place_of[label] & 1 else EMPTY)
 
     number = names.texts[1]
     place = {int(frame) // 15: i for i, frame in enumerate(scene.keyframes)}
