@@ -365,7 +365,8 @@ def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
 def _write(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
 ) -> str:
-    """Write tables, as `kinds` has their types, as row groups of a file that is read under a schema."""
+    """Write row groups with the column types of `kinds` to a file that is read with those of `schema`."""
+    # Readers take the types from this entry; without it they would find numbered texts.
     read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
 
     def write(temporary: Path) -> None:

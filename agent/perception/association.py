@@ -45,7 +45,7 @@ _LONGEST: Final = 60
 _SLOWED: Final = 25
 """Frames after which half of the way at their speed is expected: some stop, and some turn back.
 
-30 and 45 show the same share of people on JRDB's labels, to a hundredth; on samples 25 loses fewer than 45.
+On JRDB's labels 25 and 45 leave the same share of people in view, to a hundredth; on samples 25 loses fewer.
 """
 
 _ASTRAY: Final = 0.05

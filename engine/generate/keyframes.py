@@ -117,8 +117,10 @@ def _moments(context: SearchContext) -> dict[str, pa.Table]:
 
 
 def _open(scene: Scene, facts: Facts) -> Ints:
-    """Per moment the bits of all relations that somebody could have with the person without it being certain: as a
-    fact that is possible, or for want of knowledge."""
+    """For each moment, the bits of the relations that somebody may have with the person, but not certainly.
+
+    Such a fact is possible, or labels do not tell.
+    """
     of_kind = np.array([RELATION_BITS[kind == KIND].sum() for kind in range(len(RELATION_LAYERS))])
     found = of_kind @ (unknown_others(scene, facts.known) > 0)
     possible = ~facts.certain

@@ -32,7 +32,7 @@ MARK: Final = "*"
 """Behind the n of a run that has another number of questions than most."""
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
-"""Columns of the table `main` in a paper, after those that say which run it is."""
+"""Columns of the table `main` as a paper prints it, after those that name the run."""
 
 _SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
 """A cell of a column of numbers."""
@@ -77,8 +77,10 @@ def other_counts(rows: Rows) -> set[int]:
 
 
 def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
-    """The rows of a table of a report with their intervals. Those of `main` are without macro averages; the runs of a
-    model stand together, the best model first."""
+    """The rows of a report's table as a paper prints them, with their intervals.
+
+    Those of `main` lack macro averages; the runs of a model stand together, the best model first.
+    """
     found: list[dict[str, Any]] = with_intervals(rows)
     if name != "main":
         return found

@@ -235,7 +235,7 @@ class PerKeyframe:
 
 
 class Person(NamedTuple):
-    """Somebody with a box at a keyframe; told: by kind of relation, whether it is told of the person."""
+    """A person who has a box at a keyframe; told: for each kind of relation, whether labels tell them all."""
 
     pose: str | None
     clear: bool
@@ -278,7 +278,7 @@ def steps_of(graph, person, keyframe):
 
 
 def _others_could(graph, there, person, keyframe, relation, besides=()):
-    """Whether anybody else could have a relation with a person, as it is not told."""
+    """Whether labels leave it open that a person has a relation with somebody else."""
     kind = KINDS[relation]
     if there[person].told[kind]:
         return bool(graph.silent[keyframe][kind] - {person, *besides})

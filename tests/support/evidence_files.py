@@ -35,7 +35,7 @@ def question_files(store):
 
 
 def blocked_store(original, path):
-    """A copy of a store, without runs, whose private files are pipes: whoever opens one waits for ever."""
+    """A copy of a store, without runs, whose private files are named pipes, so that a test that opens one hangs."""
     shutil.copytree(original, path, ignore=shutil.ignore_patterns("runs"))
     store = Store(path)
     private = [store.question_path(name) for name in PRIVATE]

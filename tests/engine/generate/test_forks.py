@@ -15,7 +15,7 @@ from worlds import person
 
 from jrdb_avr.engine.generate import fork_join
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, VALUES
-from jrdb_avr.engine.generate.relations import RELATIONS
+from jrdb_avr.engine.generate.relations import RELATION_BITS, RELATIONS
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.queries.keyframes import SPAN
 from jrdb_avr.schema.rules import Rules
@@ -146,6 +146,12 @@ class Brute:
                 counts = [len(self.who(t, (one,), {a, b, c})[0]) for one in ((r3, b), (r4, c))]
                 if isinstance(d, int) and min(counts) >= 2 and self.pose(t, d) != UNKNOWN:
                     yield (r1, r2, r3, r4), b, c, d
+
+
+def test_a_sum_of_bits_holds_every_relation():
+    """One more than 63 relations would lose the last ones without a word."""
+    assert [int(bits).bit_length() for bits in RELATION_BITS] == list(range(1, len(RELATIONS) + 1))
+    assert 0 < int(RELATION_BITS.sum()) == 2 ** len(RELATIONS) - 1
 
 
 def compare(seed, folder):
