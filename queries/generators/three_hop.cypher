@@ -20,14 +20,12 @@ WHERE z.id >= $low AND z.id < $high AND k.bit = s3.bit
 HINT (b JOIN k) JOIN z
 WITH n, e, a, s1, b, s2, c, s3, d, coalesce(a.pose, 'unknown') AS stop_0, coalesce(b.pose, 'unknown') AS stop_1,
      coalesce(c.pose, 'unknown') AS stop_2,
-     CASE WHEN x.id IS NULL THEN CASE WHEN bitwise_and(a.open, s2.bit) > 0 THEN 'unknown' ELSE 'empty' END
-          WHEN x.nowhere IS NOT NULL THEN x.nowhere
-          WHEN y.id IS NULL THEN CASE WHEN bitwise_and(x.open, s3.bit) > 0 THEN 'unknown' ELSE 'empty' END
-          WHEN y.id = a.id THEN 'empty'
-          ELSE coalesce(y.nowhere, y.pose, 'unknown') END AS skip_1,
-     CASE WHEN z.id IS NULL THEN CASE WHEN bitwise_and(b.open, s3.bit) > 0 THEN 'unknown' ELSE 'empty' END
-          WHEN z.id = a.id THEN 'empty'
-          ELSE coalesce(z.nowhere, z.pose, 'unknown') END AS skip_2
+     coalesce(x.nowhere, CASE WHEN y.id = a.id THEN 'empty' END, y.nowhere, y.pose,
+              CASE WHEN y.id IS NULL AND bitwise_and(coalesce(x.open, a.open),
+                                                     CASE WHEN x.id IS NULL THEN s2.bit ELSE s3.bit END) = 0
+                   THEN 'empty' ELSE 'unknown' END) AS skip_1,
+     coalesce(CASE WHEN z.id = a.id THEN 'empty' END, z.nowhere, z.pose,
+              CASE WHEN z.id IS NULL AND bitwise_and(b.open, s3.bit) = 0 THEN 'empty' ELSE 'unknown' END) AS skip_2
 RETURN n.id - $low AS name, a.frame AS t0, a.track AS a, s1.relation AS r1, b.track AS b, s2.relation AS r2,
        c.track AS c, s3.relation AS r3, d.track AS d,
        d.pose AS answer,
