@@ -120,14 +120,16 @@ class Tracks:
 
     def _group(self, who: str, frame: int) -> set[str]:
         """Everybody whom ties of one group join to somebody at a frame, with them."""
-        there = [other for other in self.people if self.at(other, frame)]
-        group, fresh = {who}, [who]
-        while fresh:
-            one = fresh.pop()
-            found = [o for o in there if o not in group and self.relation(one, SAME_GROUP, o, frame).log_odds > 0]
-            group.update(found)
-            fresh += found
-        return group
+        if (who, frame) not in self._groups:
+            there = [other for other in self.people if self.at(other, frame)]
+            group, fresh = {who}, [who]
+            while fresh:
+                one = fresh.pop()
+                found = [o for o in there if o not in group and self._told(one, SAME_GROUP, o, frame).log_odds > 0]
+                group.update(found)
+                fresh += found
+            self._groups[who, frame] = group
+        return self._groups[who, frame]
 
     def values(self, who: str, topic: str, frame: int | None) -> tuple[Tally, ...]:
         """The values that were read on a topic of somebody, the best supported first; at any frame where it is None."""
@@ -200,9 +202,18 @@ class Tracks:
     # -- relations ------------------------------------------------------------------------------------------------
 
     def relation(self, source: str, relation: str, target: str, frame: int) -> Support:
-        """The support for a relation at a frame: from boxes where these decide, else from readings of either person."""
+        """The support for a relation at a frame: from boxes where these decide, else from readings of either person.
+
+        Two people whom no picture shows together are of one group where others join them.
+        """
         if relation in DERIVED:
             return self._derived(source, relation, target, self.nearest_looked(frame), frame)
+        told, at = self._told(source, relation, target, frame), self.nearest_looked(frame)
+        if relation == SAME_GROUP and told == Support() and target in self._group(source, at):
+            return _support([(at, UNIT)], frame)
+        return told
+
+    def _told(self, source: str, relation: str, target: str, frame: int) -> Support:
         return _support(self._votes_of_ties.get(_tie_key(source, relation, target), ()), frame)
 
     def _derived(self, source: str, relation: str, target: str, at: int, frame: int) -> Support:
@@ -222,6 +233,10 @@ class Tracks:
 
     @cached_property
     def _fused(self) -> dict[tuple[str, int], FusedBox | None]:
+        return {}
+
+    @cached_property
+    def _groups(self) -> dict[tuple[str, int], set[str]]:
         return {}
 
     @cached_property

@@ -13,7 +13,7 @@ from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie
 from jrdb_avr.agent.perception.votes import MOST_VOTES, UNIT, Tracks, settled
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
-from jrdb_avr.schema.relations import FIRST_LEFT
+from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
 
 NAMES = itertools.count()
 
@@ -119,6 +119,20 @@ def test_relations_are_read_of_either_person_or_follow_from_boxes():
     assert seen.relation("a", FIRST_LEFT, "b", 30).log_odds == UNIT / 2
     for who, votes in (("a", 1), ("b", 1), ("c", 0)):
         assert seen.statement(who, "interaction", "conversation", 15).votes == votes
+
+
+def in_two_pictures(relation, holds=True):
+    """Support for a relation of a and c: the first picture shows a and b, whom it joins, the second b and c."""
+    a = read(angle=100, observation="o1", number=1, ties=(ReadTie(relation, 2),))
+    b = [read(angle=130, observation=one, number=2) for one in ("o1", "o2")]
+    c = read(angle=160, observation="o2", number=1, ties=(ReadTie(relation, 2, holds=holds),))
+    return tracks({15: ()}, a=[a], b=b, c=[c]).relation("a", relation, "c", 15)
+
+
+def test_people_of_different_pictures_are_of_one_group_where_others_join_them():
+    assert in_two_pictures(SAME_GROUP) == (UNIT, 1, 0)
+    assert in_two_pictures(SAME_GROUP, holds=False) == (0, 0, 0)
+    assert in_two_pictures("conversation") == (0, 0, 0)
 
 
 def test_whoever_most_looks_at_the_place_do_not_show_stands_between_nobody():
