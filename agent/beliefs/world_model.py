@@ -324,8 +324,8 @@ class BeliefEpisode:
         """Put what waits into the tables, then record it. Raises as all writes do."""
         made, self._waiting = self._waiting, []
         if made:
-            # Each statement is a transaction: one round them all takes longer, and others wait for it.
-            self._graph.write(*([statement] for statement in self._rows.statements(made)))
+            # In one transaction, which waits for the disk once.
+            self._graph.write(list(self._rows.statements(made)))
             for write, _ in made:
                 self._record(write)
 
