@@ -10,9 +10,11 @@ from world_calls import calls_of, play
 from world_play import PLAN, add, begin, belongs, look, replay, rows_of, say, tables_of
 
 from jrdb_avr.agent.beliefs.display import shown_graph
+from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.agent.beliefs.world_model import MOST_WAITING
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +102,31 @@ def test_the_write_that_is_too_many_to_wait_may_be_a_new_entity(graph, place):
             assert add(episode, f"p{n}").accepted
     assert len(writes) == place + 2
     assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
+
+
+def test_a_plan_runs_again_only_where_what_bears_on_it_has_changed(graph):
+    """Its answer is read anew every time, and its people are those of the tables whenever who fits a part changes."""
+    episode, _ = begin(graph)
+    woman = Node("a", (Condition(attribute="gender", value="female"),))
+    answer = AnswerSpec("multiple_choice", "action", "a", at="t0")
+    plan, solver = Plan("a", "a", {"t0": Time(frame=15)}, (woman,), (), answer), BeliefSolver(graph, episode.key)
+
+    def solved():
+        before = graph.counts["reads"]
+        belief = solver.solve(plan, episode.rows())
+        reads = graph.counts["reads"] - before
+        assert belief == BeliefSolver(graph, episode.key).solve(plan)
+        return belief.outcome, belief.answer, reads
+
+    episode.observed(look(15), 1)
+    assert solved() == ("empty", None, 1)
+    assert add(episode, "p1").accepted
+    assert solved() == ("empty", None, 1), "somebody is seen"
+    assert add(episode, "p1").accepted and say(episode, "age", "childhood").accepted
+    assert solved() == ("empty", None, 0)
+    assert say(episode, "gender", "female").accepted
+    assert solved() == ("unknown", None, 1)
+    assert say(episode, "action", "sitting").accepted
+    assert solved() == ("defined", "sitting", 0)
+    assert say(episode, "gender", "male").accepted
+    assert solved() == ("empty", None, 0), "as before"
