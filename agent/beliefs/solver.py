@@ -100,8 +100,11 @@ class BeliefSolver:
     _found: dict[Hashable, Agreed] = field(default_factory=dict, repr=False)
 
     def check(self, plan: Plan) -> None:
-        """Raises PlanError for a plan that cannot be compiled."""
-        find_believed(plan)
+        """Have a plan's statement checked and parsed, before the turns that run it.
+
+        Raises PlanError for a plan that cannot be compiled.
+        """
+        self._reader(None).prepare(find_believed(plan))
 
     def solve(self, plan: Plan, rows: BeliefRows | None = None) -> Belief:
         """Solve a plan by its compiled Cypher statement.

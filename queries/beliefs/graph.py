@@ -79,6 +79,13 @@ class WorldGraph:
         self._count("reads", 1)
         return self.graph.query(cypher, params, **options)
 
+    def prepare(self, cypher: str, params: Mapping[str, Any], **options: Any) -> None:
+        """Check and parse one reading statement before its first use, as `Graph.prepare` does. Raises QueryError as
+        `query` does.
+        """
+        self._check(cypher, params, writes=False)
+        self.graph.prepare(cypher, params, **options)
+
     def write(self, *transactions: Sequence[Statement]) -> None:
         """Run statements that make, change or delete rows of the world tables, each list as one transaction.
 

@@ -123,6 +123,7 @@ def play(world, number, start, played):
     episode, solver = world.episode(question, lambda write: None), beliefs_of(world, question)
     plan = plan_of(number, SHAPES[number % len(SHAPES)])
     episode.plan(plan, 0)
+    solver.check(plan)
     start.wait()
     time.sleep(MODEL_S * number / IN_FLIGHT)
     with episode.together():

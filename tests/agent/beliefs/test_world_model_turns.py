@@ -130,3 +130,15 @@ def test_a_plan_runs_again_only_where_what_bears_on_it_has_changed(graph):
     assert solved() == ("defined", "sitting", 0)
     assert say(episode, "gender", "male").accepted
     assert solved() == ("empty", None, 0), "as before"
+
+
+def test_a_checked_plan_is_ready_to_run():
+    """What is read first is planned no more often than what is read again."""
+    with WorldGraph.memory() as graph:
+        episode, _ = begin(graph)
+        solver = BeliefSolver(graph, episode.key)
+        episode.observed(look(15), 1)
+        solver.check(PLAN)
+        planned, graph.graph.explain = graph.graph._planned, None
+        solver.solve(PLAN, episode.rows())
+        assert (graph.graph._planned, graph.counts["reads"]) == (planned, 1)
