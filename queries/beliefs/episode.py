@@ -155,8 +155,8 @@ class EpisodeRows:
     # -- new rows, as statements --------------------------------------------------------------------------------------
 
     def statements(self, made: Sequence[tuple[Write, Fact]]) -> Iterator[Statement]:
-        """Statements that put the newest writes, all of which are applied, into the tables: nodes before edges, and
-        last their lines of the record.
+        """Statements that put what the newest writes, all of which are applied, made into the tables: nodes before
+        edges.
         """
         assert self.begun is not None
         first, facts = made[0][0].number, [fact for _, fact in made]
@@ -187,7 +187,10 @@ class EpisodeRows:
         for kind, table in _TABLES.items():
             edges = [number for number in range(first, self.written) if isinstance(self.edges.get(number), kind)]
             yield from self._rows(table.lower(), [self._edge_columns(table, number) for number in edges])
-        lines = [{f: getattr(write, f) for f in Write.__slots__} for write, _ in made]
+
+    def lines(self, writes: Sequence[Write]) -> Iterator[Statement]:
+        """Statements that put writes' lines of the record into the tables, after what they made."""
+        lines = [{f: getattr(write, f) for f in Write.__slots__} for write in writes]
         yield from self._rows("write", [line | {"id": f"{self.key}/{line['number']}"} for line in lines])
 
     def _edge_columns(self, table: str, number: int) -> dict[str, Any]:
