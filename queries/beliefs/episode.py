@@ -38,9 +38,6 @@ from jrdb_avr.schema.errors import StoreError
 
 Edge = SightingRow | AttributeRow | RelationRow
 
-MANY: Final = 48
-"""Rows that one statement makes at most: it is done in a few milliseconds, and others need not wait for it longer."""
-
 _TABLES: Final[Mapping[type[Edge], str]] = {SightingRow: "Sighted", AttributeRow: "Has", RelationRow: "Related"}
 _TYPES: Final[dict[str, pa.DataType]] = {
     "STRING": pa.string(),
@@ -201,13 +198,14 @@ class EpisodeRows:
         return row | numbers | (row["box"]._asdict() if "box" in row else {})
 
     def _rows(self, name: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Statement]:
-        """Statements that make rows, `MANY` at a time, of the columns that they name: each costs the engine time."""
+        """The statement that makes rows, if there are any, of the columns that it names: each costs the engine time."""
+        if not rows:
+            return
         text = read_statement(f"world/{name}.cypher")
         columns = set(_COLUMN.findall(text))
-        known = {"episode": self.key, "hash": episode_hash(self.key)}
-        for at in range(0, len(rows), MANY):
-            values = known | {"rows": [{column: row[column] for column in columns} for row in rows[at : at + MANY]]}
-            yield text, {name: values[name] for name in parameters(text)}
+        named = [{column: row[column] for column in columns} for row in rows]
+        values = {"episode": self.key, "hash": episode_hash(self.key), "rows": named}
+        yield text, {name: values[name] for name in parameters(text)}
 
 
 @cache
