@@ -127,7 +127,7 @@ class PlanMatch:
         rows, known = 0, set[str]()
         for name, first in self._order():
             known.add(name)
-            parts = [one for one in self._parts if name in one.nodes and {*one.nodes} <= known]
+            parts = [one for one in self.parts if name in one.nodes and {*one.nodes} <= known]
             others = [one for one in first.nodes if one in known and one != name]
             place = [first.nodes.index(one) for one in others]
             reached: dict[tuple[str, ...], set[str]] = defaultdict(set)
@@ -152,7 +152,8 @@ class PlanMatch:
                     yield moment, one
 
     @cached_property
-    def _parts(self) -> list[_Part]:
+    def parts(self) -> list[_Part]:
+        """All parts."""
         return [*(part for parts in self.own.values() for part in parts), *self.edges]
 
     @cached_property
@@ -164,7 +165,7 @@ class PlanMatch:
         """A binding of nodes to different people, those `named` among them, under which most conditions and edges hold,
         and how many do. Of equal ones the first is taken, in the order of names; nobody is bound who adds nothing.
         """
-        names = [*self.own, *dict.fromkeys(name for part in self._parts for name in part.nodes if name not in self.own)]
+        names = [*self.own, *dict.fromkeys(name for part in self.parts for name in part.nodes if name not in self.own)]
         order, free = [*named], [name for name in names if name not in named]
         while free:
             # Along edges, so that what joins a person to the rest is known when it is chosen.

@@ -8,7 +8,7 @@ with the episode's rows. What was not written down is unknown, and what is unkno
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
@@ -23,9 +23,9 @@ from jrdb_avr.queries.compiler.beliefs import (
     notes_of,
 )
 from jrdb_avr.queries.compiler.believed import find_believed
-from jrdb_avr.queries.compiler.find import Outcome, outcome_of_target
+from jrdb_avr.queries.compiler.find import Agreed, Outcome, outcome_of_target
 from jrdb_avr.queries.compiler.reads import Queryable
-from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with, solve
+from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with
 from jrdb_avr.schema.answers import (
     TIE,
     Answer,
@@ -88,37 +88,56 @@ _TOO_MANY: Final = Belief(
 
 @dataclass(frozen=True)
 class BeliefSolver:
-    """Solves plans over the beliefs of the episode with this key."""
+    """Solves plans over the beliefs of the episode with this key.
+
+    _found: whom a compiled plan found, by all that bears on it.
+    """
 
     graph: Queryable
     key: str
     choices: Sequence[str] = ()
     rules: Rules = Rules()  # noqa: RUF009
+    _found: dict[Hashable, Agreed] = field(default_factory=dict, repr=False)
 
     def check(self, plan: Plan) -> None:
-        """Raises PlanError for a plan that cannot be compiled."""
-        find_believed(plan)
+        """Have a plan's statement checked and parsed, before the turns that run it.
+
+        Raises PlanError for a plan that cannot be compiled.
+        """
+        self._reader(None).prepare(find_believed(plan))
 
     def solve(self, plan: Plan, rows: BeliefRows | None = None) -> Belief:
         """Solve a plan by its compiled Cypher statement.
 
-        rows: what is believed, where that is at hand: the engine then only looks for the people. A plan that so many
-        sets of people nearly fit that other episodes would wait for it is not run, and counts as ambiguous.
+        rows: what is believed, where that is at hand: the engine then only looks for the people, and only where who
+        fits the plan's parts is not as it was before. A plan that so many sets of people nearly fit that other episodes
+        would wait for it is not run, and counts as ambiguous.
         Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
         """
-        reader, match = self._match(plan, rows)
-        if match.bindings is None:
-            return _TOO_MANY
-        return _belief(reader, match, solve(reader, [PlanQuery(plan, self.key)], self._cut)[0])
+        return self._settled(plan, rows, self._compiled)
 
     def weigh(self, plan: Plan, rows: BeliefRows) -> Belief:
         """The same of beliefs that are at hand, without the engine."""
+        return self._settled(plan, rows, lambda reader, match: outcome_of_target(plan, match.bindings or ()))
+
+    def _settled(
+        self, plan: Plan, rows: BeliefRows | None, find: Callable[[BeliefReader, PlanMatch], Agreed]
+    ) -> Belief:
         reader, match = self._match(plan, rows)
         if match.bindings is None:
             return _TOO_MANY
-        outcome, people = outcome_of_target(plan, match.bindings)
+        outcome, people = find(reader, match)
         solution = read_with(reader, PlanQuery(plan, self.key), people, self._cut) if people else Solution(outcome)
         return _belief(reader, match, solution)
+
+    def _compiled(self, reader: BeliefReader, match: PlanMatch) -> Agreed:
+        """Whom the compiled plan finds; it runs again only where who fits its parts has changed."""
+        known = (match.plan.target, *match.parts)
+        if known not in self._found:
+            find = reader.find(match.plan)
+            rows = reader.run(find.cypher, [{"id": 0, **find.row}])
+            self._found[known] = reader.agreed(match.plan, find, rows)
+        return self._found[known]
 
     def placements(self, plan: Plan, rows: BeliefRows, anywhere: bool) -> list[Plan]:
         """Copies of a plan whose stated frames are replaced by frames that were looked at, the smallest change first.

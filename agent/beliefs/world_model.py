@@ -1,8 +1,8 @@
 """The agent's world model: what it saw and believes, written under the grounding rule and never otherwise.
 
 A write is accepted only if it names an observation that its own episode has made; all of it is checked before it goes
-into the world tables, with its line of the record. What is refused leaves that line and nothing else. Each line goes to
-`record` once it is in the tables.
+into the world tables, its line of the record after what it made. What is refused leaves that line and nothing else.
+Each write goes to `record` once what it made is in the tables.
 
 An episode knows its rows by itself: it needs them to check a write, and `graph` and `rows` list them without the
 engine. The tables, which the solver reads, hold the same.
@@ -137,6 +137,8 @@ class BeliefEpisode:
         self.key = self._rows.key
         # Writes that are known here, but not in the tables yet.
         self._waiting: list[tuple[Write, Fact]] = []
+        # Writes whose lines are not in the tables yet, which nobody reads while the episode goes on.
+        self._unlisted: list[Write] = []
         # The beginning waits for what follows it.
         self._together = True
         self._accepted = 0
@@ -321,13 +323,20 @@ class BeliefEpisode:
             self.settle()
 
     def settle(self) -> None:
-        """Put what waits into the tables, then record it. Raises as all writes do."""
+        """Put what waits into the tables, then record it: what the writes made at once, their lines not before the end
+        of what is written together, or when so many wait. Raises as all writes do.
+        """
         made, self._waiting = self._waiting, []
-        if made:
-            # Each statement is a transaction: one round them all takes longer, and others wait for it.
-            self._graph.write(*([statement] for statement in self._rows.statements(made)))
-            for write, _ in made:
-                self._record(write)
+        self._unlisted += (write for write, _ in made)
+        statements = list(self._rows.statements(made)) if made else []
+        if not self._together or len(self._unlisted) >= MOST_WAITING:
+            statements += self._rows.lines(self._unlisted)
+            self._unlisted = []
+        if statements:
+            # In one transaction, which waits for the disk once.
+            self._graph.write(statements)
+        for write, _ in made:
+            self._record(write)
 
     # -- what is believed ---------------------------------------------------------------------------------------------
 

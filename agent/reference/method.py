@@ -99,9 +99,9 @@ class ReferenceAgent:
             plan = make_plan(attempt, self.limits.repairs, find_believed)
             return DrivenEpisode(attempt, perceivable(plan), self.limits.looks, guided=guided).play()
         world = self.world.episode(attempt.task.question, attempt.task.record_write)
+        solver = self.solving(self.world, attempt.task.question)
         with world.together():
-            plan = make_plan(attempt, self.limits.repairs, find_believed, world)
-            solver = self.solving(self.world, attempt.task.question)
+            plan = make_plan(attempt, self.limits.repairs, solver.check, world)
             read = perceivable(plan)
             writer = BeliefWriter(world, solver, plan, read, attempt.task, {})
             return DrivenEpisode(attempt, read, self.limits.looks, writer, guided).play()

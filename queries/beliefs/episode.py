@@ -38,9 +38,6 @@ from jrdb_avr.schema.errors import StoreError
 
 Edge = SightingRow | AttributeRow | RelationRow
 
-MANY: Final = 48
-"""Rows that one statement makes at most: it is done in a few milliseconds, and others need not wait for it longer."""
-
 _TABLES: Final[Mapping[type[Edge], str]] = {SightingRow: "Sighted", AttributeRow: "Has", RelationRow: "Related"}
 _TYPES: Final[dict[str, pa.DataType]] = {
     "STRING": pa.string(),
@@ -155,8 +152,8 @@ class EpisodeRows:
     # -- new rows, as statements --------------------------------------------------------------------------------------
 
     def statements(self, made: Sequence[tuple[Write, Fact]]) -> Iterator[Statement]:
-        """Statements that put the newest writes, all of which are applied, into the tables: nodes before edges, and
-        last their lines of the record.
+        """Statements that put what the newest writes, all of which are applied, made into the tables: nodes before
+        edges.
         """
         assert self.begun is not None
         first, facts = made[0][0].number, [fact for _, fact in made]
@@ -187,7 +184,10 @@ class EpisodeRows:
         for kind, table in _TABLES.items():
             edges = [number for number in range(first, self.written) if isinstance(self.edges.get(number), kind)]
             yield from self._rows(table.lower(), [self._edge_columns(table, number) for number in edges])
-        lines = [{f: getattr(write, f) for f in Write.__slots__} for write, _ in made]
+
+    def lines(self, writes: Sequence[Write]) -> Iterator[Statement]:
+        """Statements that put writes' lines of the record into the tables, after what they made."""
+        lines = [{f: getattr(write, f) for f in Write.__slots__} for write in writes]
         yield from self._rows("write", [line | {"id": f"{self.key}/{line['number']}"} for line in lines])
 
     def _edge_columns(self, table: str, number: int) -> dict[str, Any]:
@@ -198,13 +198,14 @@ class EpisodeRows:
         return row | numbers | (row["box"]._asdict() if "box" in row else {})
 
     def _rows(self, name: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Statement]:
-        """Statements that make rows, `MANY` at a time, of the columns that they name: each costs the engine time."""
+        """The statement that makes rows, if there are any, of the columns that it names: each costs the engine time."""
+        if not rows:
+            return
         text = read_statement(f"world/{name}.cypher")
         columns = set(_COLUMN.findall(text))
-        known = {"episode": self.key, "hash": episode_hash(self.key)}
-        for at in range(0, len(rows), MANY):
-            values = known | {"rows": [{column: row[column] for column in columns} for row in rows[at : at + MANY]]}
-            yield text, {name: values[name] for name in parameters(text)}
+        named = [{column: row[column] for column in columns} for row in rows]
+        values = {"episode": self.key, "hash": episode_hash(self.key), "rows": named}
+        yield text, {name: values[name] for name in parameters(text)}
 
 
 @cache

@@ -79,20 +79,25 @@ class WorldGraph:
         self._count("reads", 1)
         return self.graph.query(cypher, params, **options)
 
-    def write(self, *transactions: Sequence[Statement]) -> None:
-        """Run statements that make, change or delete rows of the world tables, each list as one transaction.
-
-        Raises QueryError where one is refused or fails, StoreError where the disk refuses; nothing of its transaction
-        is written then, nor of those after it.
+    def prepare(self, cypher: str, params: Mapping[str, Any], **options: Any) -> None:
+        """Check and parse one reading statement before its first use, as `Graph.prepare` does. Raises QueryError as
+        `query` does.
         """
-        for statements in transactions:
+        self._check(cypher, params, writes=False)
+        self.graph.prepare(cypher, params, **options)
+
+    def write(self, statements: Sequence[Statement]) -> None:
+        """Run statements that make, change or delete rows of the world tables, as one transaction.
+
+        Raises QueryError where one is refused or fails, StoreError where the disk refuses; nothing is written then.
+        """
+        for cypher, params in statements:
+            self._check(cypher, params, writes=True)
+        # A single statement is a transaction by itself, in half the time.
+        with self.graph.transaction() if len(statements) > 1 else contextlib.nullcontext():
             for cypher, params in statements:
-                self._check(cypher, params, writes=True)
-            # A single statement is a transaction by itself, in half the time.
-            with self.graph.transaction() if len(statements) > 1 else contextlib.nullcontext():
-                for cypher, params in statements:
-                    self.graph.execute(cypher, params)
-            self._count("writes", len(statements))
+                self.graph.execute(cypher, params)
+        self._count("writes", len(statements))
 
     def _count(self, kind: str, statements: int) -> None:
         with self._counting:

@@ -84,6 +84,10 @@ class BeliefReader(Reader):
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         return outcome_of_target(plan, [people_of(find, row) for row in rows])
 
+    def prepare(self, find: Find) -> None:
+        """Have a plan's statement checked and parsed. Raises QueryError."""
+        self.graph.prepare(find.cypher, {**find.row, "hash": self.values["hash"]}, ordered=False)
+
     def run(self, cypher: str, rows: Rows) -> list[dict[str, Any]]:
         """The rows of a compiled statement, run for one plan after the other, in any order. Raises QueryError."""
         own = [name for name in parameters(cypher) if name not in self.values]

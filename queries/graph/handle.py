@@ -140,13 +140,26 @@ class Graph:
         """
         text, values = bind(cypher, params or {})
         with self._lock:
-            plan = self._plan(text, values)
-            refuse_wrong_answers(plan, text, lambda probe: self._complaint(probe, values))
-            if plan.writes:
-                raise QueryError(f"this statement writes, use execute(): {shortened(cypher)}")
-            if ordered and not plan.ordered:
-                raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shortened(cypher)}")
+            self._check_read(text, values, ordered)
             return self._run(text, values, timeout_s)
+
+    def prepare(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> None:
+        """Check and parse a reading statement before its first use, which then takes as long as any other.
+
+        Raises QueryError where it is refused.
+        """
+        text, values = bind(cypher, params)
+        with self._lock:
+            self._check_read(text, values, ordered)
+            self._statement(text, values)
+
+    def _check_read(self, text: str, values: Mapping[str, Any], ordered: bool) -> None:
+        plan = self._plan(text, values)
+        refuse_wrong_answers(plan, text, lambda probe: self._complaint(probe, values))
+        if plan.writes:
+            raise QueryError(f"this statement writes, use execute(): {shortened(text)}")
+        if ordered and not plan.ordered:
+            raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shortened(text)}")
 
     def tables(self) -> set[str]:
         """The names of the graph's tables."""

@@ -7,7 +7,8 @@ plans are of the twelve templates' shapes, at times that differ; all are solved 
 Between two turns of an episode a second passes, as a model call would take, so that 64 turns come in a second. The time
 of a turn is that of its writes and its solve by the clock, without its wait for the engine, which serves one episode at
 a time; beside it the wait of a turn, both together (`whole`), and the time of single statements (a write makes one row
-or many). The last column is the share of the model call.
+or many). `plan` is what comes before the first turn: the plan is written down, and its statement checked and parsed,
+which is long for the first of a shape. The last column is the share of the model call.
 `processor` is what this process had of the processors for each turn: it leaves out the disk and what other processes
 and, on a rented machine, other tenants take (`stolen`, of this machine's time while the episodes run). `other shapes`
 are the first reads of plans of shapes that no template has, as a model may make: each takes longer once in a run.
@@ -66,7 +67,7 @@ def plan_of(number, edges):
     )
 
 
-TIMES = {"turn": [], "wait": [], "whole": [], "write": [], "read": []}
+TIMES = {"plan": [], "turn": [], "wait": [], "whole": [], "write": [], "read": []}
 WAITED = threading.local()
 
 
@@ -86,11 +87,12 @@ class TimedLock:
 
 
 @contextlib.contextmanager
-def timed_turn():
+def timed(*kinds):
+    """Note the time of a block without its wait for the engine, its wait, and both, under these names."""
     WAITED.seconds, began = 0.0, time.perf_counter()
     yield
     whole = time.perf_counter() - began
-    for kind, seconds in (("turn", whole - WAITED.seconds), ("wait", WAITED.seconds), ("whole", whole)):
+    for kind, seconds in zip(kinds, (whole - WAITED.seconds, WAITED.seconds, whole), strict=False):
         TIMES[kind].append(seconds)
 
 
@@ -122,13 +124,15 @@ def play(world, number, start, played):
     question = Question(f"{number:016x}", "s", "f", "t", f"{number}?", ("sitting", "walking"), "multiple_choice")
     episode, solver = world.episode(question, lambda write: None), beliefs_of(world, question)
     plan = plan_of(number, SHAPES[number % len(SHAPES)])
-    episode.plan(plan, 0)
+    with timed("plan"):
+        episode.plan(plan, 0)
+        solver.check(plan)
     start.wait()
     time.sleep(MODEL_S * number / IN_FLIGHT)
     with episode.together():
         for step in range(1, TURNS + 1):
             time.sleep(MODEL_S)
-            with timed_turn():
+            with timed("turn", "wait", "whole"):
                 write_turn(episode, step)
                 episode.settle()
                 belief = solver.solve(plan, episode.rows())

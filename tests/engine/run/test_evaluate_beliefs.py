@@ -187,7 +187,7 @@ def test_a_kill_at_any_moment_of_a_drop_leaves_a_graph_that_the_next_one_finishe
 
 def test_a_runs_manifest_counts_reads_and_writes_of_its_world_model(store):
     with WorldGraph.memory() as graph:
-        graph.write([("CREATE (:Episode {id: 'r/q'})", {})], [("CREATE (:Episode {id: 'r/p'})", {})])
+        graph.write([("CREATE (:Episode {id: 'r/q'})", {}), ("CREATE (:Episode {id: 'r/p'})", {})])
         graph.query("MATCH (e:Episode) RETURN count(*) AS n")
         assert graph.counts == {"reads": 1, "writes": 2}
         for resumed in (1, 2):
