@@ -7,6 +7,7 @@ with the episode's rows. What was not written down is unknown, and what is unkno
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -35,6 +36,7 @@ from jrdb_avr.schema.answers import (
     uninformed_answer,
 )
 from jrdb_avr.schema.beliefs import episode_key
+from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.labels import choice_of
 from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.panorama import Box, center_angle
@@ -102,9 +104,11 @@ class BeliefSolver:
     def check(self, plan: Plan) -> None:
         """Have a plan's statement checked and parsed, before the turns that run it.
 
-        Raises PlanError for a plan that cannot be compiled.
+        Raises PlanError for a plan that cannot be compiled. What the engine refuses is left to `solve`.
         """
-        self._reader(None).prepare(find_believed(plan))
+        compiled = find_believed(plan)
+        with contextlib.suppress(QueryError):
+            self._reader(None).prepare(compiled)
 
     def solve(self, plan: Plan, rows: BeliefRows | None = None) -> Belief:
         """Solve a plan by its compiled Cypher statement.

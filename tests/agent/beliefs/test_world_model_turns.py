@@ -14,6 +14,7 @@ from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.agent.beliefs.world_model import MOST_WAITING
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
 
 
@@ -145,3 +146,14 @@ def test_a_checked_plan_is_ready_to_run():
         planned, graph.graph.explain = graph.graph._planned, None
         solver.solve(PLAN, episode.rows())
         assert (graph.graph._planned, graph.counts["reads"]) == (planned, 1)
+
+
+def test_a_plan_that_the_engine_refuses_is_still_a_plan(monkeypatch):
+    """What is seen of its people is answered; that it could not be run is told where it would be."""
+
+    def refuse(*statement, **options):
+        raise QueryError("this statement takes too long")
+
+    with WorldGraph.memory() as graph:
+        monkeypatch.setattr(graph.graph, "prepare", refuse)
+        BeliefSolver(graph, begin(graph)[0].key).check(PLAN)
