@@ -27,7 +27,7 @@ Examples:
 
 @click.group(cls=NamingGroup, epilog=_EXAMPLES)
 def command() -> None:
-    """What runs' agents believed, in the store's graph.
+    """Bring the world models of runs, what their agents believed, into the store's graph, or drop them.
 
     The record is runs/RUN/world.parquet. A run writes its world model into the graph itself, unless --world-db names
     another; 'load' and 'load --rebuild' bring every run's back. Query it with 'cypher' (see its --list).
