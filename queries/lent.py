@@ -46,7 +46,7 @@ def lend(put: Callable[[Any], Any]) -> list[Lent]:
 
 
 def take_back(lent: list[Lent]) -> None:
-    """Remove the marks."""
+    """Remove the marks of what was lent to workers."""
     for own in lent:
         own.mark.unlink(missing_ok=True)
 

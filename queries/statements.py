@@ -1,4 +1,4 @@
-"""The statements of this folder, as text."""
+"""The Cypher and SQL statements in the files of this folder, as text."""
 
 from __future__ import annotations
 

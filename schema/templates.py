@@ -1,7 +1,7 @@
 """The question templates: one row each, with plan, layers, proofs and words.
 
-To add a template, add a row here, its search (`queries/generators/<form>.cypher`, or code in `engine.generate`), the
-queries of its time proofs in `queries/necessity`, and its reading in `engine.rederive`.
+To add a template, add a row here, its search in `queries/generators` or `engine.generate`, and the queries of its time
+proofs in `queries/necessity`. `docs/architecture.md` has the whole list, under "Add".
 
 In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people along a path are called
 A, B, C and D, and `{says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`), `{Says1}`

@@ -158,7 +158,7 @@ class PlanMatch:
 
     @cached_property
     def counted(self) -> list[_Part]:
-        """The conditions and edges."""
+        """The conditions and edges, without the parts that are only sightings."""
         return [*(part for parts in self.own.values() for part in parts if part.counts), *self.edges]
 
     def likeliest(self, named: Mapping[str, str]) -> tuple[dict[str, str], int]:

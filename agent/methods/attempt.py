@@ -166,7 +166,7 @@ def on_panoramas(panoramas: Sequence[Panorama]) -> ImageFrame:
 
 
 def on_crop(observation: Observation) -> ImageFrame:
-    """A box lies in this crop."""
+    """The image of this crop, in which a model's box lies."""
     return ImageFrame((observation.frame_index,), CROP, CROP, observation.left)
 
 

@@ -109,7 +109,7 @@ class _Reader:
     frames: Sequence[int]
 
     def read(self) -> ReadAnswer:
-        """The answer."""
+        """The answer as the plan has it read, and how far readings bear it out."""
         match self.plan.answer.read:
             case "action":
                 return self._action()

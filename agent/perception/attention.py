@@ -155,7 +155,7 @@ class _Attention:
 
     @property
     def reserve(self) -> int:
-        """Looks kept for the read."""
+        """Number of looks that are kept for reading the answer."""
         answer = self.plan.answer
         here = {self.legal(frame) for frame in frames_of(self.plan, answer.of)}
         if answer.read in ("action", "attribute") and self.legal(self.plan.times[answer.times[0]].frame or 0) in here:
@@ -171,7 +171,7 @@ class _Attention:
 
     @property
     def target(self) -> str | None:
-        """The likeliest target."""
+        """Name of the likeliest target; None before anybody was seen."""
         return self.hypotheses[0].nodes.get(self.plan.target) if self.hypotheses else None
 
     def legal(self, frame: float) -> int:

@@ -39,7 +39,7 @@ _MOST_RANKED: Final = 5
 
 @dataclass(frozen=True)
 class BeliefWriter:
-    """Writes an episode.
+    """Writes what was read and concluded in an episode into its world model.
 
     asked: the plan that is proved; plan: the same as pictures are read for it; lefts: the first column of each picture
     that was read, by name, which grows with them.

@@ -27,7 +27,7 @@ LONGEST_UNREAD: Final = 400
 
 @dataclass
 class ChatMemory:
-    """The chat of one question.
+    """The memory of an agent without a world model: the chat of one question.
 
     most_pictures: how many of the newest pictures are sent, None for all; proposed: the newest answer and the newest
     box that could be read.
@@ -78,7 +78,7 @@ class ChatMemory:
         return f"o{self.names}"
 
     def refused(self, call: Call, step: int, reason: str) -> None:
-        """The history holds it."""
+        """Does nothing: the chat history shows the refusal."""
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         raise DecodeError(f"there is no tool {call.tool!r}")
@@ -99,7 +99,7 @@ class ChatMemory:
             raise DecodeError("; ".join(faults))
 
     def judge(self, call: Call, step: int) -> ParsedReply:
-        """What was just proposed."""
+        """Returns the answer and box that were just proposed, as they are."""
         return self.proposed
 
     def _evidence(self, observation: object, box: object, key: str, views: Mapping[str, View]) -> Evidence:

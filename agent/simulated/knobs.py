@@ -222,7 +222,7 @@ class Draws:
     about: str
 
     def share(self, *what: object) -> float:
-        """A number of [0, 1)."""
+        """A number of [0, 1), drawn by seed and names: the same ones give the same number."""
         text = msgspec.json.encode([self.seed, self.about, *map(str, what)])
         return int.from_bytes(hashlib.sha256(text).digest()[:8], "big") / _HASHED
 

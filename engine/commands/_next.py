@@ -23,11 +23,11 @@ def next_steps(folder: Path) -> list[str]:
     stores = [place for place in places if (place / "store.json").exists()]
     if not stores:
         where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."
-        store = named or "store"
+        load = f"jrdb-avr load ROOT --store {shlex.quote(named or 'store')}"
+        steps = (("jrdb-avr demo", "everything once on a synthetic world, in a minute"), (load, "your copy of JRDB"))
         return [
             where,
-            "  jrdb-avr demo                            everything once on a synthetic world, in a minute",
-            f"  jrdb-avr load ROOT --store {shlex.quote(store)}            your copy of JRDB",
+            *(f"  {command:<{len(load)}}  {what}" for command, what in steps),
         ]
     return [line for place in stores for line in _of_store(place, folder, named)]
 

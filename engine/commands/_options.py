@@ -117,11 +117,15 @@ def executor_option(function: _C) -> Callable[..., Any]:
 
 
 iou_option = click.option(
-    "--iou", type=click.FloatRange(0.0, 1.0, min_open=True), default=0.5, show_default=True, help="Evidence."
+    "--iou",
+    type=click.FloatRange(0.0, 1.0, min_open=True),
+    default=0.5,
+    show_default=True,
+    help="Least IoU with the true box at which evidence scores.",
 )
 
 port_option = click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="On 127.0.0.1; 0 is a free one."
+    "--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="Port on 127.0.0.1; 0 takes a free one."
 )
 
 

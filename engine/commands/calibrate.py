@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -15,9 +15,13 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-@click.command(
-    epilog="Example: jrdb-avr calibrate --store S --model google/gemma-4-E4B-it --base-url http://localhost:8000/v1"
-)
+_EXAMPLE: Final = """\b
+Example:
+  jrdb-avr calibrate --store S --model M --base-url http://localhost:8000/v1
+"""
+
+
+@click.command(epilog=_EXAMPLE)
 @store_option()
 @endpoint_options()
 @form_option

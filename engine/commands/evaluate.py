@@ -34,13 +34,16 @@ _CHECKED: Final = ("method", "model", "base_url", "world_db", "policy", "history
 _EXAMPLE: Final = """\b
 Examples:
   jrdb-avr evaluate --store S --method react --model marker
-  jrdb-avr evaluate --store S --method agent --model Qwen3-VL-8B --base-url http://localhost:8000/v1
+  jrdb-avr evaluate --store S --method agent --model M --base-url http://localhost:8000/v1
   jrdb-avr evaluate --store S --method agent --model marker --resume
   jrdb-avr evaluate --store S --matrix runs.toml --limit 100
-\b
+
 A machine without labels needs a folder with questions/questions.parquet and questions/sequences.parquet, and the
 panoramas:
-  jrdb-avr evaluate --store S --images DIR --method agent --world-db world.kuzu --model M --base-url URL
+
+\b
+  jrdb-avr evaluate --store S --images DIR --world-db world.kuzu \\
+      --method agent --model M --base-url URL
 """
 
 

@@ -66,9 +66,14 @@ def export(
     note(f"wrote {jsonl}: {len(predictions)} predictions")
 
 
-@click.command(
-    epilog="Example: jrdb-avr submit react-marker bundle --store S   (then: jrdb-avr score --store S --bundle bundle)"
-)
+_SUBMIT_EXAMPLES: Final = """\b
+Examples:
+  jrdb-avr submit react-marker bundle --store S
+  jrdb-avr score --store S --bundle bundle         by whoever has the answers
+"""
+
+
+@click.command(epilog=_SUBMIT_EXAMPLES)
 @store_option()
 @run_argument("run")
 @click.argument("folder", metavar="DIR", type=FOLDER)

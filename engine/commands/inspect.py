@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -14,10 +14,14 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-@click.command(
-    epilog="Examples: jrdb-avr inspect --sample 20 --store S --out inspect.html   |   "
-    "jrdb-avr inspect --import decisions.json --reviewer ada --store S"
-)
+_EXAMPLES: Final = """\b
+Examples:
+  jrdb-avr inspect --sample 20 --store S --out inspect.html
+  jrdb-avr inspect --import decisions.json --reviewer ada --store S
+"""
+
+
+@click.command(epilog=_EXAMPLES)
 @click.argument("questions", nargs=-1, metavar="[QUESTION]...")
 @store_option()
 @click.option("--sample", type=click.IntRange(1, 1000), help="Instead of QUESTIONs: so many, drawn at random.")

@@ -21,7 +21,13 @@ MAX_ROWS: Final = 50
 """Printed rows of a table whose length depends on the files."""
 
 
-@click.command(epilog="Example: jrdb-avr load ~/jrdb/train_dataset_with_activity --store store --workers 2")
+_EXAMPLE: Final = """\b
+Example:
+  jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
+"""
+
+
+@click.command(epilog=_EXAMPLE)
 @click.argument("root", required=False, type=Place(path_type=Path))
 @store_option()
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")

@@ -24,7 +24,13 @@ Examples:
 
 @click.command(epilog=_EXAMPLE)
 @store_option()
-@click.option("--http", "port", type=click.IntRange(0, 65535), metavar="PORT", help="On 127.0.0.1; 0 is a free one.")
+@click.option(
+    "--http",
+    "port",
+    type=click.IntRange(0, 65535),
+    metavar="PORT",
+    help="Serve at this port of 127.0.0.1; 0 takes a free one.",
+)
 @click.option("--i-trust-the-agent", "trusted", is_flag=True, help="Serve over stdio where the store holds answers.")
 @click.option("--model", default="agent", show_default=True, help="Name of the agent, for the run and its reports.")
 @click.option("--run-id", help="Name of the run; mcp-MODEL if left out.")

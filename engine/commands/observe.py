@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -15,11 +15,18 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
+_EXAMPLE: Final = """180 is straight ahead, 90 the robot's left, 0 behind, 270 its right.
+
+\b
+Example:
+  jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png
+"""
+
+
 @click.command(
     # An ANGLE may be negative: -90 is no option.
     context_settings={"ignore_unknown_options": True},
-    epilog="Example: jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png  "
-    "(180 is straight ahead, 90 the robot's left, 0 behind, 270 its right)",
+    epilog=_EXAMPLE,
 )
 @click.argument("sequence", shell_complete=complete_sequence)
 @click.argument("frame", type=int)

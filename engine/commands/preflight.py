@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -11,10 +11,13 @@ from jrdb_avr.engine.commands._endpoint import endpoint_options
 from jrdb_avr.engine.commands._options import form_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows
 
+_EXAMPLE: Final = """\b
+Example:
+  jrdb-avr preflight --model Qwen3-VL-8B --base-url http://localhost:8000/v1
+"""
 
-@click.command(
-    epilog="Example: jrdb-avr preflight --model Qwen/Qwen3-VL-8B-Instruct --base-url http://localhost:8000/v1"
-)
+
+@click.command(epilog=_EXAMPLE)
 @endpoint_options()
 @form_option
 def command(model: str, base_url: str | None, options: Any, form: RowFormat) -> None:

@@ -39,9 +39,17 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
             help="Another store, also by its URL, that the query is run on by itself: the rows of all, one store after "
             "the other, with a column 'store'. May be repeated.",
         ),
-        pairs_option("--param", "params", "A parameter; JSON or text."),
-        click.option("--timeout", type=click.FloatRange(0.1, 86_400), default=60.0, show_default=True, help="Seconds."),
-        click.option("--list", "listing", is_flag=True, help="List the named queries."),
+        pairs_option(
+            "--param", "params", "Value of the parameter $NAME of the query, as JSON or text. May be repeated."
+        ),
+        click.option(
+            "--timeout",
+            type=click.FloatRange(0.1, 86_400),
+            default=60.0,
+            show_default=True,
+            help="Seconds after which the query is stopped.",
+        ),
+        click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
         click.option("--parquet", type=FILE, help="Write a Parquet file."),
     ):
@@ -49,10 +57,22 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-@click.command(
-    epilog="Examples: jrdb-avr cypher who_is_where --store S --param sequence=gates-ai-lab-2019-02-08_0 "
-    "--param frame=15   |   jrdb-avr cypher 'MATCH (p:Person) RETURN count(*) AS people' --store S --json"
-)
+_CYPHER_EXAMPLES: Final = """\b
+Examples:
+  jrdb-avr cypher --list
+  jrdb-avr cypher who_is_where --store S --param sequence=NAME --param frame=15
+  jrdb-avr cypher 'MATCH (p:Person) RETURN count(*) AS people' --store S --json
+"""
+
+_SQL_EXAMPLES: Final = """\b
+Examples:
+  jrdb-avr sql 'SHOW TABLES' --store S
+  jrdb-avr sql question_counts --store S
+  jrdb-avr sql 'SELECT run_id, avg(answer_score) FROM scores GROUP BY 1' --store S
+"""
+
+
+@click.command(epilog=_CYPHER_EXAMPLES)
 @_query_options
 def cypher(**options: Any) -> None:
     """Query the graph: QUERY is one reading Cypher statement, the name of a saved query (see --list), FILE.cypher, or -
@@ -60,11 +80,7 @@ def cypher(**options: Any) -> None:
     _run("cypher", **options)
 
 
-@click.command(
-    epilog="Examples: jrdb-avr sql question_counts --store S   |   "
-    "jrdb-avr sql 'SELECT run_id, avg(answer_score) FROM scores GROUP BY 1 ORDER BY 1' --store S --csv   |   "
-    "jrdb-avr sql 'SHOW TABLES' --store S"
-)
+@click.command(epilog=_SQL_EXAMPLES)
 @_query_options
 def sql(**options: Any) -> None:
     """Ask the Parquet tables: QUERY is one SELECT over the store's views, the name of a saved query (see --list),

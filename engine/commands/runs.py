@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -15,14 +15,23 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-@click.group(
-    cls=NamingGroup, epilog="Examples: jrdb-avr runs list --store S   |   jrdb-avr runs diff react-a react-b --store S"
-)
+_EXAMPLES: Final = """\b
+Examples:
+  jrdb-avr runs list --store S
+  jrdb-avr runs diff react-a react-b --store S
+"""
+
+
+@click.group(cls=NamingGroup, epilog=_EXAMPLES)
 def command() -> None:
     """The runs of a store: list them, show, compare or remove some."""
 
 
-@command.command(name="list", epilog="Example: jrdb-avr runs list --store S")
+@command.command(
+    name="list",
+    short_help="List the runs and whether each is complete.",
+    epilog="Example: jrdb-avr runs list --store S",
+)
 @store_option()
 @form_option
 def runs_list(store: Store, form: RowFormat) -> None:
@@ -36,7 +45,9 @@ def runs_list(store: Store, form: RowFormat) -> None:
         note(f"no runs yet: jrdb-avr evaluate --store {store.path} --method METHOD --model MODEL")
 
 
-@command.command(epilog="Example: jrdb-avr runs show agent-marker --store S")
+@command.command(
+    short_help="Show the questions and settings of a run.", epilog="Example: jrdb-avr runs show agent-marker --store S"
+)
 @run_argument("run")
 @store_option()
 @form_option
@@ -64,7 +75,10 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
     return [(name, value)]
 
 
-@command.command(epilog="Example: jrdb-avr runs remove react-marker --store S --yes")
+@command.command(
+    short_help="Delete runs and their world models.",
+    epilog="Example: jrdb-avr runs remove react-marker --store S --yes",
+)
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @click.option("--yes", is_flag=True, help="Do not ask.")
@@ -81,7 +95,10 @@ def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
         note(f"removed {run_id}")
 
 
-@command.command(epilog="Example: jrdb-avr runs diff react-a agent-a --store S --score answer")
+@command.command(
+    short_help="Compare two runs question by question.",
+    epilog="Example: jrdb-avr runs diff react-a agent-a --store S --score answer",
+)
 @run_argument("first")
 @run_argument("second")
 @store_option()

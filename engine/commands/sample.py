@@ -13,10 +13,12 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--sequences", type=click.IntRange(1, 200), default=5, show_default=True, help="Sequences.")
-@click.option("--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Frames of each.")
+@click.option("--sequences", type=click.IntRange(1, 200), default=5, show_default=True, help="Number of sequences.")
+@click.option(
+    "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Frames of each sequence."
+)
 @click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at a time.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Another seed, another world.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the world.")
 @click.option("--no-images", is_flag=True, help="Write label files only.")
 @click.option(
     "--images",
@@ -32,7 +34,7 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
     """Write a synthetic JRDB root: label files and panoramas of marked people.
 
     \b
-    Example:
+    Examples:
       jrdb-avr sample ./sample
       jrdb-avr sample ./big --full-scale
     """

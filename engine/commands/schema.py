@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import click
 
 from jrdb_avr.engine.commands._options import form_option
 from jrdb_avr.engine.console import RowFormat, print_rows
 
+_EXAMPLES: Final = """\b
+Examples:
+  jrdb-avr schema graph scene
+  jrdb-avr schema tables predictions
+  jrdb-avr schema graph --mermaid
+"""
 
-@click.command(
-    epilog="Examples: jrdb-avr schema graph scene   |   jrdb-avr schema tables predictions   |   "
-    "jrdb-avr schema graph --mermaid"
-)
+
+@click.command(epilog=_EXAMPLES)
 @click.argument("what", metavar="graph|tables", type=click.Choice(["graph", "tables"]))
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--mermaid", is_flag=True, help="Print a diagram in Mermaid.")

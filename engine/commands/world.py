@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -18,19 +18,26 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-@click.group(
-    cls=NamingGroup,
-    epilog="Examples: jrdb-avr world merge agent-marker --store S   |   jrdb-avr world drop agent-marker --store S",
-)
+_EXAMPLES: Final = """\b
+Examples:
+  jrdb-avr world merge agent-marker --store S
+  jrdb-avr world drop agent-marker --store S
+"""
+
+
+@click.group(cls=NamingGroup, epilog=_EXAMPLES)
 def command() -> None:
-    """What runs' agents believed, in the store's graph.
+    """Bring the world models of runs, what their agents believed, into the store's graph, or drop them.
 
     The record is runs/RUN/world.parquet. A run writes its world model into the graph itself, unless --world-db names
     another; 'load' and 'load --rebuild' bring every run's back. Query it with 'cypher' (see its --list).
     """
 
 
-@command.command(epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S")
+@command.command(
+    short_help="Bring runs' world models into the store's graph.",
+    epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S",
+)
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @form_option

@@ -115,7 +115,7 @@ class Conditions:
         return np.array(stated, dtype=bool).reshape(-1, len(POSES))
 
     def code(self, uses: Ints) -> Ints:
-        """Codes of uses."""
+        """The place in the vocabulary of each use of a condition."""
         return uses % max(len(self.vocabulary), 1)
 
     def used(self, uses: Ints) -> tuple[Condition, ...]:
@@ -233,7 +233,7 @@ def packed(bits: Bools) -> Masks:
 
 
 def count(masks: Masks) -> Ints:
-    """People in each mask."""
+    """Number of people in each mask."""
     return np.asarray(np.bitwise_count(masks).sum(axis=-1, dtype=np.int64))
 
 

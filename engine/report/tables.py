@@ -133,7 +133,7 @@ def published_groups() -> list[Row]:
 
 
 def score_row(run: ScoredRun, iou: float) -> Row:
-    """A run's shares in short."""
+    """The row of `score`: a run's scores in percent of its questions."""
     head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
     return head | _shares(*_totals(run)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
 

@@ -236,7 +236,7 @@ class Worker(contextlib.ExitStack):
         return self._worlds
 
     def ready(self) -> Ready:
-        """The first message."""
+        """The worker's first message: its method, and the server as it was checked."""
         known = self._endpoint
         settings, warned = ({}, []) if known is None else (known.settings, known.warnings)
         return Ready(self.method.name, self.method.settings(), settings, warned, self._spent())
@@ -249,7 +249,7 @@ class Worker(contextlib.ExitStack):
         return 0.0 if self._endpoint is None else self._endpoint.client.spent
 
     def end(self) -> End:
-        """The last message."""
+        """The worker's last message: how its server changed, and counts of its world models."""
         changed = "" if self._endpoint is None else self._endpoint.changed()
         return End(changed, None if self._worlds is None else self._worlds.counts())
 

@@ -47,7 +47,7 @@ class Sighted(Rows):
 
 @dataclass(frozen=True)
 class Boxes(Sighted):
-    """2D boxes."""
+    """2D boxes of people, one a row, with their attributes."""
 
     box: Floats
     """(n, 4): x, y, w, h."""
@@ -89,7 +89,7 @@ class Facts(Sighted):
 
     @cached_property
     def is_pose(self) -> Bools:
-        """Per name."""
+        """Whether each name is one of a pose."""
         return np.array([name in POSES for name in self.names], np.bool_)
 
 
@@ -107,7 +107,7 @@ class Located(Sighted):
 
 @dataclass(frozen=True)
 class Faces(Sighted):
-    """People with a pose."""
+    """People with body keypoints, and whether their face is visible."""
 
     visible: Bools
     """Whether the head or an eye is marked visible."""

@@ -81,7 +81,7 @@ class Tracks(Rows):
         return self._between(self.column, track, frame)
 
     def boxes_at(self, track: Ints, frame: Ints) -> Floats:
-        """Boxes of people, likewise."""
+        """Boxes of people at any frame, interpolated as columns are."""
         assert self.box is not None
         return self._between(self.box, track, frame)
 

@@ -82,7 +82,7 @@ def thing_of(pair: object) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class RelationKind:
-    """One kind of list."""
+    """One kind of list of relations in the label files."""
 
     layer: str
     """Its annotation table, and the field of its records."""

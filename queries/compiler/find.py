@@ -29,7 +29,7 @@ from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Plan, validate
 
 @dataclass(frozen=True)
 class Find:
-    """A plan's statement.
+    """The Cypher statement that finds the people of a plan.
 
     cypher: gives columns id, who0, who1, ... and sure0, sure1, ..., ordered; nodes: the plan's nodes in the order of
     `who`; row: the plan's values in `$plans`, without `id` and `scope`.
