@@ -158,7 +158,7 @@ def resume(store: Store) -> None:
 
 def load_shard(shard: Shard) -> ShardResult:
     """Read one sequence's files and write its annotation and interval tables into the staging folder."""
-    with without_collector():
+    with without_collector(), _one_heap():
         sequence = shard.files.sequence
         found = annotate(shard.files)
         files = {
@@ -198,6 +198,17 @@ def load_shard(shard: Shard) -> ShardResult:
             warnings=sequence_warnings(labels, images, found.heading, cameras),
         )
         return ShardResult(report, entry)
+
+
+@contextlib.contextmanager
+def _one_heap() -> Iterator[None]:
+    """Arrow's memory taken from the heap that numpy uses: what one of them frees the other finds, without new pages."""
+    before = pa.default_memory_pool()
+    pa.set_memory_pool(pa.system_memory_pool())
+    try:
+        yield
+    finally:
+        pa.set_memory_pool(before)
 
 
 @dataclass(frozen=True)

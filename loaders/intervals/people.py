@@ -213,7 +213,8 @@ def _listed_keys(table: pa.Table, interactions: pa.Table, boxed: Ints) -> dict[s
     frame = whole_numbers(interactions, "frame")
     pair = np.stack([paired(frame, whole_numbers(interactions, name)) for name in ("track", "partner")])
     unseen = (rows_of(boxed, pair.ravel()).reshape(pair.shape) < 0).any(axis=0)
-    listed["interactions"] = np.setdiff1d(listed["interactions"], pair[:, unseen])
+    known = listed["interactions"]
+    listed["interactions"] = known[rows_of(np.sort(pair[:, unseen], axis=None), known) < 0]
     return listed
 
 

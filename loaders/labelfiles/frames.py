@@ -18,7 +18,6 @@ import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, islice
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -27,7 +26,7 @@ import numpy as np
 
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, numbered
 from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, members
-from jrdb_avr.loaders.labelfiles.record_reader import FIRST_KEY, Frame, RecordReader, is_utf8
+from jrdb_avr.loaders.labelfiles.record_reader import FIRST_KEY, Fields, Frame, RecordReader, is_utf8
 from jrdb_avr.loaders.labelfiles.records import TWICE
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.errors import InputError
@@ -35,7 +34,7 @@ from jrdb_avr.schema.errors import InputError
 MAX_FILE: Final = 320 << 20
 """Bytes of the largest file that is read: twice those of JRDB's fullest sequence."""
 _PIECE: Final = 1 << 20
-_WINDOW: Final = 1 << 20
+_WINDOW: Final = 1 << 18
 """Bytes read at once; pieces larger than the processor's cache take twice as long."""
 _MAX_FRAME: Final = 4 << 20
 MAX_GATHERED: Final = 400_000
@@ -103,9 +102,9 @@ def read_file(path: Path) -> bytes:
 
 def read_frames(
     path: Path, suffixes: tuple[str, ...], reader: RecordReader[Any], problems: Problems
-) -> Iterator[tuple[list[Frame], bool]]:
-    """The frames of a label file in batches, of equal keys the first; and whether the records of a batch are all there
-    is of it.
+) -> Iterator[tuple[list[Frame], Fields | None]]:
+    """The frames of a label file in batches, of equal keys the first; and the fields of a batch's records, where those
+    are all there is of it.
 
     Raises InputError, naming the file, if the file cannot be read as a whole. That may happen after frames were
     yielded: whoever reads uses nothing of such a file.
@@ -127,22 +126,31 @@ def read_frames(
                 yield Frame(int(match[1]), key, raw, records)
 
     with _named_errors(path.name):
-        for found, whole in _members_of(path, reader, problems):
-            for batch in byte_batches(usable(found), lambda frame: len(frame.raw)):
-                yield batch, whole
+        for found, fields in _members_of(path, reader, problems):
+            if fields is None:
+                for batch in byte_batches(usable(found), lambda frame: len(frame.raw)):
+                    yield batch, None
+            else:
+                batch = [*usable(found)]
+                yield batch, fields if len(batch) == len([*found]) else reader.fields(_records_of(batch))
 
 
-def _members_of(path: Path, reader: RecordReader[Any], problems: Problems) -> Iterator[tuple[_Members, bool]]:
-    """All frames in the order of the file, repeated keys included, and whether their records are all there is."""
+def _records_of(frames: Iterable[Frame]) -> list[Any]:
+    return [*chain.from_iterable(frame.records or () for frame in frames)]
+
+
+def _members_of(path: Path, reader: RecordReader[Any], problems: Problems) -> Iterator[tuple[_Members, Fields | None]]:
+    """All frames in the order of the file, repeated keys included, and the fields of their records where those are all
+    there is."""
     count = 0
     _check_file(path)
     for text in _usual_texts(path):
-        if len(text) <= _MAX_FRAME and (frames := reader.decode_frames(text)):
-            yield [(key, b"", records) for key, records in frames.items()], True
-            count += len(frames)
+        if len(text) <= _MAX_FRAME and (decoded := reader.decode_frames(text)):
+            yield [(key, b"", records) for key, records in decoded[0].items()], decoded[1]
+            count += len(decoded[0])
             continue
         cut, usual = _cut(text, reader)
-        yield cut, False
+        yield cut, None
         count += len(cut)
         if not usual:
             break
@@ -155,7 +163,7 @@ def _members_of(path: Path, reader: RecordReader[Any], problems: Problems) -> It
         raise InputError(f'{path.name}: there is no object "labels"', file=path.name)
     if bytes(labels[:1]) != b"{":
         raise InputError(f'{path.name}: "labels" is not an object', file=path.name)
-    yield ((key, bytes(raw), _decoded(bytes(raw), reader)) for key, raw in islice(members(labels), count, None)), False
+    yield ((key, bytes(raw), _decoded(bytes(raw), reader)) for key, raw in islice(members(labels), count, None)), None
 
 
 def _decoded(raw: bytes, reader: RecordReader[Any]) -> list[Any] | None:
@@ -262,23 +270,29 @@ def gather(
     path: Path,
     suffixes: tuple[str, ...],
     reader: RecordReader[_R],
-    take: Callable[[list[_R]], Columns],
+    take: Callable[[Fields], Columns],
     problems: Problems,
 ) -> Gathered:
-    """Read a label file. `take` makes columns of records. Raises InputError if the file as a whole cannot be used."""
+    """Read a label file. `take` makes columns of the fields of records.
+
+    Raises InputError if the file as a whole cannot be used.
+    """
     known: list[int] = []
     complete: list[int] = []
     parts: list[Columns] = []
     size = 0
-    for batch, whole in read_frames(path, suffixes, reader, problems):
-        read = [(frame, frame.records or [], True) for frame in batch] if whole else [*reader.read(batch, problems)]
+    for batch, fields in read_frames(path, suffixes, reader, problems):
+        if fields is None:
+            read = [*reader.read(batch, problems)]
+            fields = reader.fields([*chain.from_iterable(records for _, records, _ in read)])
+        else:
+            read = [(frame, frame.records or [], True) for frame in batch]
         known += [frame.number for frame, _, _ in read]
         complete += [frame.number for frame, _, whole in read if whole]
-        records = list(chain.from_iterable(found for _, found, _ in read))
         numbers = np.array([frame.number for frame, _, _ in read], np.int64)
         counts = np.array([len(found) for _, found, _ in read], np.int64)
-        parts.append({"frame": np.repeat(numbers, counts), **take(records)})
-        size += len(records)
+        parts.append({"frame": np.repeat(numbers, counts), **take(fields)})
+        size += int(counts.sum())
         if size > MAX_GATHERED:
             raise InputError(f"{path.name}: more than {MAX_GATHERED:,} records", file=path.name)
     columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
@@ -301,18 +315,17 @@ def byte_batches(items: Iterable[T], size: Callable[[T], int], most: int | None 
     yield batch
 
 
-def take_fields(records: list[Any], names: Iterable[str], codes: dict[str, Distinct]) -> Columns:
+def take_fields(fields: Fields, names: Iterable[str], codes: dict[str, Distinct]) -> Columns:
     """Columns of fields as the numbers of their values; raw fields by their bytes."""
     columns = {}
     for name in names:
-        values: Any = map(attrgetter(name), records)
-        if records and isinstance(getattr(records[0], name), msgspec.Raw):
-            values = raw_bytes([*values])
-        columns[name] = numbered(codes[name], values, len(records))
+        values = fields[name]
+        raw = isinstance(next(iter(values), None), msgspec.Raw)
+        columns[name] = numbered(codes[name], raw_bytes(values) if raw else values, len(values))
     return columns
 
 
-def raw_bytes(raws: list[msgspec.Raw]) -> Iterable[bytes]:
+def raw_bytes(raws: Sequence[msgspec.Raw]) -> Iterable[bytes]:
     """The bytes of raw values. As parts of one text they take two thirds of the time."""
     found = b"\0".join(raws).split(b"\0")
     return found if len(found) == len(raws) else map(bytes, raws)

@@ -198,8 +198,10 @@ def _endings(text: bytes) -> npt.NDArray[np.uint64] | None:
     colons = np.frombuffer(text, np.uint8) == ord(":")
     if len(text) < _SHORT or np.count_nonzero(colons) > len(text) // _SHORTEST:
         return None
-    before: npt.NDArray[np.uint64] = np.ndarray((len(text) + 1,), "<u8", b" " * _WIDTH + text, 0, (1,))
-    endings = before[:-1][colons]
+    if colons[:_WIDTH].any():
+        return _endings(b" " * _WIDTH + text)
+    before: npt.NDArray[np.uint64] = np.ndarray((len(text) - _WIDTH,), "<u8", text, 0, (1,))
+    endings = before[colons[_WIDTH:]]
     return None if len(endings) and endings.min() < _FIRST_INK else endings
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
-from operator import attrgetter, countOf
+from itertools import chain, repeat
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
@@ -22,6 +21,8 @@ FIRST_KEY: Final = re.compile(rb'"[0-9]{6}(\.[a-z]{3,4})"')
 
 _R = TypeVar("_R", bound=msgspec.Struct)
 Keys = tuple[str | tuple[str, ...], ...]
+Fields = dict[str, tuple[Any, ...]]
+"""The values of records by field."""
 
 
 class Frame(NamedTuple):
@@ -54,7 +55,7 @@ class RecordReader(Generic[_R]):
         record: type[_R],
         rules: Rules,
         once: Keys,
-        inner_keys: Callable[[list[_R]], list[Limit] | None] = lambda records: [],
+        inner_keys: Callable[[Fields], list[Limit] | None] = lambda fields: [],
         place: Callable[[dict[str, bytes], str], str] = lambda parts, frame: frame,
         more: Callable[[dict[str, bytes], str, Problems], dict[str, Any]] = _nothing_more,
         within: str = "",
@@ -73,15 +74,22 @@ class RecordReader(Generic[_R]):
         decoded = [frame.records if len(frame.records or ()) <= MAX_RECORDS else None for frame in frames]
         # Looking for repeated keys in few long texts takes half the time of looking in many short ones.
         clean = [(frame.raw, records) for frame, records in zip(frames, decoded, strict=True) if records is not None]
-        all_plain = self._plain(list(chain.from_iterable(item[1] for item in clean)), b",".join(i[0] for i in clean))
+        every = self.fields([*chain.from_iterable(records for _, records in clean)])
+        all_plain = self._plain(every, b",".join(raw for raw, _ in clean))
         for frame, records in zip(frames, decoded, strict=True):
-            if records is not None and (all_plain or self._plain(records, frame.raw)):
+            if records is not None and (all_plain or self._plain(self.fields(records), frame.raw)):
                 yield frame, records, True
             else:
                 yield from self._one_by_one(frame, problems)
 
-    def decode_frames(self, text: bytes) -> dict[str, list[_R]] | None:
-        """The frames of a text by key, where decoding loses nothing and no frame is too full."""
+    def fields(self, records: list[_R]) -> Fields:
+        """The values of records by field: taken together, they take a third of the time of one field at a time."""
+        columns = zip(*map(msgspec.structs.astuple, records), strict=True) if records else repeat(())
+        return dict(zip(self._type.__struct_fields__, columns, strict=False))
+
+    def decode_frames(self, text: bytes) -> tuple[dict[str, list[_R]], Fields] | None:
+        """The frames of a text by key, and the fields of all their records, where decoding loses nothing and no frame
+        is too full."""
         first = FIRST_KEY.match(text)
         if first is None or not is_utf8(text):
             return None
@@ -95,13 +103,15 @@ class RecordReader(Generic[_R]):
         suffix = first[1].decode()
         if any(len(key) != 6 + len(suffix) or not key.endswith(suffix) for key in frames):
             return None
-        every = [*chain.from_iterable(frames.values())]
-        return frames if self._plain(every, text, [(len(frames), (first[1] + b'"',))]) else None
+        every = self.fields([*chain.from_iterable(frames.values())])
+        return (frames, every) if self._plain(every, text, [(len(frames), (first[1] + b'"',))]) else None
 
     def decode(self, raw: bytes, most: int) -> list[_R] | None:
         """All records of a list, where decoding loses nothing and they are no more than `most`."""
         records = self.decode_quickly(raw)
-        return records if records is not None and len(records) <= most and self._plain(records, raw) else None
+        if records is None or len(records) > most or not self._plain(self.fields(records), raw):
+            return None
+        return records
 
     def decode_quickly(self, raw: bytes) -> list[_R] | None:
         """All records of a list, where they decode; repeated keys may be lost."""
@@ -111,17 +121,15 @@ class RecordReader(Generic[_R]):
             return None
         return records
 
-    def _plain(self, records: list[_R], text: bytes, outer: Sequence[Limit] = ()) -> bool:
+    def _plain(self, fields: Fields, text: bytes, outer: Sequence[Limit] = ()) -> bool:
         """Whether no key is repeated, none being written with escapes, so that decoding lost nothing.
 
         `outer`: keys outside the records, with their number.
         """
         # Looking for one byte is many times as fast as for two.
-        inner = None if b"\\" in text and b"\\u" in text else self._inner_keys(records)
-        return inner is not None and not keys_exceed(
-            text,
-            [*outer, *((sum(_having(records, field) for field in group), keys) for keys, group in self._once), *inner],
-        )
+        inner = None if b"\\" in text and b"\\u" in text else self._inner_keys(fields)
+        once = ((sum(_having(fields[field.name], field) for field in group), keys) for keys, group in self._once)
+        return inner is not None and not keys_exceed(text, [*outer, *once, *inner])
 
     def _one_by_one(self, frame: Frame, problems: Problems) -> Iterator[tuple[Frame, list[_R], bool]]:
         try:
@@ -154,11 +162,9 @@ class RecordReader(Generic[_R]):
         return [self._type(**(self._more(parts, place, problems) | values))]
 
 
-def _having(records: list[Any], field: msgspec.structs.FieldInfo) -> int:
+def _having(values: tuple[Any, ...], field: msgspec.structs.FieldInfo) -> int:
     """Records that have a field; one with the default written out counts as lacking it."""
-    if field.required:
-        return len(records)
-    return len(records) - countOf(map(attrgetter(field.name), records), field.default)
+    return len(values) - (0 if field.required else values.count(field.default))
 
 
 def is_utf8(value: bytes) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable
 from itertools import chain
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +23,7 @@ from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, 
 from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import gather, take_fields
 from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING
-from jrdb_avr.loaders.labelfiles.record_reader import RecordReader
+from jrdb_avr.loaders.labelfiles.record_reader import Fields, RecordReader
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools, Ints
@@ -92,7 +91,7 @@ _CODED: Final = ("label_id", "attributes", "file_id", "action_label", "social_gr
 def load_2d(path: Path, problems: Problems) -> LayerTables:
     """Read a stitched 2D label file. Raises InputError if the file as a whole cannot be used."""
     codes: dict[str, Distinct] = defaultdict(Distinct)
-    columns, _, complete = gather(path, SUFFIXES, _READER, lambda found: take_people(found, _CODED, codes), problems)
+    columns, _, complete = gather(path, SUFFIXES, _READER, lambda fields: take_people(fields, _CODED, codes), problems)
     box = columns["box"]
     refusals = Refusals(columns["frame"], problems)
     people = keep_people(columns, codes, refusals, box_faults(box), lambda row: box[row].tolist())
@@ -123,10 +122,11 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
     )
 
 
-def take_people(found: list[Any], coded: tuple[str, ...], codes: dict[str, Distinct]) -> Columns:
+def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinct]) -> Columns:
     """The column `box` and the numbered columns of records of people."""
-    boxes = np.fromiter(chain.from_iterable(map(attrgetter("box"), found)), np.float64, 4 * len(found))
-    return {"box": boxes.reshape(len(found), 4), **take_fields(found, coded, codes)}
+    boxes = fields["box"]
+    numbers = np.fromiter(chain.from_iterable(boxes), np.float64, 4 * len(boxes))
+    return {"box": numbers.reshape(-1, 4), **take_fields(fields, coded, codes)}
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:

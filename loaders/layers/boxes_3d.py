@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from itertools import chain
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,8 +29,8 @@ from jrdb_avr.loaders.labelfiles.columns import (
     paired,
 )
 from jrdb_avr.loaders.labelfiles.facts import keep_people
-from jrdb_avr.loaders.labelfiles.frames import gather
-from jrdb_avr.loaders.labelfiles.record_reader import RecordReader
+from jrdb_avr.loaders.labelfiles.frames import gather, take_fields
+from jrdb_avr.loaders.labelfiles.record_reader import Fields, RecordReader
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.report import Heading
@@ -81,7 +80,7 @@ _READER: Final = RecordReader(
 def load_3d(path: Path, problems: Problems) -> LayerTables:
     """Read a 3D label file. Raises InputError if the file as a whole cannot be used."""
     codes: dict[str, Distinct] = defaultdict(Distinct)
-    columns, listed, complete = gather(path, ("pcd", "pcb"), _READER, lambda found: _take(found, codes), problems)
+    columns, listed, complete = gather(path, ("pcd", "pcb"), _READER, lambda fields: _take(fields, codes), problems)
     numbers = columns["numbers"]
     faults = [
         (np.asarray(~(np.abs(numbers) <= records.MAX_METRE).all(axis=1)), "box: not finite or kilometres away"),
@@ -117,17 +116,17 @@ def load_3d(path: Path, problems: Problems) -> LayerTables:
     return LayerTables({"boxes_3d": table}, {"3d": known})
 
 
-def _take(found: list[Record3D], codes: dict[str, Distinct]) -> Columns:
-    n = len(found)
-    numbers = chain.from_iterable(map(attrgetter(*NUMBERS), map(attrgetter("box"), found)))
-    attributes: list[Any] = [item or Attributes3D() for item in map(attrgetter("attributes"), found)]
+def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:
+    n = len(fields["box"])
+    numbers = chain.from_iterable(map(msgspec.structs.astuple, fields["box"]))
+    attributes: list[Any] = [item or Attributes3D() for item in fields["attributes"]]
     return {
-        "label_id": numbered(codes["label_id"], map(attrgetter("label_id"), found), n),
+        **take_fields(fields, ("label_id",), codes),
         "numbers": np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)),
         # None becomes NaN: numbers of a file are finite by now.
-        "distance": np.array(list(map(attrgetter("distance"), attributes)), np.float64),
-        "points": np.array(list(map(attrgetter("num_points"), attributes)), np.float64),
-        "flags": numbered(codes["flags"], map(attrgetter("interpolated", "no_eval"), attributes), n),
+        "distance": np.array([item.distance for item in attributes], np.float64),
+        "points": np.array([item.num_points for item in attributes], np.float64),
+        "flags": numbered(codes["flags"], [(item.interpolated, item.no_eval) for item in attributes], n),
     }
 
 

@@ -36,6 +36,7 @@ from jrdb_avr.loaders.labelfiles.coco import (
 )
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, ascending, known_frames, mask_of, nullable
 from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, first_members, parse
+from jrdb_avr.loaders.labelfiles.record_reader import Fields
 from jrdb_avr.loaders.labelfiles.records import Rule, optional
 from jrdb_avr.loaders.layers.boxes_2d import usable_boxes
 from jrdb_avr.loaders.problems import Problems, shorten
@@ -73,10 +74,10 @@ class RunLengths(msgspec.Struct, gc=False):
 _SEGMENTATION: Final = msgspec.json.Decoder(RunLengths | list[list[float]])
 
 
-def _track_keys(annotations: list[SegmentAnnotation]) -> list[tuple[int, tuple[bytes, ...]]]:
+def _track_keys(fields: Fields) -> list[tuple[int, tuple[bytes, ...]]]:
     """How often the names of the track are written, attributes included."""
-    outer = {b'"tracking_id"': len([item for item in annotations if item.tracking_id is not NOTHING]), b'"floor_id"': 0}
-    attributes = [bytes(item.attributes) for item in annotations if item.attributes is not NOTHING]
+    outer = {b'"tracking_id"': len([raw for raw in fields["tracking_id"] if raw is not NOTHING]), b'"floor_id"': 0}
+    attributes = [bytes(raw) for raw in fields["attributes"] if raw is not NOTHING]
     return [(count + sum(raw.count(key) for raw in attributes), (key,)) for key, count in outer.items()]
 
 

@@ -7,8 +7,8 @@ points that are occluded have coordinates too. Only part of the people have a po
 from __future__ import annotations
 
 import contextlib
+import struct
 from collections.abc import Sequence
-from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
@@ -51,6 +51,7 @@ _READER: Final = annotation_reader(
     PoseAnnotation, {"image_id": NUMBER, "track_id": NUMBER}, ("image_id", "track_id", "keypoints")
 )
 _SEVENTEEN: Final = tuple[(float,) * VALUES]  # type: ignore[misc]
+_PACKED: Final = struct.Struct(f"{VALUES}d")
 _ROWS: Final = msgspec.json.Decoder(list[_SEVENTEEN])  # type: ignore[valid-type]
 
 
@@ -117,5 +118,6 @@ def _decoded(rows: list[int], raws: Sequence[msgspec.Raw], refusals: Refusals) -
             except ValueError as error:
                 refusals.add("record", f"keypoints: {error}", "keypoints", row, raw, 1)
         rows, found = list(found), found.values()
-    flat = np.fromiter(chain.from_iterable(found), np.float64, VALUES * len(rows))
-    return np.array(rows, np.int64), flat.reshape(-1, VALUES)
+    # Packed row by row, numbers take a third of the time of one at a time.
+    values = np.frombuffer(b"".join([_PACKED.pack(*row) for row in found]), np.float64)
+    return np.array(rows, np.int64), values.reshape(-1, VALUES)

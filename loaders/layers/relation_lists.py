@@ -13,10 +13,9 @@ another word. Where a difficulty cannot be read, the label is kept as an unknown
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from operator import attrgetter
 from typing import Any, Final
 
 import msgspec
@@ -142,13 +141,13 @@ def _unusable(reason: str, value: bytes, labels: msgspec.Raw = NOTHING) -> Any:
     return Entry(Unusable(reason, shorten(value)), labels)  # type: ignore[arg-type]
 
 
-def take_lists(lists: list[list[Any] | None], kind: RelationKind, codes: dict[str, Distinct]) -> Columns:
+def take_lists(lists: Sequence[list[Any] | None], kind: RelationKind, codes: dict[str, Distinct]) -> Columns:
     """Columns of the lists of records: the size of each list (-1: there is none), and numbers per entry."""
     entries = list(chain.from_iterable(filter(None, lists)))
-    labels = raw_bytes([*map(attrgetter("inter_labels"), entries)])
+    labels = raw_bytes([entry.inter_labels for entry in entries])
     return {
         f"{kind.layer}.size": np.array([-1 if listed is None else len(listed) for listed in lists], np.int64),
-        f"{kind.layer}.pair": numbered(codes[f"{kind.layer}.pair"], map(attrgetter("pair"), entries), len(entries)),
+        f"{kind.layer}.pair": numbered(codes[f"{kind.layer}.pair"], [entry.pair for entry in entries], len(entries)),
         f"{kind.layer}.labels": numbered(codes[f"{kind.layer}.labels"], labels, len(entries)),
     }
 

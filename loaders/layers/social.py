@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import chain
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +25,7 @@ from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, 
 from jrdb_avr.loaders.labelfiles.facts import Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import gather
 from jrdb_avr.loaders.labelfiles.json import NOTHING, parse
-from jrdb_avr.loaders.labelfiles.record_reader import RecordReader
+from jrdb_avr.loaders.labelfiles.record_reader import Fields, RecordReader
 from jrdb_avr.loaders.labelfiles.records import TWICE
 from jrdb_avr.loaders.layers.boxes_2d import PERSON, SUFFIXES, take_people, usable_boxes
 from jrdb_avr.loaders.layers.relation_lists import (
@@ -111,10 +110,10 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
     codes: dict[str, Distinct] = defaultdict(Distinct)
     coded = ("label_id", *(name for _, name, _ in layers))
 
-    def take(found: list[Any]) -> Columns:
-        columns = take_people(found, coded, codes)
+    def take(fields: Fields) -> Columns:
+        columns = take_people(fields, coded, codes)
         for kind in kinds:
-            columns |= take_lists(_lists(found, kind), kind, codes)
+            columns |= take_lists(_lists(fields, kind), kind, codes)
         return columns
 
     columns, _, complete = gather(path, SUFFIXES, reader, take, problems)
@@ -159,18 +158,18 @@ def _boxes(box: Any, people: KeptRecords, refusals: Refusals) -> pa.Table:
 # -- records -------------------------------------------------------------------------------------------------------
 
 
-def _lists(found: list[Any], kind: RelationKind) -> list[list[Any] | None]:
+def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Any] | None]:
     if kind is HANDLING:
-        return [record.handles for record in found]
-    return [record.hhi if record.interactions is None else record.interactions for record in found]
+        return fields["handles"]
+    return [hhi if older is None else older for older, hhi in zip(fields["interactions"], fields["hhi"], strict=True)]
 
 
-def _entry_keys(found: list[Any]) -> list[tuple[int, tuple[bytes, ...]]] | None:
+def _entry_keys(fields: Fields) -> list[tuple[int, tuple[bytes, ...]]] | None:
     """The keys of entries, with their number; None where a list is too long or a record has one under both names."""
-    if [record for record in found if record.hhi is not None and record.interactions is not None]:
+    older, newer = fields["interactions"], fields["hhi"]
+    if [1 for one, other in zip(older, newer, strict=True) if one is not None and other is not None]:
         return None
-    columns = [map(attrgetter(name), found) for name in ("interactions", "hhi", "handles")]
-    lists = [*filter(None, chain(*columns))]
+    lists = [*filter(None, chain(older, newer, fields["handles"]))]
     entries = sum(map(len, lists))
     if entries > MAX_ENTRIES and max(map(len, lists)) > MAX_ENTRIES:
         return None

@@ -11,16 +11,18 @@ import os
 import re
 from bisect import bisect_left
 from collections.abc import Sequence
+from itertools import pairwise, repeat
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, whole_numbers
 from jrdb_avr.loaders.labelfiles.frames import read_file
-from jrdb_avr.loaders.labelfiles.json import MalformedError, Members, elements, first_members, members, parse
+from jrdb_avr.loaders.labelfiles.json import BROKEN, MalformedError, Members, elements, first_members, members, parse
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
@@ -59,6 +61,28 @@ class Stamp(NamedTuple):
     seconds: float
 
 
+class _File(msgspec.Struct, gc=False):
+    """A picture or cloud of an entry."""
+
+    name: str
+    url: str
+    timestamp: float
+
+
+_Frame = Annotated[int, msgspec.Meta(ge=0, le=_MAX_FRAME)]
+_Seconds = Annotated[float, msgspec.Meta(ge=0, le=MAX_SECONDS)]
+_MEMBERS: Final = [("frame_id", _Frame), ("timestamp", _Seconds), ("files", list[_File])]
+
+
+def _decoder(key: str) -> msgspec.json.Decoder[dict[str, list[Any]]]:
+    """A decoder of files that are laid out as usual, with the key of their lists of files."""
+    entry = msgspec.defstruct("Entry", _MEMBERS, rename={"files": key}, gc=False)
+    return msgspec.json.Decoder(dict[Literal["data"], list[entry]])  # type: ignore[valid-type]
+
+
+_USUAL: Final = {sensor: _decoder(sensor.key) for sensor in SENSORS}
+
+
 def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
     """Read what there is of the two files; one that cannot be used does not cost the other.
 
@@ -81,7 +105,8 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
         problems.add("file", str(unusable))
     schema = ANNOTATIONS["timestamps"].remove(0)
     rows = [(name, *stamp) for name, stamps in found.items() for stamp in stamps]
-    table = pa.Table.from_pylist([dict(zip(schema.names, row, strict=True)) for row in rows], schema)
+    columns = zip(*rows, strict=True) if rows else repeat(())
+    table = pa.Table.from_pydict(dict(zip(schema.names, columns, strict=False)), schema)
     known = np.unique(whole_numbers(table, "frame"), return_counts=True)
     return LayerTables({"timestamps": table}, {"timestamps": known})
 
@@ -98,6 +123,8 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[Stamp]:
     data = read_file(path)
     if len(data) > _MAX_BYTES:
         raise InputError(f"{sensor.file}: larger than the limit of {_MAX_BYTES >> 20} MB", file=sensor.file)
+    if (usual := _usual_stamps(data, sensor)) is not None:
+        return usual
     try:
         top, again = first_members(_tree(data.strip(b" \t\r\n")))
     except ValueError as error:
@@ -123,6 +150,22 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[Stamp]:
         except ValueError as error:
             problems.add("record", f"{reason}{error}", frame=place, field=field, value=values.get(field))
     return stamps
+
+
+def _usual_stamps(data: bytes, sensor: Sensor) -> list[Stamp] | None:
+    """The stamps of a file of which every entry is as usual and agrees with itself; None of any other."""
+    try:
+        entries = _USUAL[sensor].decode(data).get("data", [])
+    except BROKEN:
+        return None
+    names = [(f"{entry.frame_id:06d}", [file.url for file in entry.files]) for entry in entries]
+    # A colon for each key and no other: none is repeated.
+    keys = 1 + 3 * len(entries) + 3 * sum(len(urls) for _, urls in names)
+    if len(entries) > _MAX_ENTRIES or data.count(b":") != keys:
+        return None
+    if not all(url.rpartition("/")[2].startswith(f"{name}.") for name, urls in names for url in urls):
+        return None
+    return [Stamp(entry.frame_id, entry.timestamp) for entry in entries]
 
 
 def _tree(raw: bytes | memoryview, depth: int = DEPTH) -> Any:
@@ -194,6 +237,8 @@ def _seconds(value: object) -> float:
 
 def _increasing(stamps: list[Stamp], sensor: Sensor, problems: Problems) -> list[Stamp]:
     """The first stamp of each frame, and of those the longest part that increases; by frame."""
+    if all(one.frame < later.frame and one.seconds < later.seconds for one, later in pairwise(stamps)):
+        return stamps
     first: dict[int, Stamp] = {}
     for stamp in stamps:
         if stamp.frame in first:

@@ -13,6 +13,7 @@ from quick_store import NAME, read_store, reported_store
 from worlds import person
 
 from jrdb_avr.loaders.intervals.timeline import Clock
+from jrdb_avr.loaders.layers import timestamps
 
 START = 1_549_578_400.25
 
@@ -149,3 +150,38 @@ def test_repeated_keys_keep_the_first(tmp_path):
     store, problems = read(tmp_path, {"images": text})
     assert rows(store) == [(3, 5.5), (4, 8.5)]
     assert sum(problem.count for problem in problems) == 3
+
+
+def usual(frame):
+    picture = {"name": "image_0", "url": f"images/image_0/{frame:06d}.jpg", "timestamp": START + frame}
+    return {"frame_id": frame, "timestamp": START + frame, "cameras": [picture, picture]}
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("2", "2"),
+        ('"frame_id": 2', '"frame_id": 1'),
+        ('"frame_id": 2', '"frame_id": -2'),
+        ('"frame_id": 2', '"frame_id": 2, "frame_id": 7'),
+        ("000002.jpg", "000007.jpg"),
+        ("000002.jpg", "000002.gif"),
+        ("000002.jpg", "000007.gif"),
+        ('"image_0"', '"image:0"'),
+        ('"name": "image_0",', ""),
+        ('"name": "image_0",', '"name": "image_0", "name": "image_2",'),
+        ('"data"', '"data": [], "data"'),
+        ('"data"', '"notes": [], "data"'),
+        (str(START + 2), str(START)),
+        (str(START + 2), "-0.5"),
+        (str(START + 2), "NaN"),
+        ("}", "} "),
+    ],
+)
+def test_files_laid_out_as_usual_are_read_like_others(tmp_path, monkeypatch, old, new):
+    text = json.dumps({"data": [usual(frame) for frame in range(4)]}).replace(old, new)
+    store, problems = read(tmp_path / "quick", {"images": text})
+    quick = []
+    monkeypatch.setattr(timestamps, "_usual_stamps", lambda data, sensor: quick.append(data))
+    slow_store, slow_problems = read(tmp_path / "slow", {"images": text})
+    assert (rows(store), problems) == (rows(slow_store), slow_problems) and quick
