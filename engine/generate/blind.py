@@ -216,7 +216,7 @@ def _matching_spans(guesses: Sequence[Answer], answers: Sequence[Answer]) -> lis
         assert isinstance(guess, Span)
         both = np.minimum(ends, guess.end_frame + 1) - np.maximum(starts, guess.start_frame)
         either = ends - starts + guess.end_frame + 1 - guess.start_frame - both
-        counts.append(np.count_nonzero((both > 0) & (2 * both >= either)))
+        counts.append(int(np.count_nonzero((both > 0) & (2 * both >= either))))
     return counts
 
 
