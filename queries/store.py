@@ -130,8 +130,8 @@ class Store(Displayed):
         """Write one table of a run; returns the sha256 of the file."""
         return write_table(self.run_path(run_id) / f"{name}.parquet", table, RUNS[name])
 
-    def annotation(self, layer: str, sequence: str) -> pa.Table:
-        return read_table(self.annotation_path(layer, sequence))
+    def annotation(self, layer: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
+        return read_table(self.annotation_path(layer, sequence), columns)
 
     def interval(self, kind: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
         return read_table(self.interval_path(kind, sequence), columns)

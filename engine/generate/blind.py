@@ -24,7 +24,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
-from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, decode_answer, encode_answer, same_answer
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, Span, decode_answer, encode_answer, same_answer
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.wording.text import form_of, parse, stated_actions, stated_frames
 
@@ -201,8 +201,23 @@ def best_guess(relative: Sequence[Answer]) -> Answer:
             held = np.searchsorted(values, values * 4, "right") - np.arange(len(values))
             return Number(float(values[held.argmax()]) * 2)
     distinct = sorted(set(relative), key=repr)
-    counts = [sum(same_answer(guess, answer) for answer in relative) for guess in distinct]
+    if isinstance(relative[0], Span):
+        counts = _matching_spans(distinct, relative)
+    else:
+        counts = [sum(same_answer(guess, answer) for answer in relative) for guess in distinct]
     return distinct[int(np.argmax(counts))]
+
+
+def _matching_spans(guesses: Sequence[Answer], answers: Sequence[Answer]) -> list[int]:
+    """How many spans each guess scores against, by `same_answer`; of thousands, one pair at a time takes seconds."""
+    starts, ends = np.array([(a.start_frame, a.end_frame + 1) for a in answers if isinstance(a, Span)]).T
+    counts = []
+    for guess in guesses:
+        assert isinstance(guess, Span)
+        both = np.minimum(ends, guess.end_frame + 1) - np.maximum(starts, guess.start_frame)
+        either = ends - starts + guess.end_frame + 1 - guess.start_frame - both
+        counts.append(int(np.count_nonzero((both > 0) & (2 * both >= either))))
+    return counts
 
 
 def _moved(answer: Answer, frames: int) -> Answer:

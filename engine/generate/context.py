@@ -88,6 +88,17 @@ class SearchContext:
         known = keyframe_values(self.rules, self.low) | values
         return self.graph.query(text, {key: known[key] for key in parameters(text)})
 
+    def query_once(self, folder: str, name: str, **values: int) -> pa.Table:
+        """As `query`, of a statement whose rows several templates read: they are held."""
+        key = (folder, name, *values.items())
+        if key not in self._held:
+            self._held[key] = self.query(folder, name, **values)
+        return self._held[key]
+
+    @cached_property
+    def _held(self) -> dict[tuple[object, ...], pa.Table]:
+        return {}
+
     @cached_property
     def leads(self) -> dict[tuple[int, int], int]:
         """The moment of whom a relation, as an index into RELATIONS, leads to from a moment."""

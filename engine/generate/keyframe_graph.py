@@ -30,7 +30,7 @@ from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
 from jrdb_avr.loaders.verify import FILE, checks_of
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
-from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.handle import Graph, build_graph, held_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Workers, map_shards
@@ -62,8 +62,7 @@ def ensure_layer(store: Store, rules: Rules, workers: Workers, progress: Progres
         for _ in map_shards(_stage_tables, jobs, workers, lambda job: job.weight):
             advance(1)
         write_graph(store, partial(_copy_tables, jobs))
-        # Held open, so that this process opens it and plans a statement once for all sequences.
-        with Graph.open(store.graph_path, read_only=True):
+        with held_graph(store.graph_path, workers):
             for _ in map_shards(_stage_derived, jobs, workers, lambda job: job.weight):
                 advance(1)
         write_graph(store, partial(_copy_derived, jobs))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -38,7 +38,7 @@ from jrdb_avr.engine.generate.sequence import SequenceJob
 from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import write_atomic
-from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.handle import held_graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store, file_hash
 from jrdb_avr.queries.workers import Workers, map_shards
@@ -134,8 +134,7 @@ def generate(
             for name, part in zip(sequences, parts, strict=True)
         ]
         advance = step_counter(progress, "searching", len(sequences))
-        # Held open, so that this process plans a statement once for all sequences.
-        with Graph.open(store.graph_path, read_only=True):
+        with held_graph(store.graph_path, workers):
             found = _search(scratch, jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)
@@ -241,6 +240,7 @@ def _select(
     """The selection, and the candidates that the second program refused, by key: these and excluded questions leave the
     pool, and the choice is made anew."""
     faults: dict[str, Fault] = {}
+    confirmed: set[str] = set()
     while True:
         selection = choose(pool)
         gone: set[str] = set()
@@ -248,12 +248,19 @@ def _select(
             rows = chain.from_iterable(rows for _, rows in chosen_rows(folder, selection.table))
             gone = {row["key"] for row in rows if row["question_id"] in excluded}
         if not gone:
-            found = confirm(selection.table)
+            added = _without(selection.table, confirmed)
+            confirmed |= set(added["key"].to_pylist())
+            found = confirm(added)
             faults |= found
             gone = set(found)
         if not gone:
             return selection, faults
-        pool = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=pa.array(list(gone), pa.string()))))
+        pool = _without(pool, gone)
+
+
+def _without(rows: pa.Table, keys: Set[str]) -> pa.Table:
+    """The rows of other keys."""
+    return rows.filter(pc.invert(pc.is_in(rows["key"], value_set=pa.array(sorted(keys), pa.string()))))
 
 
 def _confirm(

@@ -17,7 +17,7 @@ def held_person_proofs(context: SearchContext, candidates: Candidates) -> list[P
     scene = context.scene
     track = scene.tracks[scene.people(candidates.people[candidates.template.target])]
     # A candidate without a row has no answer at any keyframe: where the person who is read is never in clear view.
-    read = context.query("necessity", f"{candidates.template.time_queries}_drop")
+    read = context.query_once("necessity", f"{candidates.template.time_queries}_drop")
     row = match_rows([track, candidates.frames["t0"]], [ints(read, "a"), ints(read, "t0")])
     defined, answers = (np.append(ints(read, name), 0)[row] for name in ("defined", "answers"))
     return [*shifts, PerturbationResult.of_drop(defined, answers)]
@@ -29,7 +29,7 @@ def _shift(context: SearchContext, candidates: Candidates, by: int) -> Perturbat
     The query leaves out unknown answers, and returns none where the person who is read is absent.
     """
     scene, t0, t1 = context.scene, candidates.frames["t0"], candidates.frames["t1"]
-    read = context.query("necessity", f"{candidates.template.time_queries}_shift", by=by)
+    read = context.query_once("necessity", f"{candidates.template.time_queries}_shift", by=by)
     keys = {"a": scene.tracks[scene.people(candidates.people[candidates.template.target])], "t0": t0, "t1": t1}
     names = [name for name in keys if name in read.column_names]
     row = match_rows([keys[name] for name in names], [ints(read, name) for name in names])

@@ -6,6 +6,8 @@ import itertools
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -30,24 +32,53 @@ class Segment:
     closed: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Listed:
+    """The list of actions of one person at one frame: the code of each, and which of them are poses."""
+
+    codes: Mapping[str, int]
+    poses: frozenset[str]
+
+    @cached_property
+    def pose(self) -> str | None:
+        """The one certain pose, None where there is none."""
+        if len(self.poses) != 1:
+            return None
+        (pose,) = self.poses
+        return pose if self.codes[pose] <= 2 else None
+
+    def with_action(self, action: str, difficulty: int | None) -> Listed:
+        """The list with one more row."""
+        # An action written twice, as under two spellings, counts by its easier code; an unreadable code is hard.
+        code = 3 if difficulty is None else difficulty
+        codes = {**self.codes, action: min(code, self.codes.get(action, code))}
+        for other in also_said(action):
+            codes.setdefault(other, 3)
+        return Listed(codes, self.poses | {action} if action in POSES else self.poses)
+
+
+NOTHING: Final = Listed({}, frozenset())
+"""The list that names no action."""
+
+
 class ActionFacts(PersonBoxes):
     """The action labels of one sequence, in addition to its boxes."""
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
-        self._actions: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
-        self._poses: dict[tuple[int, int], dict[str, int]] = defaultdict(dict)
-        for frame, track, action, difficulty in rows(tables["actions"], "frame", "track", "action", "difficulty"):
-            # An action written twice, as under two spellings, counts by its easier code; an unreadable code is hard.
-            code, listed_actions = 3 if difficulty is None else difficulty, self._actions[frame, track]
-            listed_actions[action] = min(code, listed_actions.get(action, code))
-            if action in POSES:
-                self._poses[frame, track][action] = listed_actions[action]
-            for other in also_said(action):
-                listed_actions.setdefault(other, 3)
+        # By track and frame. Lists with the same rows are one object: there are millions of few different ones.
+        self._actions: dict[int, dict[int, Listed]] = defaultdict(dict)
+        extended: dict[tuple[Listed, str, int | None], Listed] = {}
+        actions = tables["actions"]
+        for frame, track, action, difficulty in rows(actions, "frame", "track", "action", "difficulty"):
+            listed_actions = self._actions[track]
+            key = listed_actions.get(frame, NOTHING), action, difficulty
+            if key not in extended:
+                extended[key] = key[0].with_action(action, difficulty)
+            listed_actions[frame] = extended[key]
         self._performed = {
             (track, said)
-            for track, action in distinct_rows(tables["actions"], "track", "action")
+            for track, action in distinct_rows(actions, "track", "action")
             for said in (action, *also_said(action))
         }
         annotated = sorted(self.layers.get("actions", []))
@@ -58,21 +89,22 @@ class ActionFacts(PersonBoxes):
 
     def pose(self, track: int, frame: int) -> str | None:
         """The one certain pose, None where it is unknown."""
-        person, poses = self._people.get(frame, {}).get(track), self._poses.get((frame, track), {})
-        if person is None or not person.listed or len(poses) != 1 or min(poses.values()) > 2:
-            return None
-        return next(iter(poses))
+        person = self._people.get(frame, {}).get(track)
+        return self._listed_actions(track, frame).pose if person is not None and person.listed else None
+
+    def _listed_actions(self, track: int, frame: int) -> Listed:
+        return self._actions.get(track, {}).get(frame, NOTHING)
 
     def _raw(self, track: int, frame: int, action: str) -> int:
         person = self._people.get(frame, {}).get(track)
         if person is None:
             return UNKNOWN
-        codes = self._actions.get((frame, track), {})
+        listed = self._listed_actions(track, frame)
         if action in POSES:
-            pose = self.pose(track, frame)
-            return UNKNOWN if pose is None else TRUE if pose == action else UNKNOWN if action in codes else FALSE
-        if action in codes:
-            return TRUE if codes[action] <= 2 else UNKNOWN
+            pose = listed.pose if person.listed else None
+            return UNKNOWN if pose is None else TRUE if pose == action else UNKNOWN if action in listed.codes else FALSE
+        if action in listed.codes:
+            return TRUE if listed.codes[action] <= 2 else UNKNOWN
         return FALSE if person.listed else UNKNOWN
 
     def states(self, track: int, action: str) -> tuple[GridFacts, GridFacts]:
@@ -90,7 +122,7 @@ class ActionFacts(PersonBoxes):
             if frame in self.grid:
                 place = self.grid.index(frame)
                 states[place] = self._raw(track, frame, action)
-                if action in self._actions.get((frame, track), {}):
+                if action in self._listed_actions(track, frame).codes:
                     named.append(place)
         if self.step == 1:
             for before, after in itertools.pairwise(named):
@@ -117,7 +149,7 @@ class ActionFacts(PersonBoxes):
 
     def _names(self, track: int, action: str, frame: int) -> bool:
         """Whether the person has a box at the frame, one of the grid, whose list holds the action."""
-        listed = action in self._actions.get((frame, track), {})
+        listed = action in self._listed_actions(track, frame).codes
         return listed and frame in self.grid and self.box(track, frame) is not None
 
     def segments(self, track: int, action: str) -> tuple[Segment, ...]:

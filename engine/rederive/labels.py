@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final
 
 import pyarrow as pa
 
@@ -13,32 +14,52 @@ from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import Rules
 
+_COLUMNS: Final = {
+    "frames": ("layer", "frame"),
+    "boxes_2d": ("frame", "track", *"xywh", "has_attributes", "occlusion", "no_eval", "has_actions"),
+    "boxes_3d": ("frame", "track", "cx", "cy", "cz", "rot_z", "distance", "num_points"),
+    "actions": ("frame", "track", "action", "difficulty"),
+    "demographics": ("track", "attribute", "value", "difficulty"),
+    "poses": ("frame", "track", "keypoints"),
+    "listed": ("layer", "frame", "track"),
+    "groups": ("frame", "track", "cluster", "difficulty"),
+    "interactions": ("frame", "track", "partner", "label", "difficulty"),
+    "handles": ("frame", "track", "object", "category_id", "verb", "difficulty"),
+    "categories": ("category_id", "category"),
+}
+"""The columns that are read of each layer: half of their bytes."""
 
-class _LayerTables(dict[str, pa.Table]):
-    """A sequence's annotation tables by layer, each read when it is first used.
+
+class _LayerTables(Mapping[str, pa.Table]):
+    """A sequence's annotation tables by layer, each read when it is used and not held.
 
     A load writes a table of each layer, empty where the sequence lacks it: a missing file is a damaged store. Taken for
     an empty layer it would refute most questions.
     """
 
     def __init__(self, store: Store, sequence: str) -> None:
-        super().__init__()
         self._store, self._sequence = store, sequence
 
-    def __missing__(self, layer: str) -> pa.Table:
-        return self.setdefault(layer, self._store.annotation(layer, self._sequence))
+    def __getitem__(self, layer: str) -> pa.Table:
+        return self._store.annotation(layer, self._sequence, _COLUMNS[layer])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_COLUMNS)
+
+    def __len__(self) -> int:
+        return len(_COLUMNS)
 
 
 class Annotations(RelationFacts):
     """One sequence's annotation tables, indexed by frame and by person."""
 
-    def __init__(self, tables: dict[str, pa.Table], rules: Rules) -> None:
+    def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
         self._held: dict[tuple[Condition, int], dict[int, int]] = {}
 
     @classmethod
     def read(cls, store: Store, sequence: str, rules: Rules) -> Annotations:
-        """Read a sequence's tables. Raises StoreError for a missing or broken file, as late as it is first used."""
+        """Read a sequence's tables. Raises StoreError for a missing or broken file."""
         return cls(_LayerTables(store, sequence), rules)
 
     # -- descriptions -------------------------------------------------------------------------------------------

@@ -33,10 +33,11 @@ class PersonBoxes:
         for layer, frame in rows(tables["frames"], "layer", "frame"):
             self.layers[layer].append(frame)
         self._known = {layer: set(numbers) for layer, numbers in self.layers.items()}
-        self.has_attributes = bool(pc.any(tables["boxes_2d"]["has_attributes"]).as_py())
+        boxes = tables["boxes_2d"]
+        self.has_attributes = bool(pc.any(boxes["has_attributes"]).as_py())
         self._people: dict[int, dict[int, _Person2D]] = defaultdict(dict)
         columns = ("frame", "track", "x", "y", "w", "h", "occlusion", "no_eval", "has_actions")
-        for frame, track, x, y, w, h, occlusion, no_eval, listed in rows(tables["boxes_2d"], *columns):
+        for frame, track, x, y, w, h, occlusion, no_eval, listed in rows(boxes, *columns):
             self._people[frame][track] = _Person2D(Box(x, y, w, h), occlusion, bool(no_eval), listed)
         self._tracks: dict[int, list[int]] = defaultdict(list)
         for frame in sorted(self._people):

@@ -257,10 +257,12 @@ def _first_segment(found: ResolvedPlan, name: str) -> Segment:
     after, action = found.t0, event.action or ""
     if annotations.state(target, action, after) != FALSE:
         raise Undefined("unknown", f"the action is not certainly absent at frame {after}")
+    # First, as it finds out the states of all frames together.
+    segments = annotations.segments(target, action)
     for frame in annotations.grid:
         if frame <= after or annotations.state(target, action, frame) == FALSE:
             continue
-        for segment in annotations.segments(target, action):
+        for segment in segments:
             if segment.first == frame:
                 return segment
         raise Undefined("unknown", f"what happens at frame {frame} is no clear start")

@@ -27,7 +27,7 @@ from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
-from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.handle import Graph, held_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Workers, map_shards
 from jrdb_avr.schema.errors import AvrError, PlanError
@@ -157,7 +157,7 @@ def replay(
         for name in sorted({record.sequence for record in records})
     ]
     found: list[Difference] = []
-    with Graph.open(store.graph_path, read_only=True):
+    with held_graph(store.graph_path, workers):
         for index, own in map_shards(replay_sequence, jobs, workers, lambda job: job.weight):
             found += own
             advance(len(jobs[index].records))

@@ -24,7 +24,7 @@ from typing import Any, Final, Self
 
 import pyarrow as pa
 
-from jrdb_avr.queries import workers
+from jrdb_avr.queries import workers as processes
 from jrdb_avr.queries.graph.database import (
     SharedDatabase,
     acquire_database,
@@ -45,6 +45,7 @@ from jrdb_avr.queries.graph.file import (
 )
 from jrdb_avr.queries.graph.parameters import bind, strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
+from jrdb_avr.queries.workers import Workers
 from jrdb_avr.schema.errors import QueryError, StoreError
 
 BUFFER_BYTES: Final = 512 << 20
@@ -317,7 +318,7 @@ def worker_graph(path: Path) -> Iterator[Graph]:
         graph = _left_open.get(path)
         if graph is None:
             graph = Graph.open(path, read_only=True, prepares=True)
-            if workers.is_worker:
+            if processes.is_worker:
                 _left_open[path] = graph
             else:
                 closing.enter_context(graph)
@@ -325,6 +326,12 @@ def worker_graph(path: Path) -> Iterator[Graph]:
 
 
 _left_open: dict[Path, Graph] = {}
+
+
+def held_graph(path: Path, workers: Workers) -> contextlib.AbstractContextManager[object]:
+    """A graph held open while this process works on all sequences itself, so that it is opened and a statement planned
+    once; nothing while others do, as to open it takes 150 MB. Raises as `Graph.open`."""
+    return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()
 
 
 @contextlib.contextmanager

@@ -101,8 +101,9 @@ class MemoryStore(Store):
         self._intervals |= {(name, sequence): table for name, table in intervals.items()}
         return SequenceEntry(tuple(intervals["sequence"]["layers"][0].as_py()), {})
 
-    def annotation(self, layer, sequence):
-        return _as_read(self._annotations, (layer, sequence), ANNOTATIONS[layer])
+    def annotation(self, layer, sequence, columns=None):
+        table = _as_read(self._annotations, (layer, sequence), ANNOTATIONS[layer])
+        return table if columns is None else table.select(columns)
 
     def interval(self, kind, sequence, columns=None):
         table = _as_read(self._intervals, (kind, sequence), INTERVALS[kind])

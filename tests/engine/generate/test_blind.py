@@ -150,6 +150,15 @@ def test_no_constant_number_is_better(tenths):
     assert sum(same_answer(best_guess([row.answer for row in rows]), Number(v)) for v in values) == best
 
 
+@given(st.lists(st.builds(Span, st.integers(-20, 40), st.integers(-20, 40)), min_size=1, max_size=12))
+@settings(deadline=None)
+def test_no_span_of_the_answers_is_better(spans):
+    matches = {guess: sum(same_answer(guess, span) for span in spans) for guess in spans}
+    guess = best_guess(spans)
+    assert matches[guess] == max(matches.values())
+    assert guess == min((span for span in spans if matches[span] == matches[guess]), key=repr)
+
+
 def test_spans_try_their_own_answers():
     rows = [
         QuestionText("a", "span", "span", "span", (), (), (0,), Span(*pair))

@@ -41,6 +41,7 @@ def test_a_question_that_is_not_confirmed_makes_way(store, monkeypatch):
     (fault,) = report.faults
     assert fault.startswith(f"{NAME} {wrong}: ") and fault.endswith("rederived unknown")
     assert wrong not in after and after.keys() <= set(checked)
+    assert len(checked) == len(set(checked))
     refused = [row for row in store.questions("rejected").to_pylist() if row["rule"] == "rederive"]
     assert [(row["kind"], row["candidates"], row["plan"]) for row in refused] == [
         ("count", 1, None),
