@@ -160,7 +160,7 @@ def plan_with_things(rng):
     return plan
 
 
-@settings(max_examples=examples(12), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(4), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**9))
 def test_things_are_found_as_by_brute_force(graph, seed):
     compare_things(graph, seed)
@@ -220,7 +220,7 @@ def compare_moments(graph, seed):
         SEEN["moments", belief.outcome] += 1
 
 
-@settings(max_examples=examples(6), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(3), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**9))
 # A guess where no frame was looked at that the moment may be: somebody's age, which holds at any time, still counts.
 @example(seed=178825)

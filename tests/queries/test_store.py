@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
+import warm
 from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
@@ -67,9 +66,9 @@ def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
             sys.exit(7)
         """
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = warm.run(warm.script, code)
     assert done.returncode == 7, done.stderr
-    assert "cannot write" in done.stdout
+    assert b"cannot write" in done.stdout
     assert not list(tmp_path.iterdir())
 
 
@@ -81,12 +80,12 @@ def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
         "try:\n    with store.writing('generate'): pass\nexcept LockedError as error:\n    print(error); sys.exit(7)\n"
     )
     with store.writing("load"):
-        held = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        held = warm.run(warm.script, code)
         with pytest.raises(LockedError):
             store.writing("generate").__enter__()
     assert held.returncode == 7
-    assert f"'load', process {os.getpid()}" in held.stdout
-    free = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert f"'load', process {os.getpid()}" in held.stdout.decode()
+    free = warm.run(warm.script, code)
     assert free.returncode == 0
 
 

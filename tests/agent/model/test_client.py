@@ -364,7 +364,7 @@ def test_a_redirect_is_refused_whatever_its_body():
 
 
 def test_slow_replies_time_out_and_are_tried_again():
-    with FakeServer(sequence_of(Slow(1.0, "late"), "hi")) as server:
+    with FakeServer(sequence_of(Slow(0.5, "late"), "hi")) as server:
         made, _ = client(server, timeout_s=0.2)
         assert made.complete(ASK).content == "hi"
 
@@ -391,7 +391,7 @@ def test_a_server_that_is_too_slow_gets_fewer_calls():
 
 
 def test_a_call_that_times_out_beside_others_says_how_many():
-    with FakeServer(sequence_of(Slow(0.6, "late"))) as server, ThreadPoolExecutor(4) as pool:
+    with FakeServer(sequence_of(Slow(0.5, "late"))) as server, ThreadPoolExecutor(4) as pool:
         made, _ = client(server, timeout_s=0.2, retries=0)
         failed = [job.exception() for job in [pool.submit(made.complete, ASK) for _ in range(4)]]
     told = " ".join(map(str, failed))
@@ -917,7 +917,7 @@ def test_a_refusal_says_what_to_do(code, remedy):
 
 def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
     monkeypatch.setattr("jrdb_avr.agent.model.client._PROBE_TIMEOUT_S", 0.2)
-    with FakeServer(sequence_of(Slow(1.0, "hi"))) as server:
+    with FakeServer(sequence_of(Slow(0.5, "hi"))) as server:
         with pytest.raises(EndpointError, match="no reply within"):
             client(server)[0].probe(ASK)
         assert client(server)[0].complete(ASK).content == "hi"

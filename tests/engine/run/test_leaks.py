@@ -142,7 +142,7 @@ def test_who_opens_a_private_file_waits_for_ever(full):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout.readline() == "here\n"
         with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(1)
+            process.wait(0.5)
         process.kill()
 
 
