@@ -340,9 +340,10 @@ class Store(Displayed):
 
 
 def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:
-    """Write a table under a schema, atomically; equal tables give equal bytes. Returns the sha256 of the file.
+    """Write a table under a schema, atomically. Returns the sha256 of the file.
 
-    Numbered texts (dictionaries) are written by their numbers, in half the time, and read as plain texts.
+    Numbered texts (dictionaries) are written by their numbers, in half the time, and read as plain texts. Equal tables
+    give equal bytes where their texts are numbered alike.
     """
     table = table.select(schema.names)
     groups = (table.slice(start, ROW_GROUP) for start in range(0, table.num_rows, ROW_GROUP))

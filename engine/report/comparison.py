@@ -257,7 +257,9 @@ def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
         warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
 
     # Scoring takes milliseconds, so scores of an earlier threshold or question file are never trusted.
-    done = [run for _, run in score_runs(key, names or known, partial(submission, store), iou, refuse)]
+    # Tables that are queries would add up the rows of a run that is named twice.
+    runs = [*dict.fromkeys(names or known)]
+    done = [run for _, run in score_runs(key, runs, partial(submission, store), iou, refuse)]
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
     return ranked(done)
