@@ -69,7 +69,7 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
     # Laid out by column, as statistics go through columns.
     drawn = (sums.T @ draws(len(sums), n, seed).T).T
     found = np.stack([statistic(drawn) for statistic in statistics])
-    bounds = np.quantile(found, _TAILS, axis=1, overwrite_input=True)
+    bounds = np.quantile(found, _TAILS, axis=1)
     for number in np.flatnonzero(np.isnan(found).any(axis=1)).tolist():
         known = found[number][~np.isnan(found[number])]
         bounds[:, number] = np.quantile(known, _TAILS) if len(known) else math.nan
