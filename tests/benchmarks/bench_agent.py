@@ -2,7 +2,7 @@
 
 Everything is synthetic: the simulated model on samples. Makes a sample and its questions for each seed, runs the
 methods under settings of noise, and prints scores, cost, and each bound of `agent_bounds.py` with what was measured.
-Without `--full` one small sample, one noise seed and a few settings; with it two samples that no agent was tuned on,
+Without `--full` one small sample, one noise seed and a few settings; with it four samples that no agent was tuned on,
 three noise seeds and all settings.
 
 Runs are kept in FOLDER and not made again, so that a stopped benchmark goes on where it was. A run is of the program's
@@ -255,8 +255,8 @@ def _person(box: Box, left: int, people: dict[int, Box]) -> int | None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--full", action="store_true", help="two samples, three noise seeds, all settings")
-    parser.add_argument("--samples", help="seeds of samples, with commas between; 20, or 21,22 with --full")
+    parser.add_argument("--full", action="store_true", help="four samples, three noise seeds, all settings")
+    parser.add_argument("--samples", help="seeds of samples, with commas between; 20, or 21 to 24 with --full")
     parser.add_argument("--questions", type=int, help="most questions of each sample; 48, or 120 with --full")
     parser.add_argument("--seeds", type=int, help="noise seeds of each noisy setting; 1, or 3 with --full")
     parser.add_argument("--settings", help=f"of {','.join(SETTINGS)}; without --full, those with bounds")
@@ -266,7 +266,7 @@ def main() -> None:
     given = parser.parse_args()
     few = ("perfect", "noise-0.1", "correlated", "ids-off")
     settings = given.settings.split(",") if given.settings else list(SETTINGS) if given.full else few
-    samples = [int(seed) for seed in (given.samples or ("21,22" if given.full else "20")).split(",")]
+    samples = [int(seed) for seed in (given.samples or ("21,22,23,24" if given.full else "20")).split(",")]
     seeds, count = given.seeds or (3 if given.full else 1), given.questions or (120 if given.full else 48)
     given.out.mkdir(parents=True, exist_ok=True)
     runs = []
