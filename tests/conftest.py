@@ -60,7 +60,7 @@ WORKER = os.environ.get("PYTEST_XDIST_WORKER", "")
 
 
 def pytest_collection():
-    """What is collected stays to the end: nothing looks for cycles in it, and seldom in the rest.
+    """Turn the garbage collector off while tests are collected: they stay to the end, and it would search them in vain.
 
     Workers keep the modules that pytest has rewritten, which takes longer than all else, also where
     PYTHONDONTWRITEBYTECODE is set.

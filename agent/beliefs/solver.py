@@ -92,7 +92,7 @@ _TOO_MANY: Final = Belief(
 class BeliefSolver:
     """Solves plans over the beliefs of the episode with this key.
 
-    _found: whom a compiled plan found, by all that bears on it.
+    _found: what compiled statements found, by the plan's target and the people who fit each of its parts.
     """
 
     graph: Queryable
@@ -135,7 +135,7 @@ class BeliefSolver:
         return _belief(reader, match, solution)
 
     def _compiled(self, reader: BeliefReader, match: PlanMatch) -> Agreed:
-        """Whom the compiled plan finds; it runs again only where who fits its parts has changed."""
+        """The target that the compiled statement finds, which runs once for the same people who fit the parts."""
         known = (match.plan.target, *match.parts)
         if known not in self._found:
             find = reader.find(match.plan)

@@ -89,7 +89,7 @@ class SearchContext:
         return self.graph.query(text, {key: known[key] for key in parameters(text)})
 
     def query_once(self, folder: str, name: str, **values: int) -> pa.Table:
-        """As `query`, of a statement whose rows several templates read: they are held."""
+        """Rows of a packaged query as of `query`, kept for the other templates that read them."""
         key = (folder, name, *values.items())
         if key not in self._held:
             self._held[key] = self.query(folder, name, **values)

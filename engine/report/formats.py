@@ -32,7 +32,7 @@ MARK: Final = "*"
 """Behind the n of a run that has another number of questions than most."""
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
-"""Columns of the table `main` as a paper prints it, after those that name the run."""
+"""Score columns of the printed table `main`, in the order in which papers have them; the run's names come before."""
 
 _SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
 """A cell of a column of numbers."""

@@ -153,7 +153,7 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> list[Stamp]:
 
 
 def _usual_stamps(data: bytes, sensor: Sensor) -> list[Stamp] | None:
-    """The stamps of a file of which every entry is as usual and agrees with itself; None of any other."""
+    """The stamps of a file in the usual layout, whose pictures are named as their frames; None for any other file."""
     try:
         entries = _USUAL[sensor].decode(data).get("data", [])
     except BROKEN:

@@ -152,9 +152,7 @@ class EpisodeRows:
     # -- new rows, as statements --------------------------------------------------------------------------------------
 
     def statements(self, made: Sequence[tuple[Write, Fact]]) -> Iterator[Statement]:
-        """Statements that put what the newest writes, all of which are applied, made into the tables: nodes before
-        edges.
-        """
+        """Statements that put the rows made by the newest accepted writes into the tables, nodes before edges."""
         assert self.begun is not None
         first, facts = made[0][0].number, [fact for _, fact in made]
         if first == 0:

@@ -239,7 +239,7 @@ class PerKeyframe:
 
 
 class Person(NamedTuple):
-    """A person who has a box at a keyframe; told: for each kind of relation, whether labels tell them all."""
+    """A person with a box at a keyframe; told: by kind of relation, whether the labels list all that the person has."""
 
     pose: str | None
     clear: bool

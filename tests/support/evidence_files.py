@@ -35,7 +35,7 @@ def question_files(store):
 
 
 def blocked_store(original, path):
-    """A copy of a store, without runs, whose private files are named pipes, so that a test that opens one hangs."""
+    """Copy a store without its runs, with a named pipe in place of each private file: whatever opens one hangs."""
     shutil.copytree(original, path, ignore=shutil.ignore_patterns("runs"))
     store = Store(path)
     private = [store.question_path(name) for name in PRIVATE]

@@ -137,7 +137,7 @@ def test_a_plan_runs_again_only_where_what_bears_on_it_has_changed(graph):
 
 
 def test_a_checked_plan_is_ready_to_run():
-    """What is read first is planned no more often than what is read again."""
+    """`check` has the plan's statement parsed, so that the first `solve` need not."""
     with WorldGraph.memory() as graph:
         episode, _ = begin(graph)
         solver = BeliefSolver(graph, episode.key)
@@ -149,7 +149,7 @@ def test_a_checked_plan_is_ready_to_run():
 
 
 def test_a_plan_that_the_engine_refuses_is_still_a_plan(monkeypatch):
-    """What is seen of its people is answered; that it could not be run is told where it would be."""
+    """`check` passes where the engine refuses the statement: the question is played, and `solve` tells of it."""
 
     def refuse(*statement, **options):
         raise QueryError("this statement takes too long")

@@ -122,7 +122,7 @@ def test_relations_are_read_of_either_person_or_follow_from_boxes():
 
 
 def in_two_pictures(relation, holds=True):
-    """Support for a relation of a and c: the first picture shows a and b, whom it joins, the second b and c."""
+    """Support for a relation from a to c: one picture has it between a and b, another between c and b."""
     a = read(angle=100, observation="o1", number=1, ties=(ReadTie(relation, 2),))
     b = [read(angle=130, observation=one, number=2) for one in ("o1", "o2")]
     c = read(angle=160, observation="o2", number=1, ties=(ReadTie(relation, 2, holds=holds),))
