@@ -1,9 +1,11 @@
 """An episode keeps the rules of a question whoever plays it: a harness with tools, or a script."""
 
 import contextlib
+import re
 
 import msgspec
 import pytest
+from places import DOCS
 from scripted import MODES, blank_task, evidence
 
 from jrdb_avr.agent.methods.episode import Episode, Remaining, most_moves
@@ -12,6 +14,7 @@ from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import AvrError, ObserveError, RefusedError
 
+METHODS = (DOCS / "methods.md").read_text("utf-8")
 BOX = evidence((100, 200, 300, 400), frame=5)
 
 
@@ -109,6 +112,15 @@ def test_the_prompt_has_the_rules_and_its_example_is_taken(mode):
     episode.observe(5, 180.0)
     episode.submit(arguments["answer"], BOX)
     assert episode.finished().status == "answered"
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_method_of_the_page_answers_in_every_mode(mode):
+    (code,) = re.findall(r"^```python\n(from jrdb_avr import Episode\n.*?)^```", METHODS, re.M | re.S)
+    names = {}
+    exec(compile(code, "docs/methods.md", "exec"), names)
+    task = blank_task(mode, ("walking", "standing") if mode == "multiple_choice" else ())
+    assert names["Ahead"](None).answer(task).status == "answered"
 
 
 def test_tools_and_react_make_the_same_prediction_of_the_same_moves():
