@@ -60,7 +60,6 @@ def all_cases(base):
         Case("generate again", "answered", ("generate", *STORE, "--seed", "1", "--rule", "max_per_person=1")),
         Case("evaluate", "generated", REACT, resumed=True),
         Case("evaluate agent", "generated", AGENT, resumed=True),
-        Case("evaluate isolated", "generated", (*REACT, "--isolated"), resumed=True),
         Case("score", "answered", ("score", "r", "a", *STORE)),
         Case("score lines", "answered", ("score", "--jsonl", lines, *STORE)),
         Case("report", "scored", ("report", "r", "a", "--html", "report.html", *STORE)),
