@@ -65,7 +65,6 @@ def all_cases(base):
         Case("report", "scored", ("report", "r", "a", "--html", "report.html", *STORE)),
         Case("export lines", "answered", ("export", "r", "--jsonl", "r.jsonl", *STORE)),
         Case("export hf", "answered", ("export", "--hf", "hf", *STORE), done=FILLED),
-        Case("export lmms", "answered", ("export", "--lmms-eval", "tasks", *STORE), done=FILLED),
         Case("submit", "answered", ("submit", "r", "bundle", *STORE), done=FILLED),
         Case("world merge", "dropped", ("world", "merge", "a", *STORE)),
         Case("world drop", "answered", ("world", "drop", "a", *STORE), done="holds nothing of run"),
