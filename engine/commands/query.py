@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import click
 
 from jrdb_avr.engine.commands._complete import complete_query
-from jrdb_avr.engine.commands._options import FILE, Place, form_option, open_store, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FILE, FOLDER, form_option, open_store, pairs_option, store_option
 from jrdb_avr.engine.console import print_rows
 from jrdb_avr.schema.errors import InputError, QueryError
 
@@ -34,9 +34,9 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
             "--also",
             "others",
             multiple=True,
-            type=Place(file_okay=False, path_type=Path),
+            type=FOLDER,
             callback=lambda ctx, own, paths: [(str(path), open_store(ctx, own, path)) for path in paths],
-            help="Another store, also by its URL, that the query is run on by itself: the rows of all, one store after "
+            help="Another store that the query is run on by itself: the rows of all, one store after "
             "the other, with a column 'store'. May be repeated.",
         ),
         pairs_option(
@@ -91,7 +91,6 @@ def sql(**options: Any) -> None:
 def _run(
     language: Language, query: str | None, store: Store | None, params: list[tuple[str, str]], **options: Any
 ) -> None:
-    from jrdb_avr.loaders.load import ensure_graph
     from jrdb_avr.queries.named import named_queries, parse_value
 
     form, parquet = options["form"], options["parquet"]
@@ -115,7 +114,7 @@ def _run(
         if not name.isidentifier():
             raise click.UsageError(f"--param {name}: not the name of a parameter")
     values = {name: parse_value(text) for name, text in params}
-    stores = [(store.remote.url if store.remote else str(store.path), store), *options["others"]]
+    stores = [(str(store.path), store), *options["others"]]
     folders: set[Path] = set()
     for place, own in stores:
         if own.path.resolve() in folders:
@@ -123,8 +122,6 @@ def _run(
         folders.add(own.path.resolve())
     tables: dict[str, Any] = {}
     for place, own in stores:
-        if language == "cypher":
-            ensure_graph(own)
         tables[place] = _unique_names(own.query(language, query, values, options["timeout"]))
     table = _stacked(tables) if options["others"] else tables[stores[0][0]]
     if parquet is not None:

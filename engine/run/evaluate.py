@@ -50,9 +50,7 @@ from jrdb_avr.engine.run.opaque import key_fingerprint
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
 from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.engine.run.worker import Job, Runner, method_of
-from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.manifest import is_url
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import ConfigurableMethod, Method
@@ -162,8 +160,6 @@ def evaluate(
         run_id = f"{run_id}-{epoch}"
         folder = store.run_path(run_id)
     image_root = find_images(store, images)
-    if isolated and is_url(image_root):
-        raise InputError("--isolated reads panoramas from a folder: give a copy of them by --images", field="images")
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
     bench = Bench(store, chosen, image_root, opaque)
     with contextlib.ExitStack() as stack:
@@ -310,8 +306,6 @@ def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: R
     if method not in WORLD_METHODS:
         yield None
         return
-    if world_db is None:
-        ensure_graph(store)
     if world_db is None and not store.graph_path.exists():
         raise StoreError(
             f"{store.path} has no graph to hold the agent's world model: name one of its own by --world-db"

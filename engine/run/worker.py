@@ -28,7 +28,6 @@ from jrdb_avr.engine.run.journal import Finished
 from jrdb_avr.engine.run.methods import NO_MODEL, WORLD_METHODS, is_custom, load_custom_method, make_method
 from jrdb_avr.engine.run.run import Run
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.manifest import is_url
 from jrdb_avr.schema.errors import AvrError, EndpointError, InputError, RunStoppedError, StoreError
 from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Question, SequenceInfo, Task
 
@@ -89,7 +88,7 @@ class Job(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(
             self,
             method=f"{Path(where).absolute()}:{made}" if where.endswith(".py") else self.method,
-            images=self.images if self.images is None or is_url(self.images) else str(Path(self.images).absolute()),
+            images=self.images if self.images is None else str(Path(self.images).absolute()),
             calls=str(Path(self.calls).absolute()),
         )
 
