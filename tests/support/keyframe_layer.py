@@ -99,7 +99,7 @@ def layers_in_memory():
 
 
 def all_steps(context):
-    """Return where each relation leads from each visible person at a keyframe: frame, source, relation, outcome, target."""
+    """Return where relations lead from visible people: frame, source, relation, outcome, target."""
     text = """
         MATCH (:Moment)-[s:Step]->(b:Moment) WHERE b.id >= $low AND b.id < $low + 4294967296
         WITH DISTINCT s.relation AS relation, s.bit AS bit
