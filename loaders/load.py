@@ -333,24 +333,6 @@ def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tupl
     return rows, copy_all(graph, store, run_ids(store))
 
 
-def ensure_graph(store: Store) -> None:
-    """Build the graph of a store at a URL on this machine from its tables, where it is not there.
-
-    Raises StoreError where nothing is loaded, LockedError where another process writes the store here.
-    """
-    if store.remote is None or store.graph_path.exists():
-        return
-    with store.writing("the graph"):
-        manifest = store.manifest()
-        for line in write_graph(store, partial(_build_alone, store, manifest)):
-            warnings.warn(line, AvrWarning, stacklevel=2)
-
-
-def _build_alone(store: Store, manifest: Manifest) -> list[str]:
-    with build_graph(store.graph_path) as graph:
-        return _fill(graph, store, store, manifest)[1]
-
-
 def _swap(place: Path, new: Path, old: Path) -> None:
     if place.exists():
         place.rename(old)

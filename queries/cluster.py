@@ -1,6 +1,6 @@
 """Run a function over sequences on a Ray cluster.
 
-Its machines see the command's folders under the same paths; a store at a URL needs no such folders (`lent.py`).
+Its machines see the command's folders under the same paths.
 Ray is an extra: `pip install 'jrdb-avr[ray]'`. A function whose worker or machine dies is run again, so it must bear
 that: it writes files whole (`files.write_atomic`), or returns what it found.
 """
@@ -10,12 +10,10 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import socket
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from jrdb_avr.queries.lent import Lent, away, lend, take_back, write_back
 from jrdb_avr.schema.errors import InputError, StoreError
 
 _A = TypeVar("_A")
@@ -37,30 +35,21 @@ def map_on_cluster(
     with connected(address) as ray:
         task = ray.remote(num_cpus=1, max_retries=RETRIES)(_at_place)
         place = str(Path.cwd())
-        elsewhere = {node["NodeManagerHostname"] for node in ray.nodes()} - {socket.gethostname()}
-        lent = lend(ray.put) if elsewhere else []
-        waiting = {task.remote(place, lent, function, items[i]): i for i in order}
+        waiting = {task.remote(place, function, items[i]): i for i in order}
         try:
             while waiting:
                 (done,), _ = ray.wait(list(waiting), num_returns=1)
-                result, files = _result(ray, done)
-                write_back(files)
-                yield waiting.pop(done), result
+                yield waiting.pop(done), _result(ray, done)
         finally:
-            take_back(lent)
             for left in waiting:
                 ray.cancel(left, force=True)
 
 
-def _at_place(place: str, lent: list[Lent], function: Callable[[_A], _R], item: _A) -> tuple[_R, dict[Path, bytes]]:
+def _at_place(place: str, function: Callable[[_A], _R], item: _A) -> _R:
     # Paths of items may be relative; a worker has a process of its own. Absolute ones do not need the folder.
     with contextlib.suppress(OSError):
         os.chdir(place)
-    if not lent:
-        return function(item), {}
-    import ray
-
-    return away(lent, function, item, ray.get)
+    return function(item)
 
 
 def _result(ray: Any, done: Any) -> Any:

@@ -17,41 +17,20 @@ STORE_VARIABLE: Final = "JRDB_AVR_STORE"
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 
-
-class Place(click.Path):
-    """A path, or the URL of a folder, which stays a text."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        from jrdb_avr.engine.text_table import PRINTED_AS
-        from jrdb_avr.queries.manifest import is_url
-        from jrdb_avr.queries.mirror import Mirror
-
-        if not is_url(value):
-            return super().convert(value, param, ctx)
-        PRINTED_AS[str(Mirror(value).folder)] = value
-        return value
-
-
 FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
-def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | str | None) -> Any:
-    """The store at a path or URL that an option or argument names.
-
-    Raises StoreError where a newer version wrote it, or its URL cannot be reached.
-    """
+def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
+    """Return the store that an option or argument names. Raises StoreError if a newer version wrote it."""
     from jrdb_avr.queries.manifest import refuse_newer
-    from jrdb_avr.queries.mirror import Mirror
     from jrdb_avr.queries.store import Store
 
     if path is None:
         return None
-    # The completion of a word reports nothing, and waits for no server.
-    if ctx.resilient_parsing:
-        return Store(Mirror(path).folder if isinstance(path, str) else path)
-    store = Store(path)
-    refuse_newer(store.path)
-    return store
+    # Shell completion reports no errors.
+    if not ctx.resilient_parsing:
+        refuse_newer(path)
+    return Store(path)
 
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:
@@ -62,10 +41,10 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         required=required,
         # Before the others: completion of their values looks into it.
         is_eager=True,
-        type=Place(file_okay=False, path_type=Path),
+        type=FOLDER,
         envvar=STORE_VARIABLE,
         callback=open_store,
-        help=f"Folder of the store, or its URL; without it the one that {STORE_VARIABLE} names.",
+        help=f"Folder of the store; without it the one that {STORE_VARIABLE} names.",
     )
 
 

@@ -35,7 +35,6 @@ from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
 from jrdb_avr.engine.generate.sequence import SequenceJob
-from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.graph.handle import held_graph
@@ -121,7 +120,6 @@ def generate(
     rules = training_rules(rules) if profile == TRAIN else rules
     guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
-    ensure_graph(store)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), scratch_folder(store) as scratch:
         manifest = check_load_rules(store, rules)

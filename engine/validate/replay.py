@@ -22,7 +22,6 @@ from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import Annotations, Outcome, rederive
-from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
@@ -147,7 +146,6 @@ def replay(
     `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables.
     The keyframe layer of these rules is made where the graph lacks it.
     """
-    ensure_graph(store)
     lows = stored_layer(store, rules)
     if not lows:
         with store.writing("validate --replay"):

@@ -153,7 +153,7 @@ def plain(value):
 
 
 def test_every_kept_query_is_compared():
-    # `descriptions` is a query over the keyframe layer: see `test_generators_sql`.
+    # `descriptions` is a query over the keyframe layer, which this store lacks.
     kept = {path.stem for path in Path(jrdb_avr.__file__).parent.glob("queries/explore/*.cypher")}
     assert EXPECTED.keys() == kept - BELIEF_QUERIES - {"descriptions"}
 
