@@ -53,7 +53,7 @@ def test_only_what_pyproject_names_is_imported():
     declared |= {"jrdb_avr", "jinja2", "sklearn"}
     # Of the extras, in `engine/integrations/` alone; the last three come with mcp.
     declared |= {"inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "anyio"}
-    # An extra, in `queries/cluster.py` alone, inside functions.
+    # An extra, in `queries/workers.py` alone, inside a function.
     declared |= {"ray"}
     # markupsafe comes with jinja2.
     used = {name.split(".")[0] for path in paths() for name in imported(path)}

@@ -69,30 +69,25 @@ def form_option(function: _C) -> Callable[..., Any]:
 workers_option = click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")
 
 
-def cluster_option(instead: str) -> Callable[[_C], _C]:
-    """Add the option `--executor`, the address of a cluster."""
+def executor_option(function: _C) -> Callable[..., Any]:
+    """Add the options `--workers` and `--executor`; the command gets one argument `workers`, an `Executor`."""
 
-    def check(ctx: click.Context, own: click.Parameter, value: str | None) -> str | None:
+    def check(ctx: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
         if value is None or value == "ray" or value.startswith("ray://"):
             return value
         raise click.BadParameter("write ray, or ray://HOST:PORT")
-
-    return click.option(
-        "--executor",
-        metavar="ray[://HOST:PORT]",
-        callback=check,
-        help=f"Work on a Ray cluster whose machines see the same folders, {instead}",
-    )
-
-
-def executor_option(function: _C) -> Callable[..., Any]:
-    """Add the options `--workers` and `--executor`; the command gets `workers`, as `queries.workers.Workers`."""
 
     @functools.wraps(function)
     def command(*, workers: int, executor: str | None, **values: Any) -> Any:
         return function(**values, workers=executor or workers)
 
-    return workers_option(cluster_option("instead of in processes here.")(command))
+    executor = click.option(
+        "--executor",
+        metavar="ray[://HOST:PORT]",
+        callback=check,
+        help="Use a Ray cluster, whose machines see the same folders, in place of local processes.",
+    )
+    return workers_option(executor(command))
 
 
 iou_option = click.option(

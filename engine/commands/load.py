@@ -15,7 +15,7 @@ from jrdb_avr.schema.rules import LoadRules, Rules, override
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.workers import Workers
+    from jrdb_avr.queries.workers import Executor
 
 MAX_ROWS: Final = 50
 """Printed rows of a table whose length depends on the files."""
@@ -43,7 +43,7 @@ Example:
 @pairs_option("--rule", "overrides", "Override a load rule; may be repeated.")
 @executor_option
 @form_option
-def command(root: Path | None, store: Store, strict: bool, workers: Workers, form: RowFormat, **options: Any) -> None:
+def command(root: Path | None, store: Store, strict: bool, workers: Executor, form: RowFormat, **options: Any) -> None:
     """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
     panoptic things, timestamps, calibration, panoramas.
 

@@ -40,7 +40,7 @@ from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.graph.handle import held_graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store, file_hash
-from jrdb_avr.queries.workers import Workers, map_shards
+from jrdb_avr.queries.workers import Executor, map_sequences
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
@@ -95,7 +95,7 @@ def generate(
     *,
     profile: str = "all",
     seed: int = 0,
-    workers: Workers = 2,
+    workers: Executor = 2,
     n: int | None = None,
     disjoint_from: str | Path | None = None,
     candidates: Path | None = None,
@@ -206,10 +206,10 @@ def check_intervals(store: Store, manifest: Manifest) -> None:
                 )
 
 
-def _search(folder: Path, jobs: Sequence[SequenceJob], workers: Workers, advance: Advance) -> list[Found]:
+def _search(folder: Path, jobs: Sequence[SequenceJob], workers: Executor, advance: Advance) -> list[Found]:
     """Search every sequence into the folder; what each returns, in the order of the jobs."""
     results: dict[int, Found] = {}
-    for index, result in map_shards(partial(search_into, folder), jobs, workers, lambda job: job.weight):
+    for index, result in map_sequences(partial(search_into, folder), jobs, workers, lambda job: job.weight):
         results[index] = result
         advance(1)
     return [results[index] for index in range(len(jobs))]
@@ -262,14 +262,14 @@ def _without(rows: pa.Table, keys: Set[str]) -> pa.Table:
 
 
 def _confirm(
-    store: Path, rules: Rules, folder: Path, workers: Workers, progress: Progress | None, chosen: pa.Table
+    store: Path, rules: Rules, folder: Path, workers: Executor, progress: Progress | None, chosen: pa.Table
 ) -> dict[str, Fault]:
     """The chosen candidates that the second program does not confirm, by key."""
     parts = chosen_columns(folder, chosen, CONFIRMED)
     jobs = [ConfirmJob(store, sequence, rules, rows) for sequence, rows in parts]
     advance = step_counter(progress, "confirming", len(jobs))
     faults: dict[str, Fault] = {}
-    for _, found in map_shards(find_faults, jobs, workers, lambda job: job.weight):
+    for _, found in map_sequences(find_faults, jobs, workers, lambda job: job.weight):
         faults |= found
         advance(1)
     return faults

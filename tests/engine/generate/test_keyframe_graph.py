@@ -133,7 +133,7 @@ def no_new_layer(monkeypatch):
     def refuse(*_):
         raise NewLayerError
 
-    monkeypatch.setattr(keyframe_graph, "map_shards", refuse)
+    monkeypatch.setattr(keyframe_graph, "map_sequences", refuse)
 
 
 def test_a_layer_of_any_other_rule_is_not_reused(made, no_new_layer):
