@@ -123,7 +123,7 @@ EXPECTED = {
 }
 
 
-@pytest.fixture(scope="module", params=range(2))
+@pytest.fixture(scope="module", params=[0, pytest.param(1, marks=pytest.mark.slow)])
 def store(request, tmp_path_factory):
     return table_store(tmp_path_factory.mktemp("explore"), seed=request.param)
 
