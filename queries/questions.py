@@ -8,7 +8,7 @@ from typing import Any
 import pyarrow as pa
 
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import ANSWER_TYPES
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import ObserveError, StoreError, did_you_mean
 from jrdb_avr.schema.method import Question, SequenceInfo
 from jrdb_avr.schema.tables import QUESTIONS
@@ -18,7 +18,7 @@ def read_questions(store: Store) -> list[Question]:
     """The public questions, in the file's order. Raises StoreError where there are none or their columns are wrong."""
     rows = _public_rows(store, "questions")
     ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
-    if len(ids) < len(rows) or not modes <= set(ANSWER_TYPES):
+    if len(ids) < len(rows) or not modes <= set(MODES):
         raise StoreError(f"{store.question_path('questions')} holds an unknown mode or an id twice: generate again")
     return [Question(**{**row, "choices": tuple(row["choices"])}) for row in rows]
 

@@ -18,7 +18,8 @@ from typing import Any, Final
 
 from jrdb_avr.agent.model.conventions import CONTRACT, CONTRACT_KEY, SCALE, TOLERANCE, Convention, Reading
 from jrdb_avr.agent.model.reply import Reply, answer_text
-from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, AnswerMode, Choice, Span
+from jrdb_avr.schema.answer_modes import MODES, Kind, frames_of_answer
+from jrdb_avr.schema.answers import Answer, AnswerMode
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
 
@@ -215,30 +216,42 @@ def angle(value: object) -> float:
 
 
 def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: int) -> Answer:
-    """The `answer` part of a reply. Raises DecodeError.
+    """Read the `answer` part of a reply.
 
-    multiple_choice: an integer 1..n_choices; frames: six digits below `frame_count`; value: a string such as "12.5".
+    Args:
+        value: The part: the number of a choice from 1, or an object with the parts of the mode.
+        mode: The question's answer mode.
+        n_choices: The number of choices.
+        frame_count: The number of frames of the sequence.
+
+    Returns:
+        The answer.
+
+    Raises:
+        DecodeError: The part does not fit the mode, the choices or the frames.
     """
-    if mode == "multiple_choice":
+    record = MODES[mode]
+    if record.is_choice:
         if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= n_choices:
             raise DecodeError(f"answer must be the number of a choice, an integer from 1 to {n_choices}")
-        return Choice(value)
-    part = only_keys(value, _ANSWER_KEYS[mode], "answer")
-    answer = ANSWER_TYPES[mode](*(_answer_value(key, part[key], frame_count) for key in _ANSWER_KEYS[mode]))
-    if isinstance(answer, Span) and answer.end_frame < answer.start_frame:
-        raise DecodeError("answer.end_frame must not lie before answer.start_frame")
+        return record.build(value)
+    keys = {part.key: part.kind for part in record.parts}
+    written = only_keys(value, keys, "answer")
+    answer = record.build(*(_answer_part(key, kind, written[key], frame_count) for key, kind in keys.items()))
+    frames = frames_of_answer(answer)
+    if frames != sorted(frames):
+        first, last = (key for key, kind in keys.items() if kind == "frame")
+        raise DecodeError(f"answer.{last} must not lie before answer.{first}")
     return answer
 
 
-def _answer_value(key: str, value: object, frame_count: int) -> Any:
-    """The value under a key of an answer: degrees, a decimal number, or a frame."""
-    match key:
-        case "angle_deg":
-            return angle(value)
-        case "value":
-            if not (isinstance(value, str) and _DECIMAL.fullmatch(value)):
-                raise DecodeError('answer.value must be a string with a decimal number, like "12.5"')
-            return float(value)
+def _answer_part(key: str, kind: Kind, value: object, frame_count: int) -> Any:
+    if kind == "angle":
+        return angle(value)
+    if kind == "decimal":
+        if not (isinstance(value, str) and _DECIMAL.fullmatch(value)):
+            raise DecodeError(f'answer.{key} must be a string with a decimal number, like "12.5"')
+        return float(value)
     frame = frame_id(value, f"answer.{key}")
     if frame >= frame_count:
         raise DecodeError(f"answer.{key} must be below {frame_count:06d}")
@@ -289,17 +302,24 @@ EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
 }
 
 
-_ANSWER_KEYS: Final[dict[AnswerMode, dict[str, Any]]] = {
-    "frame": {"frame_id": FRAME_ID_SCHEMA},
-    "span": {"start_frame": FRAME_ID_SCHEMA, "end_frame": FRAME_ID_SCHEMA},
-    "frame_viewpoint": {"frame_id": FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}},
-    "number": {"value": {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"}},
+_PART_SCHEMAS: Final[dict[Kind, dict[str, Any]]] = {
+    "frame": FRAME_ID_SCHEMA,
+    "angle": {"type": "number"},
+    "decimal": {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"},
 }
-"""The keys of an answer that is an object, in the order of its type's fields."""
 
 
 def answer_schema(mode: AnswerMode, choices: Sequence[str]) -> dict[str, Any]:
-    """The JSON Schema of `answer` in a mode."""
-    if mode == "multiple_choice":
+    """Return the JSON Schema of the `answer` part of a reply.
+
+    Args:
+        mode: The question's answer mode.
+        choices: The question's choices.
+
+    Returns:
+        The schema.
+    """
+    record = MODES[mode]
+    if record.is_choice:
         return {"type": "integer", "minimum": 1, "maximum": len(choices)}
-    return closed_object(_ANSWER_KEYS[mode])
+    return closed_object({part.key: _PART_SCHEMAS[part.kind] for part in record.parts})

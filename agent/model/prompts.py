@@ -10,6 +10,7 @@ from importlib.resources import files
 from string import Template
 from typing import NamedTuple
 
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import AnswerMode
 
 
@@ -36,7 +37,8 @@ class ModeText(NamedTuple):
 
 def mode_text(mode: AnswerMode, frame_count: int) -> ModeText:
     """The three lines of `prompts/answer_<mode>.md`."""
-    slots = {} if mode in ("multiple_choice", "number") else {"last_frame": f"{frame_count - 1:06d}"}
+    has_frames = any(part.kind == "frame" for part in MODES[mode].parts)
+    slots = {"last_frame": f"{frame_count - 1:06d}"} if has_frames else {}
     return ModeText(*render(f"answer_{mode}", **slots).split("\n"))
 
 

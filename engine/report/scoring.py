@@ -15,7 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, decode_answer, same_answer
+from jrdb_avr.schema.answer_modes import MODES, decode_answer, same_answer
+from jrdb_avr.schema.answers import TIE, Answer
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH
@@ -41,7 +42,7 @@ class Truth:
         answer_row = find_rows(answers["question_id"], self.ids, "answers")
         sequence_row = find_rows(sequences["sequence"], questions["sequence"], "sequences")
         self.modes: list[str] = questions["answer_mode"].to_pylist()
-        if not ANSWER_TYPES.keys() >= set(self.modes):
+        if not MODES.keys() >= set(self.modes):
             raise StoreError("the questions name an unknown answer mode: generate again")
         texts = answers["answer"].take(pa.array(answer_row)).to_pylist()
         self.answers = [answer for answer in map(read_answer, self.modes, texts) if answer is not None]
