@@ -13,7 +13,7 @@ from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import LoadRules
 
 MANIFEST_NAME: Final = "store.json"
-MANIFEST_VERSION: Final = 1
+MANIFEST_VERSION: Final = 2
 """The version of a store's tables and manifest: a program reads stores of its own version alone."""
 
 _URL: Final = re.compile(r"[a-z][a-z0-9+.-]*://")

@@ -13,8 +13,8 @@ import pyarrow as pa
 from oracle_facts import distance_words, person_sectors
 from oracle_words import POSES
 
-from jrdb_avr.engine.report.answer_key import AnswerKey
 from jrdb_avr.engine.report.scoring import score_predictions
+from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.engine.run.answering import answer_one
 from jrdb_avr.schema.answers import Choice, Evidence, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.method import Prediction
@@ -367,7 +367,7 @@ def take(store, teller, questions, sequences, observe):
     ]
     table = pa.Table.from_pylist([{"run_id": "perfect", **row} for row in done], schema=RUNS["predictions"])
     asked = [question.question_id for question in questions]
-    scores = score_predictions(AnswerKey(store).truth(), "perfect", asked, table)
+    scores = score_predictions(read_truth(store), "perfect", asked, table)
     return [
         {**row, **score, "template": question.template, "question": question.question}
         for question, row, score in zip(questions, done, scores.to_pylist(), strict=True)
