@@ -17,7 +17,7 @@ from fact_teller import Teller
 from perfect_perception import take
 
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.queries.questions import read_questions, read_sequences
+from jrdb_avr.queries.questions import read_question_rows, read_sequences
 from jrdb_avr.queries.store import Store
 
 
@@ -32,7 +32,7 @@ def main():
     rows = []
     for name, info in sorted(sequences.items()):
         chosen, count = [], defaultdict(int)
-        for question in read_questions(store):
+        for question in read_question_rows(store):
             if question.sequence == name:
                 count[question.template] += 1
                 if arguments.limit is None or count[question.template] <= arguments.limit:

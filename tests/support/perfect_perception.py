@@ -362,7 +362,7 @@ def take(store, teller, questions, sequences, observe):
     """Ask the questions, and judge them as the engine does: rows of dicts, in the questions' order."""
     method = PerfectPerception(teller)
     done = [
-        answer_one(method, question, sequences[question.sequence], observe, no_panorama).prediction
+        answer_one(method, question.to_question(), sequences[question.sequence], observe, no_panorama).prediction
         for question in questions
     ]
     table = pa.Table.from_pylist([{"run_id": "perfect", **row} for row in done], schema=RUNS["predictions"])

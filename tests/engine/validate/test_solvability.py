@@ -13,7 +13,7 @@ import pytest
 from fact_teller import Teller
 from perfect_perception import take
 
-from jrdb_avr.queries.questions import read_questions, read_sequences
+from jrdb_avr.queries.questions import read_question_rows, read_sequences
 from jrdb_avr.schema.method import Observation
 from jrdb_avr.schema.panorama import crop_left
 from jrdb_avr.schema.templates import TEMPLATES
@@ -34,7 +34,7 @@ def asked(sample_benchmark):
         name: dataclasses.replace(info, frames=tuple(range(info.frame_count)))
         for name, info in read_sequences(sample_benchmark).items()
     }
-    return sample_benchmark, read_questions(sample_benchmark), sequences
+    return sample_benchmark, read_question_rows(sample_benchmark), sequences
 
 
 @pytest.fixture(scope="module")
