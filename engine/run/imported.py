@@ -51,11 +51,10 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
         settings=settings,
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
-    with store.sending(f"runs/{run_id}/"):
-        if not begun:
-            write_run_manifest(store, manifest)
-        # Predictions come last: a run that has them is complete.
-        store.write_run(run_id, "predictions", _in_order(predictions, questions))
+    if not begun:
+        write_run_manifest(store, manifest)
+    # Predictions come last: a run that has them is complete.
+    store.write_run(run_id, "predictions", _in_order(predictions, questions))
     return run_id
 
 

@@ -49,7 +49,6 @@ class Run(Journal):
         if (folder / "journal.jsonl").exists():
             raise StoreError(f"{folder} was begun by an older version: delete it, or give another --run-id")
         super().__init__(journal_folder(folder), sequences_of_questions(store))
-        self.enter_context(store.sending(f"runs/{run_id}/", "conventions/", "opaque.key"))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
         self._over = False

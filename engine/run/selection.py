@@ -11,11 +11,11 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from operator import itemgetter
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.queries.mirror import has_images
 from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
 
@@ -121,7 +121,7 @@ def _draw(seed: int | None, question: QuestionRow) -> bytes:
 
 def _with_panoramas(questions: Sequence[QuestionRow], image_root: str | None) -> list[QuestionRow]:
     sequences = sorted({question.sequence for question in questions})
-    without = [name for name in sequences if image_root is None or not has_images(image_root, name)]
+    without = [name for name in sequences if image_root is None or not any(Path(image_root, name).glob("*.jpg"))]
     found = [question for question in questions if question.sequence not in without]
     if not questions:
         raise StoreError("no question is of all the chosen families, templates and sequences: choose fewer")

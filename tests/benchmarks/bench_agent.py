@@ -48,7 +48,7 @@ from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.questions import read_question_rows, read_questions
 from jrdb_avr.queries.store import Store, read_table
-from jrdb_avr.queries.workers import map_shards
+from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, iou
 
 METHODS: Final = (AGENT, CONTROL, "agent model", NO_WORLD, REACT, PASSIVE, PASSIVE_NO_WORLD)
@@ -282,7 +282,7 @@ def main() -> None:
         ]
     due = [run for run in runs if not run.done]
     print(f"{len(runs)} runs, {len(runs) - len(due)} of them are there", flush=True)
-    for done, (number, _) in enumerate(map_shards(make_run, due, given.workers, lambda run: driven(run.method)), 1):
+    for done, (number, _) in enumerate(map_sequences(make_run, due, given.workers, lambda run: driven(run.method)), 1):
         print(f"{done} of {len(due)}: {due[number].run_id}", flush=True)
     cells: dict[tuple[str, str], list[Run]] = defaultdict(list)
     for run in runs:

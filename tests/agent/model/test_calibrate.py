@@ -153,6 +153,7 @@ def test_the_marker_writes_as_the_contract_asks():
 # -- what is asked ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_pictures_show_what_is_known_of_them():
     """The mark in each says where its rectangle is: in JPEG, read back by the marks' own reader."""
     pictures = drawn_rectangles(50, 0)

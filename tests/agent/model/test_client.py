@@ -254,6 +254,7 @@ def test_an_account_without_credit_is_told_at_once(said, wrap):
     assert len(server.requests) == 1
 
 
+@pytest.mark.slow
 def test_sixty_four_share_a_server_that_takes_four():
     """It refuses whoever comes while four are served: nobody's question may be lost for that."""
     places, clock = threading.Semaphore(4), 0.03
@@ -605,6 +606,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_calls_survive_kills_and_two_processes(tmp_path):
     """Two processes keep the same call over and over, and are killed: every read finds one reply, whole."""
     path = tmp_path / CALLS

@@ -404,6 +404,7 @@ def test_schemas_close_every_object():
     assert decode.answer_schema("multiple_choice", ["a", "b"])["maximum"] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "filler", [" ", "\n", "\t", "`", "{", "```\n", "</think>", "<think>", "<think></think>", "<|channel>thought"]
 )
