@@ -30,7 +30,7 @@ from jrdb_avr.schema.labels import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_actio
 
 SUFFIXES: Final = ("jpg", "jpeg", "png")
 
-Box = tuple[float, float, float, float]
+StitchedBox = tuple[float, float, float, float]
 """x, y, width and height in stitched pixels."""
 
 
@@ -47,7 +47,7 @@ class Record2D(msgspec.Struct, gc=False):
     """One person in one frame. Sub-objects that repeat from frame to frame stay raw; each is decoded once."""
 
     label_id: str
-    box: Box
+    box: StitchedBox
     attributes: Attributes2D | None = None
     action_label: msgspec.Raw = NOTHING
     social_group: msgspec.Raw = NOTHING

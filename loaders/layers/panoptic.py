@@ -32,7 +32,7 @@ from jrdb_avr.loaders.labelfiles.coco import (
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, ascending, known_frames, mask_of, nullable
 from jrdb_avr.loaders.labelfiles.frames import RecordReader
 from jrdb_avr.loaders.labelfiles.records import ABSENT, BROKEN, NOTHING
-from jrdb_avr.loaders.layers.boxes_2d import Box, usable_boxes
+from jrdb_avr.loaders.layers.boxes_2d import StitchedBox, usable_boxes
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Ints
 
@@ -59,7 +59,7 @@ class SegmentAnnotation(msgspec.Struct, gc=False):
     category_id: Index
     tracking_id: Track = None
     attributes: Attributes | None = None
-    bbox: Box | None = None
+    bbox: StitchedBox | None = None
     area: float | None = None
     segmentation: msgspec.Raw = NOTHING
     id: msgspec.Raw = NOTHING

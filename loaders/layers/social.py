@@ -26,7 +26,7 @@ from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, 
 from jrdb_avr.loaders.labelfiles.facts import Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import Fields, RecordReader, gather
 from jrdb_avr.loaders.labelfiles.records import NOTHING
-from jrdb_avr.loaders.layers.boxes_2d import SUFFIXES, Box, take_people, usable_boxes
+from jrdb_avr.loaders.layers.boxes_2d import SUFFIXES, StitchedBox, take_people, usable_boxes
 from jrdb_avr.loaders.layers.relation_lists import Entry, RelationKind, Relations, person_of, take_lists, thing_of
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools
@@ -48,7 +48,7 @@ class HandlingRecord(msgspec.Struct, gc=False):
     """One person in one frame, with the relations to things only."""
 
     label_id: str
-    box: Box | None = None
+    box: StitchedBox | None = None
     handles: list[Entry] | None = msgspec.field(default=None, name="HOI")
 
 

@@ -47,7 +47,7 @@ class _Listed(msgspec.Struct, gc=False):
     url: str | None = None
 
 
-class Entry(msgspec.Struct, gc=False):
+class StampedFrame(msgspec.Struct, gc=False):
     """One frame of a file, with its images or clouds."""
 
     timestamp: Annotated[float, msgspec.Meta(ge=0, le=MAX_SECONDS)]
@@ -60,7 +60,7 @@ class _File(msgspec.Struct):
     data: msgspec.Raw
 
 
-_READER: Final = RecordReader(Entry)
+_READER: Final = RecordReader(StampedFrame)
 
 
 def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
@@ -128,5 +128,5 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Float
     return frame, seconds
 
 
-def _shown(entry: Entry, names: list[str]) -> Any:
+def _shown(entry: StampedFrame, names: list[str]) -> Any:
     return entry.timestamp if entry.frame_id is None else (entry.frame_id, *names)
