@@ -15,7 +15,7 @@ import click
 from jrdb_avr.engine.commands._complete import complete_sequence
 from jrdb_avr.engine.commands._endpoint import check_address, endpoint_options
 from jrdb_avr.engine.commands._matrix import matrix_runs
-from jrdb_avr.engine.commands._options import FILE, Place, form_option, store_option
+from jrdb_avr.engine.commands._options import FILE, form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, NO_MODEL, POLICIES
 from jrdb_avr.schema.errors import AvrError, InputError
@@ -114,8 +114,8 @@ panoramas:
 )
 @click.option(
     "--images",
-    type=Place(file_okay=False, exists=True, path_type=Path),
-    help="Folder, or its URL, with one folder of panoramas per sequence; the store's own if left out.",
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="Folder with one folder of panoramas per sequence; the store's own if left out.",
 )
 @click.option(
     "--world-db",

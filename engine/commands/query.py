@@ -82,7 +82,6 @@ def sql(**options: Any) -> None:
 def _run(
     language: Language, query: str | None, store: Store | None, params: list[tuple[str, str]], **options: Any
 ) -> None:
-    from jrdb_avr.loaders.load import ensure_graph
     from jrdb_avr.queries.named import named_queries, parse_value
 
     form, parquet = options["form"], options["parquet"]
@@ -106,8 +105,6 @@ def _run(
         if not name.isidentifier():
             raise click.UsageError(f"--param {name}: not the name of a parameter")
     values = {name: parse_value(text) for name, text in params}
-    if language == "cypher":
-        ensure_graph(store)
     table = _unique_names(store.query(language, query, values, options["timeout"]))
     if parquet is not None:
         _write_parquet(table, parquet)

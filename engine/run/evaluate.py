@@ -23,7 +23,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
-from jrdb_avr.agent.model.cache import merge_calls
 from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.reference.method import Policy
@@ -49,7 +48,6 @@ from jrdb_avr.engine.run.methods import (
 from jrdb_avr.engine.run.opaque import key_fingerprint
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
 from jrdb_avr.engine.run.selection import QuestionSelection
-from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
@@ -160,7 +158,6 @@ def evaluate(
     with contextlib.ExitStack() as stack:
         run = stack.enter_context(Run(store, run_id))
         calls = folder / "calls.jsonl"
-        merge_calls(calls)
         world = stack.enter_context(_world(store, run_id, name, world_db, run))
         endpoint = None
         if model != NO_MODEL:
@@ -259,8 +256,6 @@ def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: R
     if method not in WORLD_METHODS:
         yield None
         return
-    if world_db is None:
-        ensure_graph(store)
     if world_db is None and not store.graph_path.exists():
         raise StoreError(
             f"{store.path} has no graph to hold the agent's world model: name one of its own by --world-db"

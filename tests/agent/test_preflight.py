@@ -341,6 +341,7 @@ def dull(request, n):
 PANORAMAS_CROPS, ALL = ["panoramas", "crops"], ["panoramas", "crops", "plan"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "refused"),
     [

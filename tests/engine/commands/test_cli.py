@@ -178,6 +178,7 @@ def test_sums_are_numbers(store):
     assert (code, json.loads(out)) == (0, [{"s": 3}])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["--json", "--csv", None])
 @pytest.mark.parametrize("value", ["'infinity'::DATE", "'infinity'::TIMESTAMP", "['200000-01-01'::TIMESTAMP]"])
 def test_a_time_that_python_cannot_hold_is_one_line(store, form, value):
@@ -282,6 +283,7 @@ def test_terminal_escapes_are_stripped_from_errors(monkeypatch):
     assert (code, err) == (1, "jrdb-avr: a server says ]0;title2J so\n")
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_is_no_traceback(store):
     ask = f"'{COMMAND}' sql 'SELECT range FROM range(200000)' --csv --store '{store.path}' | head -1"
     done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
