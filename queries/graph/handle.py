@@ -195,7 +195,7 @@ class Graph:
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
-        """Append rows to a table of the graph, with columns in the order of the table; edges begin with their two keys."""
+        """Append rows to a table of the graph. Edges begin with their two keys; columns have the order of the table."""
         # The engine uses importlib.util without an import of it.
         import importlib.util  # noqa: F401
 
