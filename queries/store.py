@@ -143,11 +143,7 @@ class Store(Displayed):
         return read_table(path, columns)
 
     def question_tables(self, *names: str, columns: Mapping[str, Sequence[str]] | None = None) -> list[pa.Table]:
-        """Read tables of `questions/` that one `generate` wrote.
-
-        Args:
-            names: Names of the tables.
-            columns: Columns to read by name of the table; all columns of other tables.
+        """Read tables of `questions/`, or those `columns` of them, that one `generate` wrote.
 
         Raises:
             StoreError: A table is missing or broken, or several runs of `generate` wrote them.
@@ -179,11 +175,8 @@ class Store(Displayed):
     def training_set(self) -> dict[str, str]:
         """Return the record of a training set, or an empty dictionary if the questions are a benchmark.
 
-        Returns:
-            `profile`, and as `disjoint_from` the generation of the questions that the training set is disjoint from.
-
-        Raises:
-            StoreError: The file of questions is missing or broken.
+        `disjoint_from` is the generation of the questions that the training set is disjoint from. Raises StoreError if
+        the file of questions is missing or broken.
         """
         metadata = self.questions("questions", []).schema.metadata or {}
         keys = (PROFILE_KEY, DISJOINT_KEY)
@@ -324,10 +317,7 @@ class Store(Displayed):
 
     @contextlib.contextmanager
     def writing(self, what: str) -> Iterator[None]:
-        """Hold the writer lock of the store inside a `with` block.
-
-        Args:
-            what: Name of the command, for the message to other processes.
+        """Hold the writer lock of the store inside a `with` block; `what` names the command to other processes.
 
         Raises:
             LockedError: Another process holds the lock.
