@@ -155,7 +155,7 @@ def test_a_column_that_a_table_lacks_is_one_error(tmp_path):
 
 def test_what_is_no_file_is_not_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(StoreError, match="no file"):
+    with pytest.raises(StoreError, match="not a file"):
         write_atomic(tmp_path / "pipe", lambda path: path.write_bytes(b"x"))
     assert (tmp_path / "pipe").is_fifo()
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]

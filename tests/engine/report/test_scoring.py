@@ -660,7 +660,7 @@ def test_predictions_of_another_form_are_one_line(one_question):
     for name, column in (("evidence_x", ["left"]), ("status", [None]), ("evidence_frame", ["many"])):
         table = good.set_column(good.schema.get_field_index(name), name, pa.array(column, pa.string()))
         pq.write_table(table, path)
-        with pytest.raises(StoreError, match="of another form"):
+        with pytest.raises(StoreError, match="has other column types"):
             report(one_question, ["r"])
     pq.write_table(good.drop_columns(["status"]), path)
     with pytest.raises(StoreError, match="lacks the column status"):
@@ -687,7 +687,7 @@ def test_questions_of_another_form_are_one_line(one_question, name):
     with pytest.raises(StoreError, match="lacks the column"):
         read_truth(one_question)
     pq.write_table(row, path)
-    with pytest.raises(StoreError, match="of another form"):
+    with pytest.raises(StoreError, match="has other column types"):
         read_truth(one_question)
     path.unlink()
     with pytest.raises(StoreError, match=r"run .jrdb-avr (generate|load)"):
