@@ -255,7 +255,7 @@ def _largest_requests() -> tuple[_LargestRequest, ...]:
     for n in range(1, CROPS + 1):
         box = CORNERS["upper left"] if n == marked_crop else None
         crops += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
-    question = Question("", "", "", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
+    question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
     return (
         _LargestRequest(
             "panoramas",

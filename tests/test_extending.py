@@ -1,4 +1,4 @@
-"""A template, a layer and an answer mode are added by the lists of `docs/architecture.md` alone, in an edited copy of the program."""
+"""A template, a layer and an answer mode are added by the lists of `docs/architecture.md` alone, in an edited copy."""
 
 import json
 import os

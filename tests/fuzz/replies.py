@@ -198,7 +198,7 @@ def task_of(rng, number, steps, writes):
     mode = rng.choice(MODES)
     choices = CHOICES if mode == "multiple_choice" else ()
     text = "What does the person who is walking at frame 000015 do at frame 000150?"
-    question = Question(f"{number:016x}", "s", "family", "template", text, choices, mode)
+    question = Question(f"{number:016x}", "s", text, choices, mode)
     return Task(question, SequenceInfo("s", 15.0, 301, FRAMES), _observe, _panorama, steps.append, writes.append)
 
 
