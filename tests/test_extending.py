@@ -179,7 +179,7 @@ def test_an_answer_mode_takes_a_struct_a_record_and_its_prompts(copy):
     copy.insert("schema/answers.py", "Answer = Choice |", HEADING_STRUCT.lstrip())
     copy.insert("schema/answers.py", "Choice | FrameAnswer", "Heading | ")
     copy.insert("schema/answer_modes.py", '        Mode(\n            "number",', HEADING)
-    copy.insert("schema/answer_modes.py", "    Number,\n", "    Heading,\n")
+    copy.insert("schema/answer_modes.py", "    FrameViewpoint,\n    Number,\n", "    Heading,\n")
     copy.add("agent/prompts/answer_heading.md", '{"angle_deg": 210.0}\nthe direction.\nLook twice.\n')
     copy.add("agent/prompts/agent_reads_heading.md", "No read gives a heading.\n")
     assert all(
