@@ -14,7 +14,7 @@ import msgspec
 AnswerMode = Literal["multiple_choice", "frame", "span", "frame_viewpoint", "number"]
 
 TIE: Final = 1e-9
-"""Tolerance at inclusive bounds: rounding may move an angle in degrees, or a share, that lies exactly on one."""
+"""Tolerance at inclusive bounds, because rounding may move an angle in degrees, or a share, off its bound."""
 
 _FRAME_LIMIT: Final = 10_000_000
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=_FRAME_LIMIT)]
