@@ -11,8 +11,7 @@ from collections import defaultdict
 
 import pyarrow as pa
 import pytest
-import warm
-from entry import run
+from processes import run, run_program
 from scene_tables import table_store
 
 from jrdb_avr.engine.generate import keyframe_graph
@@ -133,7 +132,7 @@ def faults(store, timeout_s=60):
 def dump(store):
     """What queries answer; ends early where one fails, crashes or does not end."""
     try:
-        return warm.run(warm.script, DUMP, store.graph_path, timeout=60).stdout.decode()
+        return run_program(DUMP, store.graph_path, timeout=60).stdout.decode()
     except subprocess.TimeoutExpired:
         return "timeout"
 

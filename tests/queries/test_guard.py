@@ -4,7 +4,6 @@ import contextlib
 import json
 import math
 import re
-import subprocess
 from pathlib import Path
 
 import duckdb
@@ -12,10 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import warm
 from effort import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from processes import run_program, run_statement_here
 
 from jrdb_avr.queries import sql as sql_tables
 from jrdb_avr.queries.graph import guard
@@ -29,7 +28,7 @@ from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
-pytestmark = pytest.mark.usefixtures("every_plan")
+pytestmark = pytest.mark.usefixtures("every_plan", "own_processes")
 
 SECRET = "a line that must not be read"
 
@@ -73,18 +72,7 @@ def store(tmp_path_factory):
 def without_process(monkeypatch):
     """Statements run in the tests' own process, for tests of statements that do it no harm: a child is dearer."""
 
-    def run(request, timeout_s):
-        try:
-            table = guard._read(**json.loads(request))
-        except (QueryError, StoreError) as error:
-            said = json.dumps([type(error).__name__, str(error)]).encode()
-            return subprocess.CompletedProcess("serve", 1, b"", said)
-        sink = pa.BufferOutputStream()
-        with pa.ipc.new_stream(sink, table.schema) as writer:
-            writer.write_table(table)
-        return subprocess.CompletedProcess("serve", 0, sink.getvalue().to_pybytes(), b"")
-
-    monkeypatch.setattr(guard, "run_child", run)
+    monkeypatch.setattr(guard, "run_child", run_statement_here)
 
 
 def test_reading_works(store):
@@ -451,7 +439,7 @@ def test_hostile_sql_is_refused_in_one_line(store, surroundings, one_connection)
 
 def test_cypher_is_stopped_at_its_memory(store, monkeypatch):
     less = "from jrdb_avr.queries.graph import guard\nguard.MEMORY_BYTES = 400 << 20\nguard.serve()"
-    monkeypatch.setattr(guard, "run_child", lambda request, timeout_s: warm.run(warm.script, less, stdin=request))
+    monkeypatch.setattr(guard, "run_child", lambda request, timeout_s: run_program(less, stdin=request))
     with pytest.raises(QueryError, match="GB of memory"):
         store.cypher("UNWIND range(1, 400000000) AS x RETURN x")
 

@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from entry import run
 from evidence_files import write_evidence
+from processes import run
 from worlds import person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group
