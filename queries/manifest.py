@@ -12,7 +12,7 @@ from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import LoadRules
 
 MANIFEST_NAME: Final = "store.json"
-MANIFEST_VERSION: Final = 1
+MANIFEST_VERSION: Final = 2
 """Version of a store's tables and manifest. A program reads only stores of its own version."""
 
 

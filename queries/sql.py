@@ -56,14 +56,8 @@ def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[s
         for name, schema in tables.items():
             files_in = folder / part / name
             yield f"{part}_{name}", schema, listed.get(files_in, []) if loaded else sorted(files_in.glob("*.parquet"))
-    if (older := folder / "questions" / "evidence.parquet").exists():
-        raise StoreError(f"{older} is of an older version: run 'jrdb-avr generate --store {folder}'")
     for name, schema in QUESTIONS.items():
-        yield (
-            name,
-            schema,
-            sorted((folder / "questions").glob("evidence/*.parquet" if name == "evidence" else f"{name}.parquet")),
-        )
+        yield name, schema, sorted((folder / "questions").glob(f"{name}.parquet"))
     for name, schema in RUNS.items():
         files = sorted((folder / "runs").glob("*/run.json" if name == "runs" else f"*/{name}.parquet"))
         yield name, schema, [path for path in files if runs is None or path.parent.name in runs]

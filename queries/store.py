@@ -5,7 +5,7 @@
       intervals/<kind>/<sequence>.parquet       intervals derived from them
       store.json                                the manifest, written last
       graph.kuzu                                an index over the intervals, rebuildable
-      questions/*.parquet, questions/evidence/<sequence>.parquet
+      questions/*.parquet                       questions, and the private tables with answers and evidence
       runs/<run_id>/
 
 Files are written atomically (`queries/files.py`), so that a reader sees the old file or the new one.
@@ -93,12 +93,8 @@ class Store(Displayed):
         return self.path / "intervals" / kind / f"{safe_sequence(sequence)}.parquet"
 
     def question_path(self, table: str) -> Path:
-        """Return the path of a table of `questions/`; for `evidence`, which has a file per sequence, their folder."""
-        return self.path / "questions" / (table if table == "evidence" else f"{table}.parquet")
-
-    def evidence_path(self, sequence: str) -> Path:
-        """Return the path of the evidence of a sequence."""
-        return self.question_path("evidence") / f"{safe_sequence(sequence)}.parquet"
+        """Return the path of a table of `questions/`."""
+        return self.path / "questions" / f"{table}.parquet"
 
     def run_path(self, run_id: str) -> Path:
         """Return the folder of a run. Raises InputError if the id is not safe as the name of a file."""
@@ -149,28 +145,12 @@ class Store(Displayed):
             StoreError: A table is missing or broken, or several runs of `generate` wrote them.
         """
         tables = [self.questions(name, (columns or {}).get(name)) for name in names]
-        self._check_generation(names, tables)
-        return tables
-
-    def evidence(self, sequence: str, questions: pa.Table) -> pa.Table:
-        """The boxes of the targets of a sequence's questions, by question and frame.
-
-        Raises StoreError where there is no such file, and where it is of another generation than `questions`, a table
-        of `questions/`.
-        """
-        path = self.evidence_path(sequence)
-        if not path.exists():
-            raise StoreError(f"{path} is missing: run 'jrdb-avr generate --store {self.path}'")
-        table = read_table(path)
-        self._check_generation(("questions", f"evidence/{sequence}"), (questions, table))
-        return table
-
-    def _check_generation(self, names: Sequence[str], tables: Sequence[pa.Table]) -> None:
         if len({(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables}) > 1:
             raise StoreError(
                 f"{self.path / 'questions'}: {', '.join(names)} are of different generations: "
                 f"run 'jrdb-avr generate --store {self.path}'"
             )
+        return tables
 
     def training_set(self) -> dict[str, str]:
         """Return the record of a training set, or an empty dictionary if the questions are a benchmark.

@@ -22,11 +22,16 @@ WITH solved AS (
     SELECT run_id, question_id, frame, TRUE,
            start + box[2] / height * width, box[1] / width * height, box[4] / height * width, box[3] / width * height
     FROM placed
+), target AS (
+    SELECT question_id, e.frame, e.x, e.y, e.w, e.h
+    FROM questions q
+    JOIN answers a USING (question_id)
+    JOIN evidence e ON e.sequence = q.sequence AND e.track = a.target_track
 ), shifted AS (
     SELECT r.*, e.y AS ey, e.w AS ew, e.h AS eh,
            e.x + 3760 * round((r.x + r.w / 2 - e.x - e.w / 2) / 3760) AS ex
     FROM readings r
-    LEFT JOIN evidence e USING (question_id, frame)
+    LEFT JOIN target e USING (question_id, frame)
 ), overlapping AS (
     SELECT *, greatest(least(x + w, ex + ew) - greatest(x, ex), 0)
               * greatest(least(y + h, ey + eh) - greatest(y, ey), 0) AS both_px

@@ -121,7 +121,7 @@ def test_a_broken_manifest_is_one_error(tmp_path, text):
 def test_a_store_of_a_newer_version_is_refused_in_one_line_and_stays(tmp_path, command):
     root = write_root(tmp_path / "root", {"yard-2020-01-01_0": {"2d": {0: [person(1, (100, 100, 50, 90))]}}})
     (tmp_path / "store").mkdir()
-    (tmp_path / "store/store.json").write_text(text := '{"version": 2, "sequences": ["of another form"]}')
+    (tmp_path / "store/store.json").write_text(text := '{"version": 3, "sequences": ["of another form"]}')
     code, out, err = run(*command.format(root=root).split(), "--store", tmp_path / "store")
     assert (code, out, err.count("\n")) == (1, "", 1) and "by a newer jrdb-avr" in err
     assert (tmp_path / "store/store.json").read_text() == text
