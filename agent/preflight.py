@@ -38,7 +38,7 @@ from jrdb_avr.agent.model.probes import (
     drawn_picture,
 )
 from jrdb_avr.agent.model.prompts import render
-from jrdb_avr.agent.model.reply import Reply, thought
+from jrdb_avr.agent.model.reply import Reply, thinking_text
 from jrdb_avr.agent.reference.episode import LIMITS
 from jrdb_avr.agent.reference.graph_memory import graph_turn_schema
 from jrdb_avr.agent.reference.planning import plan_form
@@ -255,14 +255,14 @@ def _largest_requests() -> tuple[_LargestRequest, ...]:
     for n in range(1, CROPS + 1):
         box = CORNERS["upper left"] if n == marked_crop else None
         crops += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
-    question = Question("", "", "", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
+    question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
     return (
         _LargestRequest(
             "panoramas",
             f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)",
             (render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE),
             graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA),
-            lambda reply: _last_call(reply).get("answer") == marked_panorama,
+            lambda reply: _names_panorama(reply, marked_panorama),
         ),
         _LargestRequest(
             "crops",
@@ -281,11 +281,11 @@ def _largest_requests() -> tuple[_LargestRequest, ...]:
     )
 
 
-def _last_call(reply: Mapping[str, Any]) -> dict[str, Any]:
+def _names_panorama(reply: Mapping[str, Any], number: int) -> bool:
     match reply:
-        case {"calls": [*_, {**call}]}:
-            return call
-    return {}
+        case {"calls": [*_, {"answer": int(named)}]}:
+            return named == number
+    return False
 
 
 def _check_largest(prober: _Prober, request: _LargestRequest) -> Check:
@@ -312,9 +312,9 @@ def _check_largest(prober: _Prober, request: _LargestRequest) -> Check:
 
 def _thinking(client: Client, text: Reply, shaped: Reply | EndpointError) -> Check:
     declared = client.options.thinks(client.convention)
-    free = bool(thought(text, client.convention))
+    free = bool(thinking_text(text, client.convention))
     # The run's replies have a response format, which may keep a model from thinking.
-    thinks = free if isinstance(shaped, EndpointError) else bool(thought(shaped, client.convention))
+    thinks = free if isinstance(shaped, EndpointError) else bool(thinking_text(shaped, client.convention))
     kept = free and not thinks
     if declared is None:
         seen = f"replies hold {'' if free or thinks else 'no '}thinking; nothing is declared"

@@ -29,12 +29,10 @@ frames that were seen; or it does not give it."""
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A row of `questions.parquet`."""
+    """A question as a method sees it."""
 
     question_id: str
     sequence: str
-    family: str
-    template: str
     question: str
     choices: tuple[str, ...]
     answer_mode: AnswerMode

@@ -23,7 +23,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
-from jrdb_avr.agent.model.cache import merge_calls
 from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.reference.method import Policy
@@ -159,7 +158,6 @@ def evaluate(
     with contextlib.ExitStack() as stack:
         run = stack.enter_context(Run(store, run_id))
         calls = folder / "calls.jsonl"
-        merge_calls(calls)
         world = stack.enter_context(_world(store, run_id, name, world_db, run))
         endpoint = None
         if model != NO_MODEL:

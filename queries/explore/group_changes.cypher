@@ -1,4 +1,4 @@
-// Groups forming and dissolving, in order of time: who joins and who leaves, also by coming into view or going.
+// Changes of groups in order of time: people who join or leave, also because they come into view or leave it.
 // param sequence: text
 MATCH (s:Sequence)
 WHERE s.sequence = $sequence

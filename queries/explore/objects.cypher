@@ -1,4 +1,4 @@
-// Things in a sequence by category: how many somebody handles for certain at some time, and how many only perhaps.
+// Things of a sequence by category: the number that people certainly handle at some time, and possibly handle.
 // param sequence: text
 MATCH (o:Object)
 WHERE o.sequence = $sequence

@@ -1,4 +1,4 @@
-// What annotators could not tell: actions whose labels are hard, with how many people and frames they take.
+// Actions that annotators labelled as hard, with the number of people and frames.
 // param sequence: text
 MATCH (p:Person)-[r:Performs]->(a:Action)
 WHERE r.sequence = $sequence AND NOT r.certain AND NOT r.gap

@@ -46,7 +46,7 @@ from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.methods import default_policy
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.synthetic.write import plan, write
-from jrdb_avr.queries.questions import read_questions
+from jrdb_avr.queries.questions import read_question_rows, read_questions
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, iou
@@ -144,7 +144,7 @@ def make_store(out: Path, seed: int, size: tuple[int, int, int]) -> Path:
 def choose(store: Path, count: int) -> tuple[str, ...]:
     """Ids of questions: one of each template in turn, until there are so many."""
     by_template: dict[str, list[str]] = defaultdict(list)
-    for question in read_questions(Store(store)):
+    for question in read_question_rows(Store(store)):
         by_template[question.template].append(question.question_id)
     rounds = zip_longest(*(sorted(own) for _, own in sorted(by_template.items())))
     return tuple(name for own in rounds for name in own if name is not None)[:count]
