@@ -1,9 +1,9 @@
 """The graph file: its fingerprint beside it, its lock, and its place on the disk.
 
 The engine has no page checksums and opens a file that was cut short or swapped without an error. The fingerprint,
-`<graph>.json`, is taken when the file is built and tells whether it is whole and has this program's tables. Its
-checksum, which takes a read of the whole file, is what `load --verify` compares. It is no part of the manifest, because
-two builds of the same scene differ in their bytes.
+`<graph>.json`, is written when the file is built. It shows whether the file is whole and has this program's tables.
+`load --verify` compares its hash with the file. The hash is not in the manifest, because two builds of the same scene
+differ in their bytes, and manifests of equal stores are equal.
 
 The lock is a side file, `<graph>.lock`: one writer, or any number of readers.
 """
@@ -15,12 +15,13 @@ import fcntl
 import os
 import shutil
 import time
-import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Final
 
 import msgspec
 
+from jrdb_avr.queries.files import file_hash
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
@@ -44,18 +45,14 @@ transaction or a checkpoint, it may abort the whole process."""
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
-_CHUNK: Final = 1 << 20
-
 
 class Fingerprint(msgspec.Struct, frozen=True):
-    """A graph file as built: tables' version, size in bytes, and the CRC-32 of everything after the first page.
-
-    The first page only says where the catalogue lies, and the engine rewrites it when the file is opened for writing.
-    """
+    """A graph file as built: version of its tables, size in bytes, sha256, and rows per table."""
 
     storage_version: int
     size: int
-    crc32: int
+    sha256: str
+    rows: dict[str, int]
 
 
 def fingerprint_path(graph: Path) -> Path:
@@ -68,14 +65,14 @@ def building_path(graph: Path) -> Path:
     return graph.with_name(f".{graph.name}.building")
 
 
-def fingerprint_of(file: Path) -> Fingerprint:
-    """The fingerprint of a finished graph file. Raises OSError."""
-    with file.open("rb") as opened:
-        opened.seek(PAGE)
-        checksum = 0
-        while chunk := opened.read(_CHUNK):
-            checksum = zlib.crc32(chunk, checksum)
-        return Fingerprint(STORAGE_VERSION, opened.tell(), checksum)
+def fingerprint_of(file: Path, rows: Mapping[str, int]) -> Fingerprint:
+    """Return the fingerprint of a finished graph file with its rows per table. Raises OSError."""
+    return Fingerprint(STORAGE_VERSION, file.stat().st_size, file_hash(file), dict(rows))
+
+
+def is_as_built(graph: Path) -> bool:
+    """Return whether a graph file has the hash in its fingerprint. Raises as `check_fingerprint`."""
+    return check_fingerprint(graph).sha256 == file_hash(graph)
 
 
 def check_fingerprint(graph: Path) -> Fingerprint:
@@ -188,15 +185,15 @@ def check_room(place: Path) -> None:
             )
 
 
-def publish(temporary: Path, place: Path) -> None:
-    """Rename a finished graph file to its place, with its fingerprint. Raises StoreError where the disk refuses."""
+def publish(temporary: Path, place: Path, rows: Mapping[str, int]) -> None:
+    """Rename a finished graph file with these rows per table to its place, with its fingerprint. Raises StoreError."""
     try:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
         # The old log goes first: beside the new file it would be replayed into it.
         for suffix in _SIDE_FILES:
             place.with_name(place.name + suffix).unlink(missing_ok=True)
-        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary)))
+        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary, rows)))
         temporary.replace(place)
         _follow(place)
     except OSError as error:
