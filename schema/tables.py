@@ -58,8 +58,8 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "last": (_I, "last frame, inclusive"),
     "first_s": (_F, "seconds of the first frame"),
     "last_s": (_F, "seconds of the last frame"),
-    "certain": (_B, "false: the fact is unknown, it could be so"),
-    "gap": (_B, "a closed gap between two intervals"),
+    "certain": (_B, "false: the fact is unknown"),
+    "gap": (_B, "true: a short gap between two labels; false: the words of another label may mean this"),
     "difficulty": (_CODE, "annotators' code: 1 easy, 2 medium, 3 hard, null unreadable"),
     "raw": (_S, "the label as written"),
     "cluster": (_LONG, "number of the group"),
@@ -323,23 +323,39 @@ _INTERVALS: Final = {
         "Frames in a row in which a person has no box, between two of them.",
         "sequence track first last first_s last_s certain",
     ),
-    # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.
+    # certain = false: hard or unreadable label, or one of two poses.
     "actions": (
-        "Actions of people, from frame to frame.",
-        "sequence track action first last first_s last_s difficulty? certain gap",
+        "Written action labels of people, as intervals of frames.",
+        "sequence track action first last first_s last_s difficulty? certain",
+    ),
+    "possible_actions": (
+        "Actions that people may perform without a label of that action.",
+        "sequence track action first last first_s last_s gap",
     ),
     "memberships": (
-        "Groups of people, from frame to frame.",
-        "sequence track cluster first last first_s last_s certain gap",
+        "Written group labels of people, as intervals of frames.",
+        "sequence track cluster first last first_s last_s certain",
     ),
-    # Both directions of every fact. certain = false: hard or unreadable label, or (gap = true) a closed gap.
+    "possible_memberships": (
+        "Groups that people may belong to without a label.",
+        "sequence track cluster first last first_s last_s gap",
+    ),
+    # Both directions of every fact, as an interaction that one record states holds for both people.
     "interactions": (
-        "Interactions of two people, from frame to frame, in both directions.",
-        "sequence source target label first last first_s last_s certain gap",
+        "Written interaction labels of two people, as intervals of frames, in both directions.",
+        "sequence source target label first last first_s last_s certain",
+    ),
+    "possible_interactions": (
+        "Interactions that two people may have without a label of that interaction, in both directions.",
+        "sequence source target label first last first_s last_s gap",
     ),
     "handles": (
-        "What people do with things, from frame to frame.",
-        "sequence track object category_id verb first last first_s last_s certain gap",
+        "Written labels of what people do with things, as intervals of frames.",
+        "sequence track object category_id verb first last first_s last_s certain",
+    ),
+    "possible_handles": (
+        "What people may do with things without a label of that verb.",
+        "sequence track object category_id verb first last first_s last_s gap",
     ),
     # Things with a track, people left out. category null: unknown, or the panoptic layer does not hold the thing.
     "objects": (
@@ -366,6 +382,9 @@ _INTERVALS: Final = {
     ),
 }
 INTERVALS: Final = _schemas("intervals_", _INTERVALS)
+
+LABELED: Final = ("actions", "memberships", "interactions", "handles")
+"""Interval tables of written labels. Each has a table `possible_<name>` of the facts that may hold without a label."""
 
 _QUESTIONS: Final = {
     "questions": ("The public questions.", "question_id sequence family template question choices answer_mode"),

@@ -16,6 +16,7 @@ from jrdb_avr.engine.generate.scene import ints
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.schema import labels as words
 from jrdb_avr.schema.labels import POSES_OF_INTERACTIONS
+from jrdb_avr.schema.tables import LABELED
 from jrdb_avr.schema.templates import TEMPLATES
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
 from jrdb_avr.schema.wording.phrases import POSES_OF_VERBS
@@ -62,7 +63,7 @@ class Search:
         self.context, self.scene = context, context.scene
         self.database = duckdb.connect(config={"threads": 1})
         for table in TABLES:
-            self._give(table, store.interval(table, self.scene.sequence))
+            self._give(table, (store.facts if table in LABELED else store.interval)(table, self.scene.sequence))
         for table, lists in (("vocabulary", VOCABULARY), ("names_pose", NAMES_POSE)):
             rows = [{"list": name, "word": word} for name, all_ in lists.items() for word in all_]
             self._give(table, pa.Table.from_pylist(rows))
