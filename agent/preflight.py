@@ -1,36 +1,62 @@
-"""Check a model's server before a run starts on it, each requirement by a small request.
+"""Check a model's server before a run with a series of small requests and the largest ones.
 
     text      the model replies with text, and the reply ends by itself
     system    the server takes a system message, which every method sends
     schema    the server follows the declared response format
-    picture   the model sees pictures: in which corner of four drawn pictures is the marked rectangle?
-    panoramas, crops, plan, perception   the server takes the largest requests of the methods (`demands`), and the model
-              sees all their pictures
-    thinking  replies hold thinking where it is declared on, and none where it is declared off
-    finish    replies state why they ended: without that a reply that was cut off looks like any other
+    picture   the model sees pictures: it names the corner of the marked rectangle in four drawn pictures
+    panoramas, crops   the server takes the largest number of pictures that a method sends, with the method's own
+              schema, and the model finds the marked rectangle among them
+    plan      the server takes the schema of a plan (only if schemas are sent)
+    thinking  replies hold thinking if it is declared on, and none if it is declared off
+    finish    replies state why they ended: a reply that was cut off must not look like any other
     tokens    the server counts tokens (a warning: the run's counts would be 0)
-    model     replies name the requested model (a warning: the name is recorded)
+    model     replies name the requested model (a warning: the run records the name)
 
-A request is a system and a user message, as those of the methods are, or a user message alone where the server refuses
-the former. A server that follows JSON schemas and reads `schema.markers` passes. A fault is a warning that the run
-records: a weak model is scored as well. Where faults are to refuse a run (`require`), a requirement of some methods is
-no reason to refuse a run of another.
+A failed check is a warning that the run records, because a weak model is scored as well. `require` refuses a run for a
+failed check only if the run's method needs it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from jrdb_avr.agent.demands import Demand, demands
+from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
+from jrdb_avr.agent.methods.episode import BUDGET
+from jrdb_avr.agent.methods.react import react_turn_schema
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import closed_object, reply_object
 from jrdb_avr.agent.model.messages import Message, Part
-from jrdb_avr.agent.model.probes import CORNER_LINE, CORNERS, CROP_SIZE, drawn_picture
+from jrdb_avr.agent.model.probes import (
+    CORNER_LINE,
+    CORNERS,
+    CROP_LINE,
+    CROP_SIZE,
+    PANORAMA_LINE,
+    PANORAMA_SIZE,
+    drawn_picture,
+)
 from jrdb_avr.agent.model.prompts import render
-from jrdb_avr.agent.model.reply import Reply, thought
+from jrdb_avr.agent.model.reply import Reply, thinking_text
+from jrdb_avr.agent.reference.episode import LIMITS
+from jrdb_avr.agent.reference.graph_memory import graph_turn_schema
+from jrdb_avr.agent.reference.planning import plan_form
+from jrdb_avr.agent.reference.tool_calls import LOOK_SCHEMA
 from jrdb_avr.schema.errors import DecodeError, EndpointError
+from jrdb_avr.schema.method import Panorama, Question
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.plan import Plan
+
+CROPS: Final = max(BUDGET, LIMITS.looks)
+"""Maximum number of crops in one request."""
+
+SENDERS: Final = {
+    "panoramas": ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world"),
+    "crops": ("react", "agent-model", "agent-no-world-model"),
+    "plan": ("agent-model", "agent-passive", "agent", "agent-no-world", "agent-guided", "agent-no-world-guided"),
+}
+"""The methods that need each of the largest requests. A policy other than the method's own is part of the name."""
 
 _LONGER_REMEDY: Final = "give a larger --max-tokens"
 _SHAPE: Final = {"sea_state_q7": ["amber-41", "cobalt-17"]}
@@ -44,8 +70,9 @@ _SEEN_CORNERS: Final = 3
 
 @dataclass(frozen=True)
 class Check:
-    """The result of one check. `needed`: whether a run suffers from a failure. `methods`: the methods that need it,
-    empty for all; a policy other than the model's is part of the name.
+    """The result of one check.
+
+    needed: whether a run suffers if the check fails. methods: the methods that need it, empty for all.
     """
 
     name: str
@@ -84,9 +111,9 @@ class _Prober:
     client: Client
     system: bool = True
 
-    def send(self, *parts: Part, schema: Mapping[str, Any] | None = None, system: str = "") -> Reply | EndpointError:
+    def send(self, *parts: Part, schema: Mapping[str, Any] | None = None) -> Reply | EndpointError:
         """The reply to one user message, or the error in its place."""
-        before = [Message("system", (system or render("preflight_system"),))] if self.system else []
+        before = [Message("system", (render("preflight_system"),))] if self.system else []
         try:
             return self.client.probe([*before, Message("user", parts)], schema)
         except EndpointError as error:
@@ -125,10 +152,10 @@ def _checks(client: Client) -> Iterator[Check]:
         return
     picture = _picture(prober)
     yield picture
-    for demand in demands():
-        # Where one picture is not seen, many are not; and a schema is only refused where it is sent.
-        if (picture.passed or not demand.shows) and (strict or demand.pictures):
-            yield _demand(prober, demand)
+    for request in _largest_requests():
+        # A model that does not see one picture does not see many. A schema is refused only if it is sent.
+        if strict if request.name == "plan" else picture.passed:
+            yield _check_largest(prober, request)
     yield _thinking(client, text, shaped)
     yield Check(
         "finish",
@@ -206,56 +233,88 @@ def _picture(prober: _Prober) -> Check:
     return Check("picture", right >= _SEEN_CORNERS, seen, remedy)
 
 
-def _demand(prober: _Prober, demand: Demand) -> Check:
-    strict = prober.client.options.response_format == "json_schema"
-    pictures, form = demand.pictures, demand.form
-    for place in demand.places:
-        found = prober.read(prober.send(*demand.parts(place), schema=demand.schema, system=demand.system))
-        if isinstance(found, EndpointError):
-            return _refused(prober, demand, found)
-        if isinstance(found, _CutOffError):
-            return Check(demand.name, False, f"{form.what}: {found}", _LONGER_REMEDY, strict, form.methods)
-        named = demand.place_of(found) if isinstance(found, dict) else None
-        if named is None:
-            fault = found if isinstance(found, DecodeError) else "another object came"
-            remedy = form.remedy if strict else "use a model that replies in the form of the prompt"
-            seen = f"{form.what} is not followed ({fault})"
-            return Check(demand.name, False, seen, _without(form.methods, remedy), strict, form.methods)
-        if named == place:
-            seen = f"{pictures.what}: taken and seen" if pictures else f"{form.what}: taken"
-            return Check(demand.name, True, seen, "")
-    assert pictures is not None, "without pictures the first place is named"
-    seen = f"of {pictures.what} the one with the marked rectangle was not found"
-    remedy = _without(pictures.methods, "check that the server passes every picture on, and in its size")
-    # So many crops are no reason to refuse a run to a model that loses count: most questions need a few.
-    return Check(demand.name, False, seen, remedy, demand.name == "panoramas", pictures.methods)
+class _LargestRequest(NamedTuple):
+    """The largest request of some methods: its content in words, and the test of a right reply."""
+
+    name: str
+    content: str
+    parts: tuple[Part, ...]
+    schema: Mapping[str, Any]
+    is_right: Callable[[Mapping[str, Any]], bool]
 
 
-def _refused(prober: _Prober, demand: Demand, refusal: EndpointError) -> Check:
-    """Find which of the two is refused, the number of pictures or the schema; both where each alone is taken."""
-    parts = demand.parts(demand.places[0])
-    sent = []
-    if demand.pictures is not None:
-        sent.append((demand.pictures, prober.send(*parts)))
-    if prober.client.options.response_format == "json_schema":
-        sent.append((demand.form, prober.send(parts[0], schema=demand.schema)))
-    alone = [required for required, reply in sent if isinstance(reply, EndpointError)]
-    refused = alone or [required for required, _ in sent]
-    hurt = tuple(dict.fromkeys(method for required in refused for method in required.methods))
-    seen = f"{' and '.join(required.what for required in refused)} refused ({refusal})"
-    remedy = _without(hurt, "; ".join(required.remedy for required in refused))
-    return Check(demand.name, False, seen, remedy, True, hurt)
+def _largest_requests() -> tuple[_LargestRequest, ...]:
+    # The marked picture is neither the first nor the last: a server may pass only one of them on.
+    marked_panorama, marked_crop = 5, 14
+    panoramas = [
+        Panorama("drawn", n, f"{n:06d}", float(n), drawn_picture(PANORAMA_SIZE, box).data)
+        for n in range(1, PANORAMAS + 1)
+        for box in [Box(1500, 130, 180, 240) if n == marked_panorama else None]
+    ]
+    crops: list[Part] = []
+    for n in range(1, CROPS + 1):
+        box = CORNERS["upper left"] if n == marked_crop else None
+        crops += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
+    question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
+    return (
+        _LargestRequest(
+            "panoramas",
+            f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)",
+            (render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE),
+            graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA),
+            lambda reply: _names_panorama(reply, marked_panorama),
+        ),
+        _LargestRequest(
+            "crops",
+            f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)",
+            (render("preflight_crops", n=CROPS), *crops, CROP_LINE),
+            react_turn_schema(question),
+            lambda reply: reply.get("frame_id") == f"{marked_crop:06d}",
+        ),
+        _LargestRequest(
+            "plan",
+            "the schema of a plan ($ref at the root)",
+            (render("preflight_plan"),),
+            plan_form(),
+            lambda reply: set(reply) == set(Plan.__struct_fields__),
+        ),
+    )
 
 
-def _without(methods: Sequence[str], remedy: str) -> str:
-    return f"{remedy}; else do without {', '.join(methods)}"
+def _names_panorama(reply: Mapping[str, Any], number: int) -> bool:
+    match reply:
+        case {"calls": [*_, {"answer": int(named)}]}:
+            return named == number
+    return False
+
+
+def _check_largest(prober: _Prober, request: _LargestRequest) -> Check:
+    methods = SENDERS[request.name]
+    reply = prober.read(prober.send(*request.parts, schema=request.schema))
+    remedy = "let the server take such requests (vLLM: --limit-mm-per-prompt) and pass every picture on in its size"
+    match reply:
+        case EndpointError():
+            seen = f"refused ({reply})"
+            remedy += ", or declare --response-format json_object or none"
+        case _CutOffError():
+            return Check(request.name, False, f"{request.content}: {reply}", _LONGER_REMEDY, True, methods)
+        case DecodeError():
+            seen, remedy = f"not followed ({reply})", "use a model that replies in the form of the prompt"
+        case _ if request.is_right(reply):
+            return Check(request.name, True, f"{request.content}: taken", "")
+        case _:
+            seen = "taken, but the reply is wrong"
+    # A model that loses count among many crops can still answer: most questions need a few.
+    needed = request.name != "crops" or isinstance(reply, Exception)
+    remedy += f"; else do without {', '.join(methods)}"
+    return Check(request.name, False, f"{request.content}: {seen}", remedy, needed, methods)
 
 
 def _thinking(client: Client, text: Reply, shaped: Reply | EndpointError) -> Check:
     declared = client.options.thinks(client.convention)
-    free = bool(thought(text, client.convention))
+    free = bool(thinking_text(text, client.convention))
     # The run's replies have a response format, which may keep a model from thinking.
-    thinks = free if isinstance(shaped, EndpointError) else bool(thought(shaped, client.convention))
+    thinks = free if isinstance(shaped, EndpointError) else bool(thinking_text(shaped, client.convention))
     kept = free and not thinks
     if declared is None:
         seen = f"replies hold {'' if free or thinks else 'no '}thinking; nothing is declared"

@@ -7,9 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-PRINTED_AS: Final[dict[str, str]] = {}
-"""Texts that are printed as others: the folder that stands for a store at a URL as that URL."""
-
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 _LONG: Final = re.compile(r"\S{41,}")
@@ -26,10 +23,7 @@ _INNER: Final = ("_ID", "_SRC", "_DST", "_LABEL")
 
 def clean(value: object) -> str:
     """The value as text that cannot move a terminal's cursor or change its colours."""
-    text = "" if value is None else str(value)
-    for own, printed in PRINTED_AS.items():
-        text = text.replace(own, printed)
-    return _CONTROL.sub("", text)
+    return _CONTROL.sub("", "" if value is None else str(value))
 
 
 def cell_text(value: object) -> str:

@@ -40,7 +40,7 @@ from jrdb_avr.queries.graph.handle import Graph, build_graph, remove_graph
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store, file_hash
-from jrdb_avr.queries.workers import Workers, map_shards, without_collector
+from jrdb_avr.queries.workers import Executor, map_sequences, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
@@ -76,7 +76,7 @@ def load(
     root: Root | str | Path,
     store: Store | str | Path,
     rules: LoadRules | None = None,
-    workers: Workers = 2,
+    workers: Executor = 2,
     *,
     layer_dirs: Mapping[str, Sequence[str]] | None = None,
     progress: Progress | None = None,
@@ -99,7 +99,7 @@ def load(
     with store.writing("load"), _staging(store) as staging:
         shards = [Shard(files, str(staging.path), rules) for files in root.sequences]
         results: dict[str, ShardResult] = {}
-        for i, result in map_shards(load_shard, shards, workers, lambda shard: shard.files.weight):
+        for i, result in map_sequences(load_shard, shards, workers, lambda shard: shard.files.weight):
             results[root.sequences[i].sequence] = result
             advance(1)
         reports = _reports(root, results)
@@ -118,7 +118,7 @@ def load(
 
 
 def rebuild(
-    store: Store, rules: LoadRules, workers: Workers = 2, progress: Progress | None = None
+    store: Store, rules: LoadRules, workers: Executor = 2, progress: Progress | None = None
 ) -> dict[str, SequenceEntry]:
     """Derive intervals and graph again from the annotation tables of a store; an AvrWarning names each run whose world
     model is left out of the graph.
@@ -134,7 +134,7 @@ def rebuild(
         ]
         advance = step_counter(progress, "rebuilding", len(shards))
         entries: dict[str, SequenceEntry] = {}
-        for i, entry in map_shards(rebuild_shard, shards, workers, lambda shard: shard.weight):
+        for i, entry in map_sequences(rebuild_shard, shards, workers, lambda shard: shard.weight):
             entries[shards[i].sequence] = entry
             advance(1)
         left_out = _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
@@ -331,24 +331,6 @@ def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tupl
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))
-
-
-def ensure_graph(store: Store) -> None:
-    """Build the graph of a store at a URL on this machine from its tables, where it is not there.
-
-    Raises StoreError where nothing is loaded, LockedError where another process writes the store here.
-    """
-    if store.remote is None or store.graph_path.exists():
-        return
-    with store.writing("the graph"):
-        manifest = store.manifest()
-        for line in write_graph(store, partial(_build_alone, store, manifest)):
-            warnings.warn(line, AvrWarning, stacklevel=2)
-
-
-def _build_alone(store: Store, manifest: Manifest) -> list[str]:
-    with build_graph(store.graph_path) as graph:
-        return _fill(graph, store, store, manifest)[1]
 
 
 def _swap(place: Path, new: Path, old: Path) -> None:

@@ -17,9 +17,6 @@ from pathlib import Path
 from typing import Final
 
 from jrdb_avr.loaders.problems import Problem, Problems, shorten
-from jrdb_avr.queries.manifest import is_url
-from jrdb_avr.queries.mirror import Mirror
-from jrdb_avr.queries.remote import child_url
 from jrdb_avr.queries.store import safe_sequence
 from jrdb_avr.schema.errors import InputError
 
@@ -86,16 +83,13 @@ class Root:
 
 
 def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None = None) -> Root:
-    """Find the label files of a JRDB root, which is a folder or a URL; those at a URL are fetched first.
+    """Find the label files of a JRDB root.
 
     `layer_dirs` gives folders, relative to the root or absolute, that are looked in instead of the usual ones of a
     layer; no folder at all leaves the layer out. Raises InputError where the root is missing or holds no label files,
     where a given folder is missing, and for a layer that is none of `LAYER_FILES`.
     """
-    mirror = Mirror(path) if is_url(path) else None
-    if mirror is not None:
-        mirror.fetch_root()
-    root = Path(path) if mirror is None else mirror.folder
+    root = Path(path)
     search = _Search(root)
     if not search.is_folder(root):
         raise InputError(f"{root} is not a folder: give the folder that holds labels/ or labels_2d_stitched/")
@@ -125,9 +119,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
                     found.setdefault(layer, str(folder / name))
         images = root / images_in / sequence if images_in else None
         sequences.append(SequenceFiles(sequence, found, str(images) if images and search.is_folder(images) else None))
-    image_root = None
-    if images_in is not None:
-        image_root = str((root / images_in).resolve()) if mirror is None else child_url(mirror.url, images_in)
+    image_root = None if images_in is None else str((root / images_in).resolve())
     return Root(root, image_root, tuple(sequences), tuple(search.problems), tuple(search.notes))
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from pathlib import Path
-from typing import Final, TypeGuard
+from typing import Final
 
 import msgspec
 
@@ -16,13 +15,6 @@ MANIFEST_NAME: Final = "store.json"
 MANIFEST_VERSION: Final = 1
 """The version of a store's tables and manifest: a program reads stores of its own version alone."""
 
-_URL: Final = re.compile(r"[a-z][a-z0-9+.-]*://")
-
-
-def is_url(place: object) -> TypeGuard[str]:
-    """Whether a text is the URL of a store or folder, and no path."""
-    return isinstance(place, str) and bool(_URL.match(place))
-
 
 class SequenceEntry(msgspec.Struct, frozen=True):
     """A sequence in the manifest: its layers, and its files' content hashes by path in the store."""
@@ -32,7 +24,7 @@ class SequenceEntry(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """`store.json`. `image_root` is the folder, or its URL, that holds one folder of panoramas per sequence, or None.
+    """`store.json`. `image_root` is the folder that holds one folder of panoramas per sequence, or None.
 
     It is relative to the store where it lies inside, so that a store with its panoramas can be moved.
     """
@@ -61,7 +53,7 @@ def read_manifest(store: Path) -> Manifest:
         raise StoreError(f"cannot read {path}: {error}; load the annotations again") from None
     if manifest.version != MANIFEST_VERSION:
         raise StoreError(f"{path} has version {manifest.version}, not {MANIFEST_VERSION}: load again")
-    if manifest.image_root is None or is_url(manifest.image_root):
+    if manifest.image_root is None:
         return manifest
     if ".." in Path(manifest.image_root).parts:
         raise StoreError(f"{path}: image_root {manifest.image_root[:100]!r} leads upwards: load the annotations again")

@@ -2,25 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import ANSWER_TYPES
+from jrdb_avr.schema.answers import ANSWER_TYPES, AnswerMode
 from jrdb_avr.schema.errors import ObserveError, StoreError, did_you_mean
 from jrdb_avr.schema.method import Question, SequenceInfo
 from jrdb_avr.schema.tables import QUESTIONS
 
+HIDDEN: Final = ("family", "template")
+"""Columns of questions that a public store leaves out."""
 
-def read_questions(store: Store) -> list[Question]:
-    """The public questions, in the file's order. Raises StoreError where there are none or their columns are wrong."""
-    rows = _public_rows(store, "questions")
+
+@dataclass(frozen=True, slots=True)
+class QuestionRow:
+    """A row of `questions.parquet`; `family` and `template` are empty if the store is public (`export --public`)."""
+
+    question_id: str
+    sequence: str
+    family: str
+    template: str
+    question: str
+    choices: tuple[str, ...]
+    answer_mode: AnswerMode
+
+    def to_question(self) -> Question:
+        """Return the columns that a method may see."""
+        return Question(self.question_id, self.sequence, self.question, self.choices, self.answer_mode)
+
+
+def read_question_rows(store: Store) -> list[QuestionRow]:
+    """Read the public questions, in the order of the file.
+
+    Raises:
+        StoreError: The store has no questions, or their columns or values are wrong.
+    """
+    rows = _public_rows(store, "questions", HIDDEN)
     ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
     if len(ids) < len(rows) or not modes <= set(ANSWER_TYPES):
         raise StoreError(f"{store.question_path('questions')} holds an unknown mode or an id twice: generate again")
-    return [Question(**{**row, "choices": tuple(row["choices"])}) for row in rows]
+    return [QuestionRow(**{**dict.fromkeys(HIDDEN, ""), **row, "choices": tuple(row["choices"])}) for row in rows]
+
+
+def read_questions(store: Store) -> list[Question]:
+    """Read the questions as methods see them. Raises StoreError as `read_question_rows` does."""
+    return [row.to_question() for row in read_question_rows(store)]
 
 
 def read_sequences(store: Store) -> dict[str, SequenceInfo]:
@@ -29,9 +60,11 @@ def read_sequences(store: Store) -> dict[str, SequenceInfo]:
     return {row["sequence"]: SequenceInfo(**{**row, "frames": tuple(row["frames"])}) for row in rows}
 
 
-def _public_rows(store: Store, name: str) -> list[dict[str, Any]]:
-    """The rows of a public table, with the columns of its schema and no nulls."""
-    schema, table = QUESTIONS[name], store.questions(name)
+def _public_rows(store: Store, name: str, optional: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Return the rows of a public table without nulls. The table may lack the optional columns of its schema."""
+    table = store.questions(name)
+    present = set(table.column_names)
+    schema = pa.schema([field for field in QUESTIONS[name] if field.name in present or field.name not in optional])
     try:
         rows: list[dict[str, Any]] = table.select(schema.names).cast(schema).to_pylist()
     except (KeyError, ValueError, pa.ArrowException):

@@ -35,10 +35,8 @@ from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import STAMP, keyframe_values
-from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, is_url, read_manifest
-from jrdb_avr.queries.mirror import TABLES, Mirror
+from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest
 from jrdb_avr.queries.named import find_query
-from jrdb_avr.queries.remote import child_url, path_below
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
@@ -68,17 +66,10 @@ def write_json(path: Path, value: msgspec.Struct) -> None:
 
 
 class Store(Displayed):
-    """A store folder, or one at a URL by its mirror on this machine (`queries/mirror.py`).
-
-    Opening a folder checks nothing; `manifest()` raises StoreError where nothing has been loaded. Opening a URL fetches
-    what changed there, and raises StoreError where it cannot be reached.
-    """
+    """A store folder. Opening it checks nothing; `manifest()` raises StoreError if nothing has been loaded."""
 
     def __init__(self, path: str | Path) -> None:
-        self.remote = Mirror(path) if is_url(path) else None
-        self.path = Path(path) if self.remote is None else self.remote.folder
-        if self.remote is not None:
-            self.remote.fetch()
+        self.path = Path(path)
 
     @classmethod
     def of(cls, store: Store | str | Path) -> Store:
@@ -202,19 +193,12 @@ class Store(Displayed):
 
     def manifest(self) -> Manifest:
         """Read the manifest. Raises StoreError as `read_manifest` does."""
-        manifest, root = read_manifest(self.path), str(self.path.absolute())
-        if self.remote is not None and manifest.image_root is not None and manifest.image_root.startswith(f"{root}/"):
-            # Panoramas stay where they are until they are looked at.
-            inside = child_url(self.remote.url, manifest.image_root.removeprefix(f"{root}/"))
-            return msgspec.structs.replace(manifest, image_root=inside)
-        return manifest
+        return read_manifest(self.path)
 
-    def relative(self, place: str) -> str:
-        """The path from the store to a folder that lies inside; any other folder or URL as it is."""
-        if is_url(place):
-            return (self.remote and path_below(place, self.remote.url)) or place
-        own = self.path.resolve()
-        return Path(place).relative_to(own).as_posix() if Path(place).is_relative_to(own) else place
+    def relative(self, folder: str) -> str:
+        """Return the path from the store to a folder inside it; return any other folder as it is."""
+        root = self.path.resolve()
+        return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
     def without_occlusion(self) -> list[str]:
         """The sequences whose 2D boxes come without attributes, so that every box of legal size is a clear view."""
@@ -316,10 +300,7 @@ class Store(Displayed):
 
     @contextlib.contextmanager
     def writing(self, what: str) -> Iterator[None]:
-        """Hold the store's writer lock. Raises LockedError, naming the holder, if another process has it.
-
-        Tables of a store at a URL are sent when the block ends well.
-        """
+        """Hold the store's writer lock. Raises LockedError, naming the holder, if another process has it."""
         lock = self.path / ".writing"
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -337,12 +318,6 @@ class Store(Displayed):
             file.write(f"'{what}', process {os.getpid()}")
             file.flush()
             yield
-            if self.remote is not None:
-                self.remote.send(TABLES)
-
-    def sending(self, *parts: str) -> contextlib.AbstractContextManager[None]:
-        """Send what a block changes in those parts of a store at a URL, even where an error ends it."""
-        return contextlib.nullcontext() if self.remote is None else self.remote.sending(parts)
 
 
 def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:

@@ -4,10 +4,7 @@ A method answers one `Task` at a time. A task holds the public columns of a ques
 the functions `observe` and `panorama` that return images, and the functions `record` and `record_write` that append to
 the transcript and to the record of a world model. A task holds nothing else of the store.
 
-Without `evaluate --isolated` that is all that is promised: a method is code in the run's own process, and could open
-the store's files by itself. With it the method runs in a process that can open copies of the public tables, the
-panoramas, its own file, its run's finished calls, a folder of its own, and what Python needs; not the store, nor the
-labels.
+A method is code in the process of the run, with the rights of its user: it could open the files of the store by itself.
 """
 
 from __future__ import annotations
@@ -32,12 +29,10 @@ frames that were seen; or it does not give it."""
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A row of `questions.parquet`."""
+    """A question as a method sees it."""
 
     question_id: str
     sequence: str
-    family: str
-    template: str
     question: str
     choices: tuple[str, ...]
     answer_mode: AnswerMode

@@ -34,8 +34,8 @@ pytest_plugins = ["asked_world", "small_demo"]
 
 DEAREST = """
     keyframe_graph docs generate verify compiler generate_worlds evaluate_beliefs integrations_docs load_store
-    evaluate simulated validate leaks training rederive_agrees simulated_sample simulated_agent generators_sql
-    inspect_ai isolated learned extending replay beliefs engine_traps sample search_graph mcp hostile_scenes
+    evaluate simulated validate leaks training rederive_agrees simulated_sample simulated_agent
+    inspect_ai learned extending replay beliefs engine_traps sample search_graph mcp hostile_scenes
     report generate_oracle statements_by_name load_broken occlusion kill text_reader guard gymnasium
     belief_reads view statistics preflight scoring pages awkward_cases world_model sample_images
     world_model_hostile cli explore reference reference_hostile client belief_patterns load_facts reviews

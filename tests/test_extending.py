@@ -110,6 +110,7 @@ def copy(tmp_path):
     return Copy(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_template_takes_a_row_and_a_query(copy, tmp_path):
     copy.insert("schema/templates.py", '    Template(\n        "three_hop",', ROW.lstrip("\n"))
     copy.add("queries/generators/toy.cypher", (ROOT / "queries/generators/two_hop.cypher").read_text("utf-8"))

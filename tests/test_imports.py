@@ -49,12 +49,12 @@ def test_folders_keep_apart(folder):
 
 
 def test_only_what_pyproject_names_is_imported():
-    declared = {"kuzu", "duckdb", "pyarrow", "cv2", "numpy", "click", "rich", "msgspec", "httpx2", "yaml"}
+    declared = {"kuzu", "duckdb", "pyarrow", "cv2", "numpy", "click", "rich", "msgspec", "httpx2", "yaml", "tenacity"}
     declared |= {"jrdb_avr", "jinja2", "sklearn"}
     # Of the extras, in `engine/integrations/` alone; the last three come with mcp.
     declared |= {"inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "anyio"}
-    # Extras, in `queries/cluster.py` and `queries/remote.py` alone, inside functions; botocore comes with boto3.
-    declared |= {"ray", "boto3", "botocore"}
+    # An extra, in `queries/workers.py` alone, inside a function.
+    declared |= {"ray"}
     # markupsafe comes with jinja2.
     used = {name.split(".")[0] for path in paths() for name in imported(path)}
     assert used - set(sys.stdlib_module_names) <= declared | {"markupsafe"}
@@ -73,7 +73,7 @@ def test_the_agents_edge_never_opens_the_private_tables():
             assert private not in text, path
 
 
-EXTRAS = ("inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "ray", "boto3")
+EXTRAS = ("inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "ray")
 HEAVY = (*EXTRAS, "kuzu", "duckdb", "pyarrow", "cv2", "numpy", "httpx2", "rich", "msgspec", "jinja2", "sklearn")
 
 

@@ -1,18 +1,15 @@
 """Finished calls on disk, each under the sha256 of its whole request, so that none is paid for twice.
 
-One file holds a line per call of a run, because creating a file per call takes longer than most of a call. One write
-appends a line, and a line counts only if it is whole: a kill at any point, and several processes that append at once,
-leave nothing but lines that nobody reads. The file is not synced: a machine that loses power may lose its newest calls,
-and makes them again. Requests hold no key, so the file holds none.
-
-Workers on several machines write a file each, `calls-<number>.jsonl`: a network file system does not keep whole what
-two machines append to one file. Whoever opens a file also reads those beside it.
+One file holds a line per call of a run. One write appends a line, and a line counts only if it is whole: a process that
+is killed, or several processes that append at once, leave at worst lines that are skipped. The file is not synced: a
+machine that loses power may lose its newest calls, and makes them again. Requests hold no key, so the file holds none.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
 import threading
 import weakref
@@ -41,131 +38,103 @@ _ENTRY: Final = msgspec.json.Decoder(_Entry)
 _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
-def call_files(folder: Path) -> list[Path]:
-    """The files of finished calls in a run's folder."""
-    return sorted(folder.glob("calls*.jsonl"))
-
-
-def merge_calls(path: Path) -> None:
-    """Append the files beside a file of finished calls to it, and delete them. Raises StoreError where that fails."""
-    try:
-        for other in call_files(path.parent):
-            if other != path:
-                with path.open("ab") as file:
-                    # The last line of either may have been cut short.
-                    file.write(b"\n" + other.read_bytes())
-                other.unlink()
-    except OSError as error:
-        raise StoreError(f"cannot merge the finished calls in {path.parent}: {error.strerror}") from None
-
-
 class Calls:
-    """A file of finished calls; used by many threads at once. The last line of a request counts.
+    """A file of finished calls, for many threads at once.
 
-    What other processes append is found when the file is opened, by the first call.
+    If a request has several lines, the newest that this process knows counts. Lines of other processes are read when
+    the file is opened, by the first call.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._lock = threading.Lock()
-        self._file: int | None = None
-        self._places: dict[str, tuple[int, int, int]] = {}
-        """The file, first byte and length of each request's line."""
-        self._read_to = 0
-        self._others_read = False
-        self._unread: set[str] = set()
-        """Requests whose lines this process has appended behind what was read."""
+        self._file: io.FileIO | None = None
+        self._lines: dict[str, tuple[int, int]] = {}
+        """The first byte and the length of each request's line."""
 
     def digest(self, request: Mapping[str, Any]) -> str:
-        """The key of a call: the sha256 of its request in canonical JSON, each picture replaced by its own sha256."""
+        """Return the key of a call: the sha256 of its request in canonical JSON.
+
+        Args:
+            request: The request, with the sha256 of each picture in place of its bytes.
+
+        Returns:
+            The sha256 in hexadecimal digits.
+        """
         return hashlib.sha256(msgspec.json.encode(request, order="sorted")).hexdigest()
 
     def read(self, digest: str) -> Reply | None:
-        """The stored reply to a request; None where there is none, or its line is damaged: the call is made again."""
+        """Return the stored reply to a request.
+
+        Args:
+            digest: The key of the call.
+
+        Returns:
+            The reply; None if none is stored, or its line is damaged.
+        """
         try:
-            if not self._others_read:
-                self._read_others()
-            with contextlib.suppress(FileNotFoundError):
-                own = self._opened()
-                if digest in self._unread:
-                    with self._lock:
-                        self._read_to = self._index(self._path, own, self._read_to)
-            if (place := self._places.get(digest)) is None:
+            file = self._open()
+            if (line := self._lines.get(digest)) is None:
                 return None
-            file, at, size = place
-            entry = _ENTRY.decode(os.pread(file, size, at))
+            start, size = line
+            entry = _ENTRY.decode(os.pread(file.fileno(), size, start))
             return entry.reply if entry.request == digest else None
         except _UNREADABLE:
             return None
 
     def tokens(self) -> tuple[int, int]:
-        """The prompt and completion tokens of all calls in the file and those beside it."""
+        """Return the prompt and completion tokens of all calls in the file."""
         prompt = completion = 0
-        for path in {*call_files(self._path.parent), self._path}:
-            with contextlib.suppress(OSError), path.open("rb") as lines:
-                for line in lines:
-                    with contextlib.suppress(*_UNREADABLE):
-                        reply = _ENTRY.decode(line).reply
-                        prompt, completion = prompt + reply.prompt_tokens, completion + reply.completion_tokens
+        with contextlib.suppress(OSError), self._path.open("rb") as lines:
+            for line in lines:
+                with contextlib.suppress(*_UNREADABLE):
+                    reply = _ENTRY.decode(line).reply
+                    prompt, completion = prompt + reply.prompt_tokens, completion + reply.completion_tokens
         return prompt, completion
 
     def append(self, digest: str, reply: Reply) -> None:
-        """Append a reply. Raises StoreError where the disk refuses."""
-        # A line end before the line, too: the last line may have been cut short.
+        """Append a reply.
+
+        Args:
+            digest: The key of the call.
+            reply: Its reply.
+
+        Raises:
+            StoreError: The file cannot be written.
+        """
+        # The line begins with a line end, because the last line may have been cut short.
         line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"
+        rest = line
         try:
-            file = self._opened(make=True)
-            while line:
-                line = line[os.write(file, line) :]
+            file = self._open()
+            with self._lock:
+                while rest:
+                    rest = rest[file.write(rest) :]
+                # Behind an append the position is the end of what was written, whatever other processes append.
+                self._lines[digest] = file.tell() - len(line) + 1, len(line) - 1
         except OSError as error:
             raise StoreError(f"cannot keep a finished call in {self._path}: {error.strerror}") from None
-        self._unread.add(digest)
 
-    def _opened(self, *, make: bool = False) -> int:
-        if self._file is None:
-            with self._lock:
-                if self._file is None:
-                    if make:
-                        self._path.parent.mkdir(parents=True, exist_ok=True)
-                    how = os.O_RDWR | os.O_APPEND | (os.O_CREAT if make else 0)
-                    self._file, self._read_to = self._open(self._path, how)
-        return self._file
-
-    def _read_others(self) -> None:
+    def _open(self) -> io.FileIO:
         with self._lock:
-            for path in call_files(self._path.parent):
-                if path != self._path and not self._others_read:
-                    with contextlib.suppress(OSError):
-                        self._open(path, os.O_RDONLY)
-            self._others_read = True
-
-    def _open(self, path: Path, how: int) -> tuple[int, int]:
-        """Open a file and note its places; returns it, and the byte behind them."""
-        file = os.open(path, how, 0o666)
-        try:
-            end = self._index(path, file, 0)
-        except BaseException:
-            os.close(file)
-            raise
-        # Not at the interpreter's end: a thread that still waits for a server would then write elsewhere.
-        weakref.finalize(self, os.close, file).atexit = False
-        return file, end
-
-    def _index(self, path: Path, file: int, start: int) -> int:
-        """Note the places of a file's whole lines from a byte on; returns the byte behind them."""
-        # Not by the descriptor that is written to: a write would move the place where the other reads.
-        with path.open("rb") as lines:
-            lines.seek(start)
-            for line in lines:
-                if not line.endswith(b"\n"):
-                    break
+            if self._file is None:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                file = io.FileIO(self._path, "a+")
                 try:
-                    request = _LINE.decode(line).request
-                except _UNREADABLE:
-                    pass
-                else:
-                    # In this order: whoever no longer finds it unread finds its place.
-                    self._places[request] = file, start, len(line)
-                    self._unread.discard(request)
+                    self._index()
+                except BaseException:
+                    file.close()
+                    raise
+                # Not at the interpreter's end, because a thread may still wait for its reply then.
+                weakref.finalize(self, file.close).atexit = False
+                self._file = file
+            return self._file
+
+    def _index(self) -> None:
+        """Note the position of each whole line of the file."""
+        start = 0
+        with self._path.open("rb") as lines:
+            for line in lines:
+                with contextlib.suppress(*_UNREADABLE):
+                    self._lines[_LINE.decode(line).request] = start, len(line)
                 start += len(line)
-        return start

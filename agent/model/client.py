@@ -1,14 +1,13 @@
 """Client of OpenAI-compatible chat servers.
 
 A call that finishes cleanly is stored under the sha256 of the whole request and never paid for twice. The client
-repeats what the transport or the server breaks (timeout, cut-off or unreadable reply, 5xx) and waits longer for a
-server that is busy (429, 503, 529) or not there. Any other refusal is an EndpointError at once. Keys come from the
+repeats a call if the transport or the server breaks it (timeout, unreadable reply, 5xx). It waits longer for a server
+that is busy (429, 503, 529) or cannot be reached. Any other refusal is an EndpointError at once. Keys come from the
 environment and go only into the request's headers.
 """
 
 from __future__ import annotations
 
-import math
 import random
 import threading
 import time
@@ -22,40 +21,38 @@ import msgspec
 
 from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.gate import Gate
 from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
 from jrdb_avr.agent.model.options import DEFAULTS, Options
-from jrdb_avr.agent.model.reply import ErrorReply, Reply, read_completion, server_reason, spoken
+from jrdb_avr.agent.model.reply import ErrorReply, Reply, answer_text, read_completion, server_reason
 from jrdb_avr.agent.model.transport import (
-    CONNECT_S,
+    BOUNDS,
+    Bounds,
+    Connections,
     address_of,
     checked_url,
     environment_header,
     environment_key,
-    exchange,
-    open_connection,
     retry_after,
     secret_pattern,
     secrets_of,
-    within,
 )
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError
 
 if TYPE_CHECKING:
     import httpx2
+    from tenacity import RetryCallState
 
-_LONGEST_PAUSE_S: Final = 60.0
-_LONGEST_BUSY_S: Final = 4.0
-"""Longest pause before the next try at a busy server that names none: a place is free as soon as any reply ends."""
-_BUSY_S: Final = 120.0
-"""Sum of the pauses that one call grants a server that is busy or not there: others may fill it, or it restarts."""
-_LEAST_PAUSE_S: Final = 0.5
-_PROBE_TIMEOUT_S: Final = 180.0
+_PAUSE_S: Final = (0.5, 60.0)
+"""Minimum and maximum pause before a call is repeated."""
+_BUSY_PAUSE_S: Final = 4.0
+"""Maximum pause before a busy server gets the call again, if it names no pause: any reply that ends frees a slot."""
+_PATIENCE_S: Final = 120.0
+"""Maximum sum of a call's pauses for a server that is busy or cannot be reached, and may be restarting."""
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _BUSY: Final = (429, 503, 529)
-"""Statuses of a server that will take the request later: too many of them, a model that loads, an overload."""
+"""Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
 _NO_CREDIT: Final = "insufficient_quota"
 """The error code of a 429 that waiting does not mend."""
 _REMEDIES: Final = {
@@ -66,7 +63,7 @@ _REMEDIES: Final = {
 }
 
 _LONGER_NAME: Final = "max_completion_tokens"
-"""The newer name of `max_tokens`; a server that takes no other says so."""
+"""The newer name of `max_tokens`; a server that requires it says so."""
 
 _Fault = Literal["unreachable", "busy", "timeout", "broken"]
 _NEXT: Final[Mapping[_Fault, str]] = {
@@ -75,13 +72,15 @@ _NEXT: Final[Mapping[_Fault, str]] = {
     "timeout": "run again with a smaller --concurrency or a larger --timeout",
     "broken": "look into the server's log, then run again",
 }
-"""What a person does about a fault that stays."""
+"""The remedy for a fault that stays."""
 
 
 class Chat(Protocol):
-    """Anything that completes a chat. `schema` is the JSON Schema that the reply should follow."""
+    """A model that completes a chat."""
 
-    def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply: ...
+    def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
+        """Return the reply to a chat; `schema` is the JSON Schema that it should follow."""
+        ...
 
 
 @dataclass
@@ -94,20 +93,16 @@ class _BrokenError(Exception):
 
     @property
     def passing(self) -> bool:
-        """Whether the server may be well again soon, so that the call waits for it."""
+        """Whether the server may recover soon, so that the call waits for it."""
         return self.fault in ("unreachable", "busy")
 
 
 class _TokenParameterError(EndpointError):
-    """The server refuses the limit of a reply by its older name."""
+    """The server refuses the older name of the reply's token limit."""
 
 
 class Client:
-    """Completes chats at `base_url` with `model`; safe for many threads at once.
-
-    `convention` says how to switch thinking and which part of a reply is its answer. `cache` is a file of finished
-    calls.
-    """
+    """Completes chats at `base_url` with `model`; safe for many threads at once."""
 
     def __init__(
         self,
@@ -117,21 +112,37 @@ class Client:
         *,
         convention: Convention = CONTRACT,
         cache: Path | None = None,
+        bounds: Bounds = BOUNDS,
         pause: Callable[[float], None] = time.sleep,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        """Prepare a client; nothing is sent yet.
+
+        Args:
+            base_url: The server's address.
+            model: The model id that requests name.
+            options: The request settings.
+            convention: How the model switches thinking, and which part of a reply is its answer.
+            cache: The file of finished calls; None keeps no calls.
+            bounds: Maxima of each exchange with the server.
+            pause: Waits a number of seconds.
+            clock: Returns the time in seconds.
+
+        Raises:
+            EndpointError: The address, the environment's proxy, or the value of a key or header cannot be used.
+        """
         self.base_url = checked_url(base_url)
         self.model = model
         self.options = options
         self.convention = convention
         self._calls = None if cache is None else Calls(cache)
         self._headers = {"Content-Type": "application/json"}
-        own = {name: environment_header(name, variable) for name, variable in options.headers.items()}
+        headers = {name: environment_header(name, variable) for name, variable in options.headers.items()}
         key = environment_key(options.api_key_env)
-        if key and "authorization" not in map(str.lower, own):
+        if key and "authorization" not in map(str.lower, headers):
             self._headers["Authorization"] = f"Bearer {key}"
-        self._headers |= own
-        self._secrets = secrets_of(key, own.values())
+        self._headers |= headers
+        self._secrets = secrets_of(key, headers.values())
         self._secret = secret_pattern(self._secrets)
         self._limit = RateLimit(options.rpm, options.tpm, clock, pause)
         self.spent = self._spent_before = 0.0
@@ -141,27 +152,34 @@ class Client:
         self._longer_name = False
         self._pause = pause
         self._served: dict[str, None] = {}
-        self._gate = Gate()
         self._lock = threading.Lock()
         self._replies = 0
-        # One connection per call in flight: the library's pool inspects all of its connections twice a call. The first
-        # one is made at once, because the environment may be unusable.
-        self._idle = [open_connection(self.base_url)]
+        self._bounds = bounds
+        self._connections = Connections(self.base_url, bounds)
 
     def settings(self) -> dict[str, Any]:
-        """Server and sampling settings for a run's manifest; they hold no secret."""
+        """Return the server and sampling settings for a run's manifest; they hold no secret."""
         return {"base_url": self.base_url, **self.options.settings(self.convention)}
 
     @property
     def served(self) -> tuple[str, ...]:
-        """The model ids that replies have named so far, cached ones included, in the order of their first reply."""
+        """The model ids that replies, cached ones included, have named so far, in the order of their first reply."""
         return tuple(self._served)
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
-        """Complete a chat, from the cache where the same request has finished cleanly before.
+        """Complete a chat, from the cache if the same request has finished cleanly before.
 
-        Raises EndpointError when the server refuses the request or breaks after all retries; a RunStoppedError where
-        it could not be reached, or was busy, for two minutes in which no other call succeeded either.
+        Args:
+            messages: The chat.
+            schema: The JSON Schema that the reply should follow.
+
+        Returns:
+            The reply.
+
+        Raises:
+            EndpointError: The server refuses the request, or breaks after all retries.
+            RunStoppedError: The server could not be reached, or was busy, for two minutes in which no other call
+                succeeded either; or the calls have cost the maximum.
         """
         request = self.options.request(self.model, self.convention, schema)
         digest = ""
@@ -170,7 +188,7 @@ class Client:
             cached = self._calls.read(digest)
             if cached is not None and self._cacheable(cached):
                 return self._noted(cached)
-        reply = self._noted(self._send({**request, "messages": wire(messages)}, self.options.retries))
+        reply = self._noted(self._send({**request, "messages": wire(messages)}))
         if self._calls is not None and self._cacheable(reply):
             self._calls.append(digest, reply)
         return reply
@@ -178,30 +196,34 @@ class Client:
     def _cacheable(self, reply: Reply) -> bool:
         """Whether a reply finished cleanly, has an answer, and comes from the first model that replied."""
         of_model = reply.model == next(iter(self.served), reply.model)
-        return of_model and reply.finished and bool(spoken(reply, self.convention))
+        return of_model and reply.finished and bool(answer_text(reply, self.convention))
 
     def probe(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
-        """Complete a chat without the cache and give up soon, as the server is still unknown.
+        """Complete a chat without the cache and give up soon, because the server is still unknown.
 
-        Raises EndpointError, as `complete`.
+        Args:
+            messages: The chat.
+            schema: The JSON Schema that the reply should follow.
+
+        Returns:
+            The reply.
+
+        Raises:
+            EndpointError: As in `complete`.
         """
         request = {**self.options.request(self.model, self.convention, schema), "messages": wire(messages)}
-        return self._noted(self._send(request, _PROBE_RETRIES, _PROBE_TIMEOUT_S))
+        return self._noted(self._send(request, probe=True))
 
     def server_version(self) -> str:
-        """The version that the server reports at `/version`, as vLLM does; empty where it reports none."""
+        """Return the version that the server reports at `/version`, as vLLM does, or ""."""
         import httpx2
 
         parts = urlsplit(self.base_url)
-
-        def get() -> tuple[httpx2.Response, bytes]:
-            with open_connection(self.base_url) as http:
-                return exchange(http, _VERSION_TIMEOUT_S, "GET", f"{parts.scheme}://{parts.netloc}/version")
-
+        timeout_s = min(self.options.timeout_s, _VERSION_TIMEOUT_S)
         try:
-            response, data = within(_VERSION_TIMEOUT_S, get)
+            response, data = self._connections.exchange(timeout_s, "GET", f"{parts.scheme}://{parts.netloc}/version")
             version = msgspec.json.decode(data, type=dict[str, Any]).get("version")
-        except (httpx2.HTTPError, EndpointError, TimeoutError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
@@ -210,72 +232,76 @@ class Client:
         self._served.setdefault(reply.model)
         return reply
 
-    def _check_cost(self) -> None:
-        check_cost(self._spent_before + self.spent, self.options.max_cost)
-
-    def _send(self, request: Mapping[str, Any], retries: int, most_s: float = math.inf) -> Reply:
-        # Encoded once and sent as bytes: a request may hold megabytes of pictures.
-        longer = self._longer_name
-        body = _encoded(request, longer)
-        timeout_s = min(self.options.timeout_s, most_s)
-        # A busy server does not delay a probe either, or a call without retries.
-        patience_s = _BUSY_S if retries and most_s == math.inf else 0.0
-        tries = broken_tries = 0
-        replies = self._replies
+    def _send(self, request: Mapping[str, Any], *, probe: bool = False) -> Reply:
+        """Send a request, under the newer name of the token limit if the server refuses the older one."""
         while True:
-            self._check_cost()
+            longer = self._longer_name
             try:
-                return self._try(body, timeout_s)
+                # Encoded once, because a request may hold megabytes of pictures.
+                return self._repeat(_encoded(request, longer), probe)
             except _TokenParameterError:
                 if longer:
                     raise
-                self._longer_name = longer = True
-                body = _encoded(request, longer)
-            except _BrokenError as broken:
-                tries += 1
-                wait = broken.pause
-                if wait is None:
-                    longest = _LONGEST_BUSY_S if broken.passing else _LONGEST_PAUSE_S
-                    wait = min(0.5 * 2.0 ** min(tries - 1, 10), longest)
-                # The random share spreads calls that were refused together.
-                wait = min(max(wait, _LEAST_PAUSE_S), _LONGEST_PAUSE_S) * random.uniform(1, 1.5)  # noqa: S311
-                if broken.passing and patience_s > 0:
-                    patience_s -= wait
-                elif broken_tries < retries:
-                    broken_tries += 1
-                else:
-                    # Where no other call got through meanwhile, the next question would fare no better.
-                    gone = broken.passing and self._replies == replies
-                    # A probe belongs to no run that could be resumed.
-                    resume = " (evaluate with --resume)" if most_s == math.inf else ""
-                    raise (RunStoppedError if gone else EndpointError)(
-                        f"{self.base_url}: {broken.reason} ({tries} {'try' if tries == 1 else 'tries'}): "
-                        f"{_NEXT[broken.fault]}{resume}"
-                    ) from None
-                self._pause(wait)
+                self._longer_name = True
+
+    def _repeat(self, body: bytes, probe: bool) -> Reply:
+        """Try a request until it gets a reply, is refused, or has failed too often."""
+        from tenacity import Retrying, retry_if_exception_type
+
+        options = self.options
+        retries = _PROBE_RETRIES if probe else options.retries
+        timeout_s = min(options.timeout_s, self._bounds.probe_s) if probe else options.timeout_s
+        patience_s = _PATIENCE_S if retries and not probe else 0.0
+        replies, faults = self._replies, 0
+
+        def is_last(state: RetryCallState) -> bool:
+            nonlocal faults, patience_s
+            # While a passing fault is waited for, it uses up no retry.
+            if _broken(state).passing and patience_s > 0:
+                patience_s -= state.upcoming_sleep
+            else:
+                faults += 1
+            return faults > retries
+
+        retrying = Retrying(
+            retry=retry_if_exception_type(_BrokenError),
+            wait=_pause_s,
+            stop=is_last,
+            sleep=self._pause,
+            reraise=True,
+        )
+        try:
+            return retrying(self._try, body, timeout_s)
+        except _BrokenError as broken:
+            # If no other call got through meanwhile, the next question would fare no better.
+            kind = RunStoppedError if broken.passing and self._replies == replies else EndpointError
+            tries = retrying.statistics["attempt_number"]
+            # A probe belongs to no run that could be resumed.
+            resume = "" if probe else " (evaluate with --resume)"
+            raise kind(
+                f"{self.base_url}: {broken.reason} ({tries} {'try' if tries == 1 else 'tries'}): "
+                f"{_NEXT[broken.fault]}{resume}"
+            ) from None
 
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
 
-        with self._gate.admitted() as own:
-            # Counted as it is sent, not when it began to wait for others.
-            sent = self._limit.admit()
-            try:
-                # Sending the request, waiting for the reply and reading it may each take the whole time.
-                response, data = within(min(timeout_s, CONNECT_S) + 3 * timeout_s, lambda: self._post(body, timeout_s))
-            except httpx2.ConnectTimeout:
-                raise _BrokenError("cannot reach the server (it accepts no connection)", "unreachable") from None
-            except (TimeoutError, httpx2.TimeoutException) as error:
-                self._gate.timed_out(own)
-                whole = "" if isinstance(error, httpx2.TimeoutException) else " whole"
-                beside = f" with {own.others} other calls in flight" if own.others else ""
-                raise _BrokenError(f"no{whole} reply within {timeout_s:g} s{beside}", "timeout") from None
-            except (httpx2.ConnectError, httpx2.ProxyError) as error:
-                raise _BrokenError(f"cannot reach the server ({self._one_line(error)})", "unreachable") from None
-            except httpx2.HTTPError as error:
-                raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
-            except EndpointError as error:
-                raise EndpointError(f"{self.base_url}: {error}") from None
+        check_cost(self._spent_before + self.spent, self.options.max_cost)
+        sent = self._limit.admit()
+        try:
+            response, data = self._connections.exchange(
+                timeout_s, "POST", address_of(self.base_url, "/chat/completions"), content=body, headers=self._headers
+            )
+        except httpx2.ConnectTimeout:
+            raise _BrokenError("cannot reach the server (it accepts no connection)", "unreachable") from None
+        except httpx2.TimeoutException:
+            raise _BrokenError(f"no whole reply within {timeout_s:g} s", "timeout") from None
+        except (httpx2.ConnectError, httpx2.ProxyError) as error:
+            raise _BrokenError(f"cannot reach the server ({self._one_line(error)})", "unreachable") from None
+        except httpx2.HTTPError as error:
+            raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
+        except EndpointError as error:
+            raise EndpointError(f"{self.base_url}: {error}") from None
         if self._secret is not None:
             # A server may echo its request, and replies are stored.
             data = self._secret.sub(lambda found: found[1] or b"[key]", data)
@@ -284,33 +310,21 @@ class Client:
         try:
             reply = read_completion(data)
         except ErrorReply as error:
-            # Some servers, and what stands before them, send an error with the status of a success.
+            # Some servers and proxies send an error with the status of a success.
             status = error.code if isinstance(error.code, int) and 400 <= error.code < 600 else 502
             raise self._refusal(response, status, str(error), error.code) from None
         except ValueError as error:
             kind = self._one_line(response.headers.get("content-type", "bytes").partition(";")[0])
             raise _BrokenError(f"the reply is no chat completion but {kind[:40]} ({self._one_line(error)})") from None
         self._replies += 1
-        self._gate.replied()
         self._limit.count(sent, reply.prompt_tokens + reply.completion_tokens)
         if (price := self.options.price) is not None:
             with self._lock:
                 self.spent += price.cost(reply.prompt_tokens, reply.completion_tokens)
         return reply
 
-    def _post(self, body: bytes, timeout_s: float) -> tuple[httpx2.Response, bytes]:
-        try:
-            connection = self._idle.pop()
-        except IndexError:
-            connection = open_connection(self.base_url)
-        try:
-            url = address_of(self.base_url, "/chat/completions")
-            return exchange(connection, timeout_s, "POST", url, content=body, headers=self._headers)
-        finally:
-            self._idle.append(connection)
-
     def _refusal(self, response: httpx2.Response, status: int, message: str, code: object) -> Exception:
-        """Return the error for a reply that is one, by its HTTP status, message and code."""
+        """Return the error that the HTTP status, message and code of a reply stand for."""
         reason = f"HTTP {status}: {self._one_line(message.strip() or 'the server gives no reason')}"
         busy = status in _BUSY and code != _NO_CREDIT
         if busy or status >= 500:
@@ -336,7 +350,15 @@ class Client:
 
 
 def check_cost(spent: float, most: float | None) -> None:
-    """Raise RunStoppedError where a run's calls have cost the dollars that they may cost at most."""
+    """Raise RunStoppedError if a run's calls have cost their maximum.
+
+    Args:
+        spent: The cost so far in dollars.
+        most: The maximum in dollars; None sets no maximum.
+
+    Raises:
+        RunStoppedError: The maximum is reached.
+    """
     if most is not None and spent >= most:
         raise RunStoppedError(
             f"the calls have cost {spent:.4g} dollars, and --max-cost is {most:g}: "
@@ -344,8 +366,25 @@ def check_cost(spent: float, most: float | None) -> None:
         )
 
 
+def _broken(state: RetryCallState) -> _BrokenError:
+    assert state.outcome is not None, "a try has ended"
+    broken = state.outcome.exception()
+    assert isinstance(broken, _BrokenError), "only these are repeated"
+    return broken
+
+
+def _pause_s(state: RetryCallState) -> float:
+    """Return the pause that the server asks for, or one that doubles with each try."""
+    broken, (least, most) = _broken(state), _PAUSE_S
+    wait = broken.pause
+    if wait is None:
+        wait = min(least * 2.0 ** min(state.attempt_number - 1, 10), _BUSY_PAUSE_S if broken.passing else most)
+    # The random share spreads calls that were refused together.
+    return min(max(wait, least), most) * random.uniform(1, 1.5)  # noqa: S311
+
+
 def _encoded(request: Mapping[str, Any], longer: bool) -> bytes:
-    """A request's body, the limit of the reply by its older or its `longer` name."""
+    """Return a request's body, with the older or the longer name of the token limit."""
     if longer:
         request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}
     return msgspec.json.encode(request)

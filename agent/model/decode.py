@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from jrdb_avr.agent.model.conventions import CONTRACT, CONTRACT_KEY, SCALE, TOLERANCE, Convention, Reading
-from jrdb_avr.agent.model.reply import Reply, spoken
+from jrdb_avr.agent.model.reply import Reply, answer_text
 from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, AnswerMode, Choice, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
@@ -110,7 +110,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
         raise DecodeError("the reply was cut off at the token limit (finish_reason length)")
     if reply.finish_reason not in ("stop", ""):
         raise DecodeError(f"the reply ended with finish_reason {_plain(reply.finish_reason)!r}, not 'stop'")
-    text = spoken(reply, convention)
+    text = answer_text(reply, convention)
     if not text:
         raise DecodeError(f"the reply is empty{_instead(reply)}")
     # No pattern over the whole text: one that looks for the end from every blank takes hours over a long reply.

@@ -190,7 +190,7 @@ def _tokens(usage: object, name: str) -> int:
     return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
 
 
-def spoken(reply: Reply, convention: Convention) -> str:
+def answer_text(reply: Reply, convention: Convention) -> str:
     """The reply's text after any thinking; empty where it only thinks, or holds nothing.
 
     Some servers file the whole reply under `reasoning`: its text counts past a closing delimiter, never the thinking
@@ -202,7 +202,7 @@ def spoken(reply: Reply, convention: Convention) -> str:
     return text
 
 
-def thought(reply: Reply, convention: Convention) -> str:
+def thinking_text(reply: Reply, convention: Convention) -> str:
     """The thinking in a reply, without delimiters; empty where there is none, or an empty block of it."""
     for text in (reply.content, reply.reasoning):
         for opening, closing in convention.thinking:

@@ -1,20 +1,21 @@
-"""HTTP exchanges with a model's server: addresses, keys that messages must not show, and waits that end.
+"""HTTP exchanges with a model's server: connections, deadlines, addresses, and keys that messages must not show.
 
-No redirect is followed and no compressed reply is unpacked. A key is replaced in whatever a server sends back.
+No redirect is followed and no compressed reply is unpacked. Servers are untrusted: a reply has a maximum size, and an
+exchange a deadline.
 """
 
 from __future__ import annotations
 
 import functools
 import ipaddress
+import math
 import os
-import queue
 import re
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
 from jrdb_avr.schema.errors import EndpointError
@@ -24,110 +25,159 @@ if TYPE_CHECKING:
 
     import httpx2
 
-T = TypeVar("T")
-
-MOST_BYTES: Final = 16 << 20
-"""Longest reply accepted; a few thousand tokens take some kilobytes."""
-CONNECT_S: Final = 20.0
 _SECRET: Final = 16
-"""Shortest key that is hidden; shorter ones, such as "EMPTY" or "x", are words that a reply may hold."""
+"""Minimum length of a key that is hidden in replies. Shorter ones, such as "EMPTY", are words that a reply may hold."""
 
 
-def open_connection(base_url: str) -> httpx2.Client:
-    """A connection that follows no redirect. Raises EndpointError where the environment names no usable proxy."""
-    import httpx2
+@dataclass(frozen=True)
+class Bounds:
+    """Maxima of one exchange: seconds to connect, seconds of a probe, and bytes of a reply.
 
-    # A proxy of the environment cannot reach this machine's own loopback address.
-    environment = not _is_loopback(base_url)
-    try:
-        return httpx2.Client(
-            trust_env=environment,
-            verify=_certificates(environment),
-            follow_redirects=False,
-            headers={"Accept": "application/json", "Accept-Encoding": "identity"},
-        )
-    except (httpx2.InvalidURL, ValueError, ImportError):
-        raise EndpointError(
-            "the environment names a proxy that cannot be used: correct HTTP_PROXY, HTTPS_PROXY or ALL_PROXY"
-        ) from None
+    A reply of a few thousand tokens has some kilobytes.
+    """
+
+    connect_s: float = 20.0
+    probe_s: float = 180.0
+    reply_bytes: int = 16 << 20
+
+
+BOUNDS: Final = Bounds()
+
+
+class Connections:
+    """The HTTP connections of a client to one server; safe for many threads at once."""
+
+    def __init__(self, base_url: str, bounds: Bounds) -> None:
+        """Prepare connections that follow no redirect.
+
+        Args:
+            base_url: The server's address; a proxy of the environment is not used for this machine's own address.
+            bounds: The maxima of each exchange.
+
+        Raises:
+            EndpointError: The environment names a proxy that cannot be used.
+        """
+        import httpx2
+
+        self._bounds = bounds
+        self._deadline = _Deadline()
+        environment = not _is_loopback(base_url)
+        try:
+            self._http = httpx2.Client(
+                trust_env=environment,
+                verify=_certificates(environment),
+                follow_redirects=False,
+                headers={"Accept": "application/json", "Accept-Encoding": "identity"},
+                limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
+            )
+        except (httpx2.InvalidURL, ValueError, ImportError):
+            raise EndpointError(
+                "the environment names a proxy that cannot be used: correct HTTP_PROXY, HTTPS_PROXY or ALL_PROXY"
+            ) from None
+        # httpx2 passes no network backend on to its pools.
+        for transport in filter(None, [self._http._transport, *self._http._mounts.values()]):
+            pool = transport._pool  # type: ignore[attr-defined]
+            pool._network_backend = _BoundedBackend(pool._network_backend, self._deadline)
+
+    def exchange(self, timeout_s: float, method: str, url: str, **request: Any) -> tuple[httpx2.Response, bytes]:
+        """Send a request and read the whole reply.
+
+        Args:
+            timeout_s: Maximum seconds of the whole exchange.
+            method: The HTTP method.
+            url: The full address.
+            request: Further arguments of `httpx2.Client.stream`.
+
+        Returns:
+            The response and the bytes of its body.
+
+        Raises:
+            EndpointError: A redirect, which would take the key elsewhere, a reply that is too long, or a compressed
+                one (decompression bomb).
+            httpx2.HTTPError: The server cannot be reached, or the reply breaks off or does not end in time.
+        """
+        import httpx2
+
+        self._deadline.end = time.monotonic() + timeout_s
+        timeout = httpx2.Timeout(timeout_s, connect=min(timeout_s, self._bounds.connect_s))
+        with self._http.stream(method, url, timeout=timeout, **request) as response:
+            if response.has_redirect_location:
+                raise EndpointError(
+                    f"the server redirects to another address (HTTP {response.status_code}): "
+                    "give that one as --base-url"
+                )
+            if response.headers.get("content-encoding", "").strip().lower() not in ("", "identity"):
+                raise EndpointError(
+                    "the reply is compressed, but the request accepts no compression: switch it off there"
+                )
+            data = bytearray()
+            for chunk in response.iter_raw():
+                data += chunk
+                if len(data) > self._bounds.reply_bytes:
+                    size = self._bounds.reply_bytes / (1 << 20)
+                    raise EndpointError(f"the reply is longer than {size:.3g} MB: is this a chat server?")
+            return response, bytes(data)
 
 
 @functools.cache
 def _certificates(environment: bool) -> ssl.SSLContext:
-    """The trusted certificates, shared by all connections: loading them takes as long as many calls."""
+    """Return the trusted certificates; loading them takes as long as many calls."""
     import httpx2
 
     return httpx2.create_ssl_context(trust_env=environment)
 
 
-def exchange(
-    http: httpx2.Client, timeout_s: float, method: str, url: str, **sent: Any
-) -> tuple[httpx2.Response, bytes]:
-    """Send a request and read the whole reply.
+class _Deadline(threading.local):
+    """The end of the calling thread's exchange, in seconds of `time.monotonic`."""
 
-    Raises EndpointError for a redirect, which would take the request and its key elsewhere, for a reply over 16 MB and
-    for a compressed one, of which few bytes may become many. Raises httpx2.ReadTimeout for a reply that has not ended
-    in time: the library's timeouts bound each wait for bytes only.
+    end = math.inf
+
+    def limit(self, timeout_s: float | None) -> float:
+        """Return the seconds that a wait may take. Raise ReadTimeout if none are left."""
+        left = self.end - time.monotonic()
+        if left <= 0:
+            import httpx2
+
+            raise httpx2.ReadTimeout("the exchange did not end in time")
+        return left if timeout_s is None else min(timeout_s, left)
+
+
+class _BoundedBackend:
+    """The network backend of a pool, with streams that keep to the deadline.
+
+    Because httpx2 bounds each wait for bytes only, a server that sends a byte at a time, or endless announcements (102
+    Processing), would otherwise hold a call for ever.
     """
-    import httpx2
 
-    timeout = httpx2.Timeout(timeout_s, connect=min(timeout_s, CONNECT_S))
-    with http.stream(method, url, timeout=timeout, **sent) as response:
-        if response.has_redirect_location:
-            raise EndpointError(
-                f"the server redirects to another address (HTTP {response.status_code}): give that one as --base-url"
-            )
-        if response.headers.get("content-encoding", "").strip().lower() not in ("", "identity"):
-            raise EndpointError("the reply is compressed, but the request accepts no compression: switch it off there")
-        data, end = bytearray(), time.monotonic() + timeout_s
-        for chunk in response.iter_raw():
-            data += chunk
-            if len(data) > MOST_BYTES:
-                raise EndpointError(f"the reply is longer than {MOST_BYTES >> 20} MB: is this a chat server?")
-            if time.monotonic() > end:
-                raise httpx2.ReadTimeout(f"the reply did not end within {timeout_s:g} s")
-        return response, bytes(data)
+    def __init__(self, backend: Any, deadline: _Deadline) -> None:
+        self._backend, self._deadline = backend, deadline
+        self.sleep = backend.sleep
+
+    def connect_tcp(self, host: str, port: int, timeout: float | None = None, **options: Any) -> _BoundedStream:
+        stream = self._backend.connect_tcp(host, port, self._deadline.limit(timeout), **options)
+        return _BoundedStream(stream, self._deadline)
 
 
-def within(seconds: float, work: Callable[[], T]) -> T:
-    """Run `work` in another thread and return its result, or raise what it raises.
+class _BoundedStream:
+    """A network stream whose waits end at the deadline."""
 
-    Raises TimeoutError where it does not end in time, and abandons the thread. The library's timeouts do not bound how
-    many bytes the head of a reply and the announcements before it (102 Processing) may have.
-    """
-    done: Future[T] = Future()
-    try:
-        # Threads are reused: starting one takes longer than much of a call.
-        tasks = _idle_threads.pop()
-    except IndexError:
-        tasks = queue.SimpleQueue()
-        threading.Thread(target=_serve, args=(tasks,), daemon=True).start()
-    tasks.put((work, done))
-    return done.result(seconds)
+    def __init__(self, stream: Any, deadline: _Deadline) -> None:
+        self._stream, self._deadline = stream, deadline
+        self.close, self.get_extra_info = stream.close, stream.get_extra_info
 
+    def read(self, max_bytes: int, timeout: float | None = None) -> Any:
+        return self._stream.read(max_bytes, self._deadline.limit(timeout))
 
-_Tasks = queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]]
+    def write(self, buffer: bytes, timeout: float | None = None) -> None:
+        # In parts, because the stream waits anew for each part that the server takes.
+        for start in range(0, len(buffer), 1 << 18):
+            self._stream.write(buffer[start : start + (1 << 18)], self._deadline.limit(timeout))
 
-_idle_threads: Final[list[_Tasks]] = []
-"""The queues that idle threads wait for."""
-
-# A forked process has none of the threads.
-os.register_at_fork(after_in_child=_idle_threads.clear)
-
-
-def _serve(tasks: _Tasks) -> None:
-    while True:
-        work, done = tasks.get()
-        finish: Callable[[], None]
-        try:
-            finish = functools.partial(done.set_result, work())
-        except BaseException as error:
-            finish = functools.partial(done.set_exception, error)
-        # Idle before the caller goes on, which may have more work at once.
-        _idle_threads.append(tasks)
-        finish()
-        # Results do not stay alive while the thread waits.
-        del work, done, finish
+    def start_tls(
+        self, ssl_context: ssl.SSLContext, server_hostname: str | None = None, timeout: float | None = None
+    ) -> _BoundedStream:
+        stream = self._stream.start_tls(ssl_context, server_hostname, self._deadline.limit(timeout))
+        return _BoundedStream(stream, self._deadline)
 
 
 # -- address and key --------------------------------------------------------------------------------------------------

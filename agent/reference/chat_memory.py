@@ -11,7 +11,7 @@ from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, read_box
 from jrdb_avr.agent.model.messages import Message, with_last_pictures
-from jrdb_avr.agent.model.reply import Reply, spoken
+from jrdb_avr.agent.model.reply import Reply, answer_text
 from jrdb_avr.agent.reference.graph_memory import OBSERVATION_SCHEMA
 from jrdb_avr.agent.reference.tool_calls import FINAL, Call, Turn, View, call_schema, turn_schema, view_parts
 from jrdb_avr.schema.answers import Evidence
@@ -54,7 +54,7 @@ class ChatMemory:
         return with_last_pictures(self.history, self.most_pictures)
 
     def replied(self, reply: Reply) -> None:
-        text = spoken(reply, self.attempt.convention)[:LONGEST_REPLY].encode("utf-8", "backslashreplace").decode()
+        text = answer_text(reply, self.attempt.convention)[:LONGEST_REPLY].encode("utf-8", "backslashreplace").decode()
         # Some servers refuse a message without words.
         self.history.append(Message("assistant", (text or "(nothing)",)))
 

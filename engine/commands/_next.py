@@ -7,8 +7,6 @@ import shlex
 from pathlib import Path
 
 from jrdb_avr.engine.commands._options import STORE_VARIABLE
-from jrdb_avr.queries.manifest import is_url
-from jrdb_avr.queries.mirror import Mirror
 
 
 def next_steps(folder: Path) -> list[str]:
@@ -17,9 +15,7 @@ def next_steps(folder: Path) -> list[str]:
     The store is that of the environment variable, or a folder in `folder`, or this itself.
     """
     named = os.environ.get(STORE_VARIABLE)
-    # Of a URL what is here of it: this waits for no server.
-    own = Mirror(named).folder if is_url(named) else Path(named or "")
-    places = [own] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
+    places = [Path(named)] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
     stores = [place for place in places if (place / "store.json").exists()]
     if not stores:
         where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."

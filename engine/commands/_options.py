@@ -17,41 +17,20 @@ STORE_VARIABLE: Final = "JRDB_AVR_STORE"
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 
-
-class Place(click.Path):
-    """A path, or the URL of a folder, which stays a text."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        from jrdb_avr.engine.text_table import PRINTED_AS
-        from jrdb_avr.queries.manifest import is_url
-        from jrdb_avr.queries.mirror import Mirror
-
-        if not is_url(value):
-            return super().convert(value, param, ctx)
-        PRINTED_AS[str(Mirror(value).folder)] = value
-        return value
-
-
 FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
-def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | str | None) -> Any:
-    """The store at a path or URL that an option or argument names.
-
-    Raises StoreError where a newer version wrote it, or its URL cannot be reached.
-    """
+def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
+    """Return the store that an option or argument names. Raises StoreError if a newer version wrote it."""
     from jrdb_avr.queries.manifest import refuse_newer
-    from jrdb_avr.queries.mirror import Mirror
     from jrdb_avr.queries.store import Store
 
     if path is None:
         return None
-    # The completion of a word reports nothing, and waits for no server.
-    if ctx.resilient_parsing:
-        return Store(Mirror(path).folder if isinstance(path, str) else path)
-    store = Store(path)
-    refuse_newer(store.path)
-    return store
+    # Shell completion reports no errors.
+    if not ctx.resilient_parsing:
+        refuse_newer(path)
+    return Store(path)
 
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:
@@ -62,10 +41,10 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         required=required,
         # Before the others: completion of their values looks into it.
         is_eager=True,
-        type=Place(file_okay=False, path_type=Path),
+        type=FOLDER,
         envvar=STORE_VARIABLE,
         callback=open_store,
-        help=f"Folder of the store, or its URL; without it the one that {STORE_VARIABLE} names.",
+        help=f"Folder of the store; without it the one that {STORE_VARIABLE} names.",
     )
 
 
@@ -90,30 +69,25 @@ def form_option(function: _C) -> Callable[..., Any]:
 workers_option = click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")
 
 
-def cluster_option(instead: str) -> Callable[[_C], _C]:
-    """Add the option `--executor`, the address of a cluster."""
+def executor_option(function: _C) -> Callable[..., Any]:
+    """Add the options `--workers` and `--executor`; the command gets one argument `workers`, an `Executor`."""
 
-    def check(ctx: click.Context, own: click.Parameter, value: str | None) -> str | None:
+    def check(ctx: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
         if value is None or value == "ray" or value.startswith("ray://"):
             return value
         raise click.BadParameter("write ray, or ray://HOST:PORT")
-
-    return click.option(
-        "--executor",
-        metavar="ray[://HOST:PORT]",
-        callback=check,
-        help=f"Work on a Ray cluster whose machines see the same folders, {instead}",
-    )
-
-
-def executor_option(function: _C) -> Callable[..., Any]:
-    """Add the options `--workers` and `--executor`; the command gets `workers`, as `queries.workers.Workers`."""
 
     @functools.wraps(function)
     def command(*, workers: int, executor: str | None, **values: Any) -> Any:
         return function(**values, workers=executor or workers)
 
-    return workers_option(cluster_option("instead of in processes here.")(command))
+    executor = click.option(
+        "--executor",
+        metavar="ray[://HOST:PORT]",
+        callback=check,
+        help="Use a Ray cluster, whose machines see the same folders, in place of local processes.",
+    )
+    return workers_option(executor(command))
 
 
 iou_option = click.option(

@@ -15,7 +15,7 @@ import click
 from jrdb_avr.engine.commands._complete import complete_sequence
 from jrdb_avr.engine.commands._endpoint import check_address, endpoint_options
 from jrdb_avr.engine.commands._matrix import matrix_runs
-from jrdb_avr.engine.commands._options import FILE, Place, cluster_option, form_option, store_option
+from jrdb_avr.engine.commands._options import FILE, form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, NO_MODEL, POLICIES
 from jrdb_avr.schema.errors import AvrError, InputError
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 LOG_EVERY_S: Final = 30.0
 """Seconds between two lines of scores so far where there is no bar to print them beside."""
 
-_CHECKED: Final = ("method", "model", "base_url", "world_db", "policy", "history", "isolated", "executor")
+_CHECKED: Final = ("method", "model", "base_url", "world_db", "policy", "history")
 """Options that may contradict each other."""
 
 _EXAMPLE: Final = """\b
@@ -105,9 +105,8 @@ panoramas:
     type=click.IntRange(1, 64),
     default=16,
     show_default=True,
-    help="Questions in flight at a time; with --executor, in each worker.",
+    help="Questions in flight at a time.",
 )
-@cluster_option("a worker on each of its processors; --rpm and --tpm are shared out evenly.")
 @click.option(
     "--resume",
     is_flag=True,
@@ -115,8 +114,8 @@ panoramas:
 )
 @click.option(
     "--images",
-    type=Place(file_okay=False, exists=True, path_type=Path),
-    help="Folder, or its URL, with one folder of panoramas per sequence; the store's own if left out.",
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="Folder with one folder of panoramas per sequence; the store's own if left out.",
 )
 @click.option(
     "--world-db",
@@ -127,11 +126,6 @@ panoramas:
     "--opaque",
     is_flag=True,
     help="Give the method names of sequences that say nothing of the place; they are the same in every run of a store.",
-)
-@click.option(
-    "--isolated",
-    is_flag=True,
-    help="Run the method in a process that can open the public files, the panoramas and its own file alone (Linux).",
 )
 @click.option(
     "--marker",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from jrdb_avr.engine.commands._options import FILE, FOLDER, run_argument, store_option
-from jrdb_avr.engine.console import note, warnings_as_notes
+from jrdb_avr.engine.console import note
 from jrdb_avr.schema.card import CREATOR, HOME
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 _EXAMPLE: Final = """\b
 Examples:
   jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
-  jrdb-avr export --store S --lmms-eval tasks
   jrdb-avr export --store S react-marker --jsonl predictions.jsonl
 """
 
@@ -27,33 +26,23 @@ Examples:
 @run_argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, a line each; 'score --jsonl' reads them.")
 @click.option("--hf", type=FOLDER, help="Write the questions as DIR/public, for Hugging Face, and DIR/private.")
-@click.option("--lmms-eval", "lmms", type=FOLDER, help="Write tasks for lmms-eval: monolithic and chain of thought.")
 @click.option("--creator", default=CREATOR, show_default=True, help="Of --hf: who publishes the questions.")
 @click.option("--url", default=HOME, show_default=True, help="Of --hf: where they will be published.")
-def export(
-    store: Store, run: str | None, jsonl: Path | None, hf: Path | None, lmms: Path | None, creator: str, url: str
-) -> None:
+def export(store: Store, run: str | None, jsonl: Path | None, hf: Path | None, creator: str, url: str) -> None:
     """Write what the store holds in the forms of other tools.
 
     --hf writes two folders: a public one with questions, opaque names of sequences, a card and Croissant metadata, and
-    a private one with answers and evidence. Pictures are in neither. --lmms-eval writes tasks that play two methods on
-    this machine's panoramas, and leave predictions for 'score --jsonl'.
+    a private one with answers and evidence. Neither has pictures.
     """
-    if jsonl is hf is lmms is None:
-        raise click.UsageError("say what to write: --hf, --lmms-eval or --jsonl")
+    if jsonl is hf is None:
+        raise click.UsageError("say what to write: --hf or --jsonl")
     if (run is None) is (jsonl is not None):
-        raise click.UsageError("--jsonl writes the predictions of a RUN, the others need none")
+        raise click.UsageError("--jsonl writes the predictions of a RUN, --hf needs no RUN")
     if hf is not None:
         from jrdb_avr.engine.integrations.huggingface import export_folders
 
         public, private = export_folders(store, hf, creator, url)
         note(f"wrote {public}, to be published, and {private}, which is not")
-    if lmms is not None:
-        from jrdb_avr.engine.integrations.lmms_eval import TASKS, export_tasks, task_name
-
-        with warnings_as_notes():
-            count = export_tasks(store, lmms)
-        note(f"wrote {lmms}: tasks {' and '.join(map(task_name, TASKS))}, {count} questions")
     if jsonl is None or run is None:
         return
     from jrdb_avr.engine.report.prediction_lines import write_lines

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -88,15 +87,14 @@ def generate(
         sys.exit(1)
 
 
-@click.command(epilog="Example: jrdb-avr stats --store store --picture stats.svg")
+@click.command(epilog="Example: jrdb-avr stats --store store")
 @store_option()
-@click.option("--picture", type=FILE, help="Also draw the distributions into this SVG file.")
 @_blind_option
 @form_option
 @click.option(
     "--latex", "as_latex", is_flag=True, help="Print the paper's table of generators, for the package booktabs."
 )
-def stats(store: Store, picture: Path | None, blind: str, form: RowFormat, as_latex: bool) -> None:
+def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
     """Count the questions of STORE by family, template, sequence, answer; score guessers that see no image.
 
     Says for each template what became of its candidates and, where there are few questions, why. With --json each row
@@ -112,12 +110,6 @@ def stats(store: Store, picture: Path | None, blind: str, form: RowFormat, as_la
 
     with warnings_as_notes():
         tables = statistics(store, learned_guesser() if blind == "learned" else None)
-    if picture is not None:
-        from jrdb_avr.engine.pages.page import write_page
-        from jrdb_avr.engine.pages.stats import stats_svg
-
-        write_page(picture, stats_svg(tables))
-        note(f"picture: {picture}")
     if form:
         print_data(({"table": name, **row} for name, rows in tables.items() for row in rows), form)
         return

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import Place, executor_option, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import executor_option, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.rules import LoadRules, Rules, override
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.workers import Workers
+    from jrdb_avr.queries.workers import Executor
 
 MAX_ROWS: Final = 50
 """Printed rows of a table whose length depends on the files."""
@@ -28,7 +28,7 @@ Example:
 
 
 @click.command(epilog=_EXAMPLE)
-@click.argument("root", required=False, type=Place(path_type=Path))
+@click.argument("root", required=False, type=click.Path(path_type=Path))
 @store_option()
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")
 @click.option("--verify", is_flag=True, help="Compare every file with what was loaded, and the graph with the tables.")
@@ -43,9 +43,7 @@ Example:
 @pairs_option("--rule", "overrides", "Override a load rule; may be repeated.")
 @executor_option
 @form_option
-def command(
-    root: Path | str | None, store: Store, strict: bool, workers: Workers, form: RowFormat, **options: Any
-) -> None:
+def command(root: Path | None, store: Store, strict: bool, workers: Executor, form: RowFormat, **options: Any) -> None:
     """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
     panoptic things, timestamps, calibration, panoramas.
 
@@ -96,11 +94,9 @@ def command(
 
 
 def _verify(store: Store, form: RowFormat) -> None:
-    from jrdb_avr.loaders.load import ensure_graph
     from jrdb_avr.loaders.verify import VERIFY_STEPS, checks_of
     from jrdb_avr.queries.display import step_counter
 
-    ensure_graph(store)
     with progress_bar() as progress:
         checks = checks_of(store, step_counter(progress, "verifying", VERIFY_STEPS))
     print_rows([{"what": c.what, "checked": c.checked, "fault": c.fault} for c in checks], form=form)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import itertools
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
 from jrdb_avr.engine.commands._complete import complete_query
-from jrdb_avr.engine.commands._options import FILE, Place, form_option, open_store, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import print_rows
 from jrdb_avr.schema.errors import InputError, QueryError
 
@@ -30,15 +30,6 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
     for decorate in (
         click.argument("query", required=False, shell_complete=complete_query),
         store_option(required=False),
-        click.option(
-            "--also",
-            "others",
-            multiple=True,
-            type=Place(file_okay=False, path_type=Path),
-            callback=lambda ctx, own, paths: [(str(path), open_store(ctx, own, path)) for path in paths],
-            help="Another store, also by its URL, that the query is run on by itself: the rows of all, one store after "
-            "the other, with a column 'store'. May be repeated.",
-        ),
         pairs_option(
             "--param", "params", "Value of the parameter $NAME of the query, as JSON or text. May be repeated."
         ),
@@ -91,7 +82,6 @@ def sql(**options: Any) -> None:
 def _run(
     language: Language, query: str | None, store: Store | None, params: list[tuple[str, str]], **options: Any
 ) -> None:
-    from jrdb_avr.loaders.load import ensure_graph
     from jrdb_avr.queries.named import named_queries, parse_value
 
     form, parquet = options["form"], options["parquet"]
@@ -115,18 +105,7 @@ def _run(
         if not name.isidentifier():
             raise click.UsageError(f"--param {name}: not the name of a parameter")
     values = {name: parse_value(text) for name, text in params}
-    stores = [(store.remote.url if store.remote else str(store.path), store), *options["others"]]
-    folders: set[Path] = set()
-    for place, own in stores:
-        if own.path.resolve() in folders:
-            raise click.UsageError(f"{place} is given twice, and its rows would count twice: name each store once")
-        folders.add(own.path.resolve())
-    tables: dict[str, Any] = {}
-    for place, own in stores:
-        if language == "cypher":
-            ensure_graph(own)
-        tables[place] = _unique_names(own.query(language, query, values, options["timeout"]))
-    table = _stacked(tables) if options["others"] else tables[stores[0][0]]
+    table = _unique_names(store.query(language, query, values, options["timeout"]))
     if parquet is not None:
         _write_parquet(table, parquet)
         return
@@ -157,21 +136,6 @@ def _unique_names(table: Any) -> Any:
         numbered = (f"{name}_{number}" for number in itertools.count(2))
         names.append(next(own for own in itertools.chain([name], numbered) if own not in names))
     return table.rename_columns(names)
-
-
-def _stacked(tables: Mapping[str, Any]) -> Any:
-    """The rows of a query's results in several stores, with a first column `store`.
-
-    Raises QueryError where types of a column have none in common.
-    """
-    import pyarrow as pa
-
-    columns = {place: pa.array([place] * len(table), pa.string()) for place, table in tables.items()}
-    named = [_unique_names(table.add_column(0, "store", columns[place])) for place, table in tables.items()]
-    try:
-        return pa.concat_tables(named, promote_options="permissive")
-    except pa.ArrowException as error:
-        raise QueryError(f"the stores give other types of one column ({error}): cast it") from None
 
 
 def _write_parquet(table: Any, path: Path) -> None:

@@ -12,7 +12,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, pro
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.workers import Workers
+    from jrdb_avr.queries.workers import Executor
 
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @executor_option
 @pairs_option("--rule", "overrides", "As in the call of generate.")
 @form_option
-def command(store: Store, replay: bool, workers: Workers, overrides: list[tuple[str, str]], form: RowFormat) -> None:
+def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple[str, str]], form: RowFormat) -> None:
     """Check the questions of STORE: files, ids, choices, answers, texts, evidence; derive answers and proofs again.
 
     The second derivation reads the annotation tables and nothing that generation made. With --replay all proofs of

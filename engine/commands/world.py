@@ -104,10 +104,8 @@ def _record(store: Store, run_id: str) -> pa.Table:
 
 def _graph_path(store: Store) -> Path:
     """The store's graph. Raises StoreError where there is none: one without a scene must not take its place."""
-    from jrdb_avr.loaders.load import ensure_graph
     from jrdb_avr.schema.errors import StoreError
 
-    ensure_graph(store)
     if not store.graph_path.exists():
         raise StoreError(f"{store.path} has no graph: run 'jrdb-avr load --rebuild --store {store.path}'")
     return store.graph_path

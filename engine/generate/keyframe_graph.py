@@ -33,7 +33,7 @@ from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
 from jrdb_avr.queries.graph.handle import Graph, build_graph, held_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.workers import Workers, map_shards
+from jrdb_avr.queries.workers import Executor, map_sequences
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, table_ddl
 from jrdb_avr.schema.rules import Rules, rules_hash
@@ -45,7 +45,7 @@ DERIVED: Final = ("Step", "Leads", "Describes", "Joined")
 """Edges derived from the other tables: by statements, and `Joined` by `fork_join`."""
 
 
-def ensure_layer(store: Store, rules: Rules, workers: Workers, progress: Progress | None = None) -> dict[str, int]:
+def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progress | None = None) -> dict[str, int]:
     """Make the keyframe layer of a store's graph where it is not the one of these rules; the first id of each sequence.
 
     Raises StoreError where there is no sound graph or the disk refuses, LockedError where the graph is in use.
@@ -59,11 +59,11 @@ def ensure_layer(store: Store, rules: Rules, workers: Workers, progress: Progres
     jobs = [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
     advance = step_counter(progress, "keyframes", 2 * len(jobs))
     try:
-        for _ in map_shards(_stage_tables, jobs, workers, lambda job: job.weight):
+        for _ in map_sequences(_stage_tables, jobs, workers, lambda job: job.weight):
             advance(1)
         write_graph(store, partial(_copy_tables, jobs))
         with held_graph(store.graph_path, workers):
-            for _ in map_shards(_stage_derived, jobs, workers, lambda job: job.weight):
+            for _ in map_sequences(_stage_derived, jobs, workers, lambda job: job.weight):
                 advance(1)
         write_graph(store, partial(_copy_derived, jobs))
     finally:

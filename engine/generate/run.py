@@ -35,13 +35,12 @@ from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
 from jrdb_avr.engine.generate.sequence import SequenceJob
-from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.graph.handle import held_graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store, file_hash
-from jrdb_avr.queries.workers import Workers, map_shards
+from jrdb_avr.queries.workers import Executor, map_sequences
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
@@ -96,7 +95,7 @@ def generate(
     *,
     profile: str = "all",
     seed: int = 0,
-    workers: Workers = 2,
+    workers: Executor = 2,
     n: int | None = None,
     disjoint_from: str | Path | None = None,
     candidates: Path | None = None,
@@ -121,7 +120,6 @@ def generate(
     rules = training_rules(rules) if profile == TRAIN else rules
     guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
-    ensure_graph(store)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), scratch_folder(store) as scratch:
         manifest = check_load_rules(store, rules)
@@ -208,10 +206,10 @@ def check_intervals(store: Store, manifest: Manifest) -> None:
                 )
 
 
-def _search(folder: Path, jobs: Sequence[SequenceJob], workers: Workers, advance: Advance) -> list[Found]:
+def _search(folder: Path, jobs: Sequence[SequenceJob], workers: Executor, advance: Advance) -> list[Found]:
     """Search every sequence into the folder; what each returns, in the order of the jobs."""
     results: dict[int, Found] = {}
-    for index, result in map_shards(partial(search_into, folder), jobs, workers, lambda job: job.weight):
+    for index, result in map_sequences(partial(search_into, folder), jobs, workers, lambda job: job.weight):
         results[index] = result
         advance(1)
     return [results[index] for index in range(len(jobs))]
@@ -264,14 +262,14 @@ def _without(rows: pa.Table, keys: Set[str]) -> pa.Table:
 
 
 def _confirm(
-    store: Path, rules: Rules, folder: Path, workers: Workers, progress: Progress | None, chosen: pa.Table
+    store: Path, rules: Rules, folder: Path, workers: Executor, progress: Progress | None, chosen: pa.Table
 ) -> dict[str, Fault]:
     """The chosen candidates that the second program does not confirm, by key."""
     parts = chosen_columns(folder, chosen, CONFIRMED)
     jobs = [ConfirmJob(store, sequence, rules, rows) for sequence, rows in parts]
     advance = step_counter(progress, "confirming", len(jobs))
     faults: dict[str, Fault] = {}
-    for _, found in map_shards(find_faults, jobs, workers, lambda job: job.weight):
+    for _, found in map_sequences(find_faults, jobs, workers, lambda job: job.weight):
         faults |= found
         advance(1)
     return faults

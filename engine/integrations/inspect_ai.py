@@ -88,7 +88,7 @@ def _task(store: str, player: Solver, limit: int | None, images: str | None, opa
 
 def _sample(bench: Bench, question: Question) -> Sample:
     text = bench.episode(question.question_id).text
-    public = ("sequence", "family", "template", "answer_mode")
+    public = ("sequence", "answer_mode")
     return Sample(text, id=question.question_id, metadata={name: getattr(question, name) for name in public})
 
 

@@ -19,10 +19,9 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.queries.mirror import image_path
 from jrdb_avr.queries.questions import loaded_sequence
 from jrdb_avr.queries.store import Store, safe_sequence
-from jrdb_avr.schema.errors import ObserveError, StoreError
+from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
@@ -43,7 +42,6 @@ _SIZE_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 class Observer:
     """Serves observations of `sequences`, whose panoramas lie in `image_root/<sequence>/<six digits>.jpg`.
 
-    `image_root` is a path or a URL, whose panoramas are fetched when they are looked at, and kept.
     `folders`: sequence -> name of its folder where that is another; no message then says where the folder is.
     May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas and `CACHED_FILES`
     files stay in memory; the least recently used is dropped first.
@@ -139,10 +137,7 @@ class Observer:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
         folder, file = self._folders.get(sequence, sequence), f"{frame:06d}.jpg"
         name = f"{sequence}/{file}" if sequence in self._folders else f"{self._root}/{folder}/{file}"
-        try:
-            path = image_path(self._root, f"{folder}/{file}")
-        except StoreError as error:
-            raise ObserveError(f"cannot read {name}: {error}") from None
+        path = Path(self._root, folder, file)
         try:
             # Reading a pipe or a device might never end.
             data = path.read_bytes() if path.is_file() or not path.exists() else b""

@@ -21,11 +21,10 @@ from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.run_scores import predictions_path
 from jrdb_avr.engine.report.scored_runs import SCORES, distinguishing_settings
 from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript
-from jrdb_avr.queries.questions import read_questions, read_sequences
+from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
-from jrdb_avr.schema.method import Question
 
 SCORE_OUTCOMES: Final = ("both right", "answer only", "box only", "both wrong")
 """The outcomes of a question."""
@@ -76,7 +75,7 @@ class Viewer:
     def __init__(self, store: Store, image_root: str | None, comparison: Comparison | None) -> None:
         """Read questions and runs. Raises StoreError where a public file is missing."""
         self.store, self.comparison = store, comparison
-        self.questions = read_questions(store)
+        self.questions = read_question_rows(store)
         self.sequences = read_sequences(store)
         self.pictured = image_root is not None
         self._observer = Observer(image_root, self.sequences.values())
@@ -156,7 +155,7 @@ class Viewer:
         score = request.value("score") if request.value("score") in SCORES else "combined"
         both = set(first.manifest.question_ids) & set(second.manifest.question_ids)
         shared = [own for own in self.questions if own.question_id in both]
-        groups: dict[str, list[Question]] = {}
+        groups: dict[str, list[QuestionRow]] = {}
         if self.comparison is None:
             groups = {"different answers": [], "the same answer": []}
             for question in shared:
@@ -188,12 +187,12 @@ class Viewer:
         picture = self._observer.stored(request.value("sequence"), int(frame))
         return Response(picture.jpeg, "image/jpeg", lasting=True)
 
-    def _known(self, question_id: str) -> Question:
+    def _known(self, question_id: str) -> QuestionRow:
         if question_id not in self._by_id:
             raise InputError(f"no question {question_id[:40]!r}", field="question_id")
         return self._by_id[question_id]
 
-    def answer_of(self, run: ViewedRun, question: Question) -> str:
+    def answer_of(self, run: ViewedRun, question: QuestionRow) -> str:
         """A run's answer in words, "" without one."""
         row = run.predictions.get(question.question_id)
         fps = self.sequences[question.sequence].fps
@@ -240,7 +239,7 @@ def _by_question(rows: Iterable[StoredRow]) -> dict[str, StoredRow]:
     return {row["question_id"]: row for row in rows}
 
 
-def _fits(question: Question, wanted: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
+def _fits(question: QuestionRow, wanted: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
     """Whether a question is of the chosen family and so on, and one of the runs has the outcome and the cause."""
     if any(getattr(question, name) != wanted[name] for name in _PUBLIC if name in wanted):
         return False

@@ -9,10 +9,11 @@ from jrdb_avr.engine.pages.page import readable, render, unit_of
 from jrdb_avr.engine.pages.trace import ROLES, evidence_box
 from jrdb_avr.engine.report.scoring import read_answer
 from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, Written
+from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.beliefs import ALWAYS
-from jrdb_avr.schema.method import Question, SequenceInfo
+from jrdb_avr.schema.method import SequenceInfo
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import parse_plan
 
@@ -49,13 +50,13 @@ class Belief(NamedTuple):
 
 
 def question_page(
-    question: Question,
+    question: QuestionRow,
     info: SequenceInfo,
     runs: Sequence[Any],
     chosen: Any | None,
     transcript: Transcript | None,
     missing: str,
-    near: Sequence[Question | None],
+    near: Sequence[QuestionRow | None],
     pictured: bool,
     address: Callable[..., str],
 ) -> str:
@@ -94,7 +95,7 @@ def question_page(
     )
 
 
-def _answer(run: Any, question: Question) -> str | None:
+def _answer(run: Any, question: QuestionRow) -> str | None:
     row: StoredRow = run.predictions.get(question.question_id, {})
     return row.get("answer")
 

@@ -139,10 +139,9 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     """
     store = Store.of(store)
     rows = []
-    with store.sending("runs/"):
-        for run in _scored(store, runs, iou):
-            write_scores(store, run, iou)
-            rows.append(score_row(run, iou))
+    for run in _scored(store, runs, iou):
+        write_scores(store, run, iou)
+        rows.append(score_row(run, iou))
     return Scores(rows)
 
 

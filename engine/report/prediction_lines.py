@@ -22,7 +22,7 @@ import pyarrow as pa
 
 from jrdb_avr.schema.answers import Evidence
 from jrdb_avr.schema.errors import InputError, StoreError
-from jrdb_avr.schema.method import Prediction, Status, Verdict
+from jrdb_avr.schema.method import Status, Verdict
 from jrdb_avr.schema.tables import RUNS
 
 LARGEST_FILE: Final = 1 << 28
@@ -73,14 +73,6 @@ def write_lines(predictions: pa.Table) -> Iterator[bytes]:
         except msgspec.MsgspecError as error:
             question = row["question_id"]
             raise StoreError(f"the prediction of question {question} cannot be written as JSON: {error}") from None
-
-
-def line_of(question_id: str, prediction: Prediction) -> bytes:
-    """A method's prediction as a line."""
-    own = {name: getattr(prediction, name) for name in _SAME if hasattr(prediction, name)}
-    answer = None if prediction.answer is None else msgspec.to_builtins(prediction.answer)
-    line = PredictionLine(question_id, **own, answer=answer, evidence=prediction.evidence)
-    return msgspec.json.encode(line) + b"\n"
 
 
 def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:

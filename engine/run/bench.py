@@ -14,7 +14,7 @@ from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.run.opaque import opaque_names
 from jrdb_avr.engine.run.selection import QuestionSelection, select_questions
-from jrdb_avr.queries.questions import read_questions, read_sequences
+from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
@@ -32,14 +32,14 @@ class Bench:
         episode = bench.episode(bench.questions[0].question_id)
     """
 
-    def __init__(self, store: Store, questions: Sequence[Question], image_root: str | None, opaque: bool) -> None:
+    def __init__(self, store: Store, questions: Sequence[QuestionRow], image_root: str | None, opaque: bool) -> None:
         """Hold the given questions; `Bench.open` selects them first. Raises StoreError for one of no known sequence."""
         found = read_sequences(store)
         if unknown := sorted({question.sequence for question in questions} - found.keys()):
             raise StoreError(f"questions are about {unknown[0][:120]!r}, which sequences.parquet lacks: generate again")
         names = opaque_names(store, found) if opaque else {name: name for name in found}
         self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in found.items()}
-        self.questions = [replace(question, sequence=names[question.sequence]) for question in questions]
+        self.questions = [replace(row.to_question(), sequence=names[row.sequence]) for row in questions]
         self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}
         chosen = {question.sequence for question in questions}
@@ -64,7 +64,7 @@ class Bench:
         """
         store = Store.of(store)
         image_root = find_images(store, images)
-        chosen = select_questions(read_questions(store), QuestionSelection.of(questions, limit), image_root)
+        chosen = select_questions(read_question_rows(store), QuestionSelection.of(questions, limit), image_root)
         return cls(store, chosen, image_root, opaque)
 
     def question(self, question_id: str) -> Question:

@@ -125,6 +125,5 @@ def read_calibration(store: Store, model: str) -> Calibration | None:
 def write_calibration(store: Store, calibration: Calibration) -> Path:
     """Write a calibration atomically; returns its path."""
     path = convention_path(store, calibration.model)
-    with store.sending("conventions/"):
-        write_json(path, calibration)
+    write_json(path, calibration)
     return path

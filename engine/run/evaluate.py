@@ -23,7 +23,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
-from jrdb_avr.agent.model.cache import merge_calls
 from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.reference.method import Policy
@@ -31,7 +30,6 @@ from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
-from jrdb_avr.engine.run.isolated import IsolatedMethod
 from jrdb_avr.engine.run.journal import world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
@@ -43,16 +41,14 @@ from jrdb_avr.engine.run.methods import (
     CustomMethod,
     default_policy,
     is_custom,
+    load_custom_method,
+    make_method,
     open_world,
 )
-from jrdb_avr.engine.run.on_cluster import ClusterMethod
 from jrdb_avr.engine.run.opaque import key_fingerprint
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
 from jrdb_avr.engine.run.selection import QuestionSelection
-from jrdb_avr.engine.run.worker import Job, Runner, method_of
-from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.manifest import is_url
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
 from jrdb_avr.schema.method import ConfigurableMethod, Method
@@ -121,8 +117,6 @@ def evaluate(
     history: int | None = None,
     strict_preflight: bool = False,
     epoch: int | None = None,
-    isolated: bool = False,
-    executor: str | None = None,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
@@ -137,10 +131,7 @@ def evaluate(
     how many of the newest pictures react, or agent-no-world under "model", sends in each turn; all without.
     `strict_preflight`: whether a failed check of the server refuses the run; else it is a warning, and in the manifest.
     `epoch`: the number of the run among those that answer the same questions again, which ends its id; the simulated
-    model's seed moves with it. `isolated`: whether the method, given by name, runs in a process that can open the
-    public files alone (`run.isolated`). `executor`: "ray" or "ray://HOST:PORT", a cluster on whose workers the method,
-    given by name, answers `concurrency` questions at a time on each (`run.on_cluster`).
-    `live_scores` is called from another thread with the scores so far.
+    model's seed moves with it. `live_scores` is called from another thread with the scores so far.
     Problems that do not end the run are AvrWarnings.
 
     Raises InputError, StoreError or EndpointError before the first question where something does not fit.
@@ -148,7 +139,7 @@ def evaluate(
         evaluate("store", "react", "simulated:noisy", limit=20)
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker is not None, world_db, policy, history, isolated, executor)
+    check_arguments(method, model, base_url, marker is not None, world_db, policy, history)
     simulated = profile_of(model)
     knobs = marker or simulated or PERFECT
     if epoch is not None:
@@ -162,59 +153,27 @@ def evaluate(
         run_id = f"{run_id}-{epoch}"
         folder = store.run_path(run_id)
     image_root = find_images(store, images)
-    if isolated and is_url(image_root):
-        raise InputError("--isolated reads panoramas from a folder: give a copy of them by --images", field="images")
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
     bench = Bench(store, chosen, image_root, opaque)
     with contextlib.ExitStack() as stack:
         run = stack.enter_context(Run(store, run_id))
         calls = folder / "calls.jsonl"
-        merge_calls(calls)
-        url, calibration = base_url, None
+        world = stack.enter_context(_world(store, run_id, name, world_db, run))
+        endpoint = None
         if model != NO_MODEL:
+            url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
             calibration = read_calibration(store, model)
-            if executor is None:
-                url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
-        runner: Runner
-        if isolated or executor is not None:
-            job = Job(
-                run_id=run_id,
-                method=str(method),
-                policy=policy,
-                history=history,
-                player=player,
-                model=model,
-                url=url,
-                marker=knobs,
-                options=options,
-                calibration=calibration,
-                strict=strict_preflight,
-                concurrency=concurrency,
-                images=image_root,
-                calls=str(calls),
-            )
-            runner = IsolatedMethod(store, job) if executor is None else ClusterMethod(executor, job, bench)
-            stack.callback(runner.close)
-        else:
-            world = stack.enter_context(_world(store, run_id, name, world_db, run))
-            endpoint = None
-            if url is not None:
-                endpoint = Endpoint(calibration, model, url, options, calls, player, strict_preflight)
-            own = (
-                method_of(method, endpoint, world, policy, history)
-                if isinstance(method, str)
-                else CustomMethod(type(method).__name__, method)
-            )
-            runner = _InProcess(own, endpoint, world, concurrency)
-        for line in runner.warnings:
-            warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
+            endpoint = Endpoint(calibration, model, url, options, calls, player, strict_preflight)
+            for line in endpoint.warnings:
+                warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
+        own = _make(method, endpoint, world, policy, history)
         manifest = run.start(
-            runner.name,
+            own.name,
             model,
             [question.question_id for question in chosen],
             {
-                "method": runner.settings,
-                **runner.endpoint_settings,
+                "method": own.settings(),
+                **({} if endpoint is None else endpoint.settings),
                 **({"marker": turned(knobs)} if simulated is not None and knobs != PERFECT else {}),
                 **({"opaque": key_fingerprint(store)} if opaque else {}),
                 **({"epoch": epoch} if epoch is not None else {}),
@@ -225,35 +184,31 @@ def evaluate(
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
         advance = step_counter(progress, f"{name}, {model}", len(chosen))
-        runner.answer_all(run, bench, advance)
-        if runner.counts is not None:
+        see = bench.observer
+        answer_all(own, bench.questions, bench.sequences, see, see.stored, run, concurrency, advance)
+        if world is not None:
             # Before the tables: a run that has predictions is complete.
-            add_world_counts(store, run_id, runner.counts)
+            add_world_counts(store, run_id, world.graph.counts)
         predictions = run.finish()
-        if runner.changed:
-            warnings.warn(runner.changed, AvrWarning, stacklevel=2)
+        if endpoint is not None and (changed := endpoint.changed()):
+            warnings.warn(changed, AvrWarning, stacklevel=2)
     return RunResult(run_id, predictions, manifest.synthetic, options.price)
 
 
-class _InProcess:
-    """A `Runner`: a method in this process."""
-
-    def __init__(
-        self, method: ConfigurableMethod, endpoint: Endpoint | None, world: WorldModel | None, concurrency: int
-    ) -> None:
-        self._method, self._endpoint, self._concurrency = method, endpoint, concurrency
-        self.name, self.settings = method.name, method.settings()
-        self.endpoint_settings = {} if endpoint is None else endpoint.settings
-        self.warnings = [] if endpoint is None else endpoint.warnings
-        self.counts = None if world is None else world.graph.counts
-
-    @property
-    def changed(self) -> str:
-        return "" if self._endpoint is None else self._endpoint.changed()
-
-    def answer_all(self, run: Run, bench: Bench, advance: Callable[[int], None]) -> None:
-        see = bench.observer
-        answer_all(self._method, bench.questions, bench.sequences, see, see.stored, run, self._concurrency, advance)
+def _make(
+    method: str | Method,
+    endpoint: Endpoint | None,
+    world: WorldModel | None,
+    policy: Policy | None,
+    history: int | None,
+) -> ConfigurableMethod:
+    """Return the method to run. Raise InputError if a custom method cannot be made."""
+    if not isinstance(method, str):
+        return CustomMethod(type(method).__name__, method)
+    if is_custom(method):
+        return load_custom_method(method, None if endpoint is None else endpoint.client)
+    assert endpoint is not None, "built-in methods need a model: check_arguments"
+    return make_method(method, endpoint.client, endpoint.convention, world, policy, history)
 
 
 def check_arguments(
@@ -264,8 +219,6 @@ def check_arguments(
     world_db: Path | None,
     policy: Policy | None = None,
     history: int | None = None,
-    isolated: bool = False,
-    executor: str | None = None,
 ) -> None:
     """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
@@ -282,13 +235,6 @@ def check_arguments(
         raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
     if history is not None and (method not in CHATS or chosen != "model"):
         raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
-    if isolated and executor is not None:
-        raise InputError("--isolated: in one process of this machine only; leave --executor out", field="isolated")
-    for given, option in ((isolated, "isolated"), (executor is not None, "executor")):
-        if given and not isinstance(method, str):
-            raise InputError(f"{option}: give the method by name, or as FILE.py:NAME", field=option)
-        if given and world_db is not None:
-            raise InputError(f"--{option} keeps the world model in memory: leave --world-db out", field="world_db")
     if world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
 
@@ -310,8 +256,6 @@ def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: R
     if method not in WORLD_METHODS:
         yield None
         return
-    if world_db is None:
-        ensure_graph(store)
     if world_db is None and not store.graph_path.exists():
         raise StoreError(
             f"{store.path} has no graph to hold the agent's world model: name one of its own by --world-db"

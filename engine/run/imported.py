@@ -14,12 +14,11 @@ import pyarrow.compute as pc
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
 from jrdb_avr.engine.run.run import has_manifest
 from jrdb_avr.engine.run.selection import QuestionSelection, matching
-from jrdb_avr.queries.questions import read_questions
+from jrdb_avr.queries.questions import QuestionRow, read_question_rows
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
-from jrdb_avr.schema.method import Question
 
 IMPORTED: Final = "imported"
 """The method of such a run; of its model nothing is known."""
@@ -41,7 +40,7 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     if not len(predictions):
         raise InputError(f"{path} holds no prediction", file=str(path))
     selection = QuestionSelection.of(predictions["question_id"].to_pylist())
-    questions = matching(read_questions(store), selection)
+    questions = matching(read_question_rows(store), selection)
     manifest = RunManifest(
         run_id=run_id,
         method=IMPORTED,
@@ -52,15 +51,14 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
         settings=settings,
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     )
-    with store.sending(f"runs/{run_id}/"):
-        if not begun:
-            write_run_manifest(store, manifest)
-        # Predictions come last: a run that has them is complete.
-        store.write_run(run_id, "predictions", _in_order(predictions, questions))
+    if not begun:
+        write_run_manifest(store, manifest)
+    # Predictions come last: a run that has them is complete.
+    store.write_run(run_id, "predictions", _in_order(predictions, questions))
     return run_id
 
 
-def _in_order(predictions: pa.Table, questions: Sequence[Question]) -> pa.Table:
+def _in_order(predictions: pa.Table, questions: Sequence[QuestionRow]) -> pa.Table:
     """The predictions in the order of the tables of runs."""
     ordered = sorted((question.sequence, question.question_id) for question in questions)
     ids = predictions["question_id"].combine_chunks()

@@ -109,7 +109,7 @@ def remove_run(store: Store | str | Path, run_id: str) -> None:
         shutil.rmtree(left, ignore_errors=True)
     _require(store, run_id)
     folder = store.run_path(run_id)
-    with store.sending(f"runs/{run_id}/"), _idle(folder):
+    with _idle(folder):
         try:
             believes = read_run_manifest(store, run_id).method in WORLD_METHODS
         except StoreError:

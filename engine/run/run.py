@@ -17,11 +17,10 @@ import pyarrow as pa
 
 from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, write_tables
 from jrdb_avr.engine.run.selection import QuestionSelection, matching, select_questions
-from jrdb_avr.queries.questions import read_questions, sequences_of_questions
+from jrdb_avr.queries.questions import QuestionRow, read_question_rows, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.method import Question
 
 _ACCESS: Final = (
     *("base_url", "timeout_s", "retries", "token_parameter", "headers", "api_key_env"),
@@ -50,7 +49,6 @@ class Run(Journal):
         if (folder / "journal.jsonl").exists():
             raise StoreError(f"{folder} was begun by an older version: delete it, or give another --run-id")
         super().__init__(journal_folder(folder), sequences_of_questions(store))
-        self.enter_context(store.sending(f"runs/{run_id}/", "conventions/", "opaque.key"))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
         self._over = False
@@ -160,12 +158,12 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
 
 def run_questions(
     store: Store, run_id: str, selection: QuestionSelection, resume: bool, image_root: str | None
-) -> tuple[list[Question], dict[str, Any]]:
+) -> tuple[list[QuestionRow], dict[str, Any]]:
     """The questions of a run and the record of their selection: as selected, or as of the run that is resumed.
 
     Raises StoreError where the run exists and is not to be resumed, or has questions that the selection leaves out.
     """
-    questions = read_questions(store)
+    questions = read_question_rows(store)
     exists, record = has_manifest(store, run_id), selection.record()
     if not exists:
         return select_questions(questions, selection, image_root), record

@@ -11,13 +11,13 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from operator import itemgetter
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.queries.mirror import has_images
+from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
-from jrdb_avr.schema.method import Question
 
 
 class QuestionSelection(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -63,8 +63,8 @@ _COLUMN: Final = {
 
 
 def select_questions(
-    questions: Sequence[Question], selection: QuestionSelection, image_root: str | None
-) -> list[Question]:
+    questions: Sequence[QuestionRow], selection: QuestionSelection, image_root: str | None
+) -> list[QuestionRow]:
     """The selected questions among those whose sequence has a folder with panoramas under `image_root`.
 
     Numbers are counted after questions without panoramas are left out, of which a warning tells. Raises InputError for
@@ -81,7 +81,7 @@ def select_questions(
     return found[: selection.limit]
 
 
-def matching(questions: Sequence[Question], selection: QuestionSelection) -> list[Question]:
+def matching(questions: Sequence[QuestionRow], selection: QuestionSelection) -> list[QuestionRow]:
     """The questions of the selection's names, in the order of its ids or of the file, and however many.
 
     Raises InputError for an unknown name.
@@ -114,14 +114,14 @@ def _counted(counts: Counter[str], name: str) -> int:
     return counts[name]
 
 
-def _draw(seed: int | None, question: Question) -> bytes:
+def _draw(seed: int | None, question: QuestionRow) -> bytes:
     """The question's place in a draw: the same for any others beside it."""
     return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 
-def _with_panoramas(questions: Sequence[Question], image_root: str | None) -> list[Question]:
+def _with_panoramas(questions: Sequence[QuestionRow], image_root: str | None) -> list[QuestionRow]:
     sequences = sorted({question.sequence for question in questions})
-    without = [name for name in sequences if image_root is None or not has_images(image_root, name)]
+    without = [name for name in sequences if image_root is None or not any(Path(image_root, name).glob("*.jpg"))]
     found = [question for question in questions if question.sequence not in without]
     if not questions:
         raise StoreError("no question is of all the chosen families, templates and sequences: choose fewer")

@@ -26,7 +26,7 @@ from jrdb_avr.engine.rederive import Annotations, prove_again, rederive
 from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store, read_table
-from jrdb_avr.queries.workers import Workers
+from jrdb_avr.queries.workers import Executor
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
 from jrdb_avr.schema.labels import answer_of_choice, overlapping
@@ -115,7 +115,7 @@ def validate(
     rules: Rules | None = None,
     *,
     replay_proofs: bool = False,
-    workers: Workers = 2,
+    workers: Executor = 2,
     progress: Progress | None = None,
 ) -> Validation:
     """Check a store's questions, and derive each answer and proof again from the annotations.
@@ -183,7 +183,7 @@ def check_replay(
     store: Store,
     records: Sequence[QuestionRecord],
     rules: Rules,
-    workers: Workers,
+    workers: Executor,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> None:
     """Run every proof and every compiled plan again; `advance` receives the number of finished steps, two a question.

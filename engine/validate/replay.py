@@ -22,14 +22,13 @@ from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import Annotations, Outcome, rederive
-from jrdb_avr.loaders.load import ensure_graph
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph, held_graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.workers import Workers, map_shards
+from jrdb_avr.queries.workers import Executor, map_sequences
 from jrdb_avr.schema.errors import AvrError, PlanError
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import Proof, QuestionRecord
@@ -139,7 +138,7 @@ def replay(
     store: Store,
     records: Sequence[QuestionRecord],
     rules: Rules,
-    workers: Workers,
+    workers: Executor,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> list[Difference]:
     """Run the proofs of questions again; differences come in the questions' order.
@@ -147,7 +146,6 @@ def replay(
     `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables.
     The keyframe layer of these rules is made where the graph lacks it.
     """
-    ensure_graph(store)
     lows = stored_layer(store, rules)
     if not lows:
         with store.writing("validate --replay"):
@@ -158,7 +156,7 @@ def replay(
     ]
     found: list[Difference] = []
     with held_graph(store.graph_path, workers):
-        for index, own in map_shards(replay_sequence, jobs, workers, lambda job: job.weight):
+        for index, own in map_sequences(replay_sequence, jobs, workers, lambda job: job.weight):
             found += own
             advance(len(jobs[index].records))
     place = {record.question_id: number for number, record in enumerate(records)}

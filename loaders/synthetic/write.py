@@ -18,7 +18,7 @@ from jrdb_avr.loaders.synthetic.pictures import panorama_frames, write_images
 from jrdb_avr.loaders.synthetic.script import NONE
 from jrdb_avr.loaders.synthetic.social_files import SocialFiles
 from jrdb_avr.loaders.synthetic.world import World
-from jrdb_avr.queries.workers import map_shards
+from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 _PLACES: Final = ("plaza", "cafe", "hall", "library", "street", "lobby", "atrium", "campus", "market")
@@ -84,7 +84,7 @@ def write(orders: list[Order], workers: int) -> Iterator[Written]:
     """Write the sequences; yields each as it is done, in no fixed order."""
     for root in {order.root for order in orders}:
         shutil.copytree(_CALIBRATION, Path(root) / "calibration")
-    for _, written in map_shards(write_sequence, orders, workers, lambda order: order.frames * order.people):
+    for _, written in map_sequences(write_sequence, orders, workers, lambda order: order.frames * order.people):
         yield written
 
 

@@ -106,14 +106,11 @@ def query_graph(
     raise getattr(errors, kind)(message)
 
 
-def _in_new_process(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[bytes]:
-    # -P: modules that happen to lie in the current folder are not imported.
+def run_child(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[bytes]:
+    """Run `serve` on a request in a new process. Raises TimeoutExpired after `timeout_s` seconds."""
+    # -P: modules in the current folder are not imported.
     program = [sys.executable, "-P", "-c", "from jrdb_avr.queries.graph.guard import serve; serve()"]
     return subprocess.run(program, input=request, capture_output=True, timeout=timeout_s, check=False)
-
-
-run_child: Callable[[bytes, float], subprocess.CompletedProcess[bytes]] = _in_new_process
-"""Runs `serve` on a request in a new process; TimeoutExpired beyond its seconds. Tests put a faster start here."""
 
 
 def serve() -> None:

@@ -45,7 +45,7 @@ from jrdb_avr.queries.graph.file import (
 )
 from jrdb_avr.queries.graph.parameters import bind, strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
-from jrdb_avr.queries.workers import Workers
+from jrdb_avr.queries.workers import Executor
 from jrdb_avr.schema.errors import QueryError, StoreError
 
 BUFFER_BYTES: Final = 512 << 20
@@ -328,7 +328,7 @@ def worker_graph(path: Path) -> Iterator[Graph]:
 _left_open: dict[Path, Graph] = {}
 
 
-def held_graph(path: Path, workers: Workers) -> contextlib.AbstractContextManager[object]:
+def held_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
     """A graph held open while this process works on all sequences itself, so that it is opened and a statement planned
     once; nothing while others do, as to open it takes 150 MB. Raises as `Graph.open`."""
     return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()

@@ -46,9 +46,9 @@ from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.methods import default_policy
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.synthetic.write import plan, write
-from jrdb_avr.queries.questions import read_questions
+from jrdb_avr.queries.questions import read_question_rows, read_questions
 from jrdb_avr.queries.store import Store, read_table
-from jrdb_avr.queries.workers import map_shards
+from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, iou
 
 METHODS: Final = (AGENT, CONTROL, "agent model", NO_WORLD, REACT, PASSIVE, PASSIVE_NO_WORLD)
@@ -144,7 +144,7 @@ def make_store(out: Path, seed: int, size: tuple[int, int, int]) -> Path:
 def choose(store: Path, count: int) -> tuple[str, ...]:
     """Ids of questions: one of each template in turn, until there are so many."""
     by_template: dict[str, list[str]] = defaultdict(list)
-    for question in read_questions(Store(store)):
+    for question in read_question_rows(Store(store)):
         by_template[question.template].append(question.question_id)
     rounds = zip_longest(*(sorted(own) for _, own in sorted(by_template.items())))
     return tuple(name for own in rounds for name in own if name is not None)[:count]
@@ -282,7 +282,7 @@ def main() -> None:
         ]
     due = [run for run in runs if not run.done]
     print(f"{len(runs)} runs, {len(runs) - len(due)} of them are there", flush=True)
-    for done, (number, _) in enumerate(map_shards(make_run, due, given.workers, lambda run: driven(run.method)), 1):
+    for done, (number, _) in enumerate(map_sequences(make_run, due, given.workers, lambda run: driven(run.method)), 1):
         print(f"{done} of {len(due)}: {due[number].run_id}", flush=True)
     cells: dict[tuple[str, str], list[Run]] = defaultdict(list)
     for run in runs:

@@ -138,7 +138,7 @@ def measure(looks, name):
 
     # Different texts: equal requests would be answered from the cache.
     shape = ("a", "b"), "multiple_choice"
-    asked = [Question(f"{i:016x}", "s", "f", "t", f"Question {i}?", *shape) for i in range(QUESTIONS)]
+    asked = [Question(f"{i:016x}", "s", f"Question {i}?", *shape) for i in range(QUESTIONS)]
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         client = Client(f"http://127.0.0.1:{port.value}/v1", "x", cache=Path(folder) / "calls.jsonl")
         world = None

@@ -27,7 +27,7 @@ from jrdb_avr.engine.report.scored_runs import SCORES
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.workers import map_shards
+from jrdb_avr.queries.workers import map_sequences
 
 SAMPLE: Final = 20
 MODEL: Final = "Qwen3.5 9B"
@@ -78,7 +78,9 @@ class Job:
 def rows(store: Path, knobs: Knobs, questions: tuple[str, ...]) -> dict[str, Row]:
     """The scores of every method."""
     jobs = [Job(store, method, knobs, questions) for method in METHODS]
-    return {jobs[place].method: row for place, row in map_shards(Job.row, jobs, 2, lambda job: job.method == "react")}
+    return {
+        jobs[place].method: row for place, row in map_sequences(Job.row, jobs, 2, lambda job: job.method == "react")
+    }
 
 
 def misfit(found: dict[str, Row]) -> float:

@@ -21,7 +21,7 @@ from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import Options
-from jrdb_avr.agent.model.reply import thought
+from jrdb_avr.agent.model.reply import thinking_text
 from jrdb_avr.engine.run.methods import CHATS, DRIVABLE, METHODS, POLICIES, WORLD_METHODS, make_method
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import AnswerMode
@@ -157,7 +157,7 @@ class Chat(Client):
                 assert not isinstance(part, str) or part.encode().strip(), "a request holds text that no server takes"
         self._schema = schema
         reply = super().complete(messages, schema)
-        thought(reply, self.convention)
+        thinking_text(reply, self.convention)
         return reply
 
     def _post(self, body, timeout_s):
@@ -198,7 +198,7 @@ def task_of(rng, number, steps, writes):
     mode = rng.choice(MODES)
     choices = CHOICES if mode == "multiple_choice" else ()
     text = "What does the person who is walking at frame 000015 do at frame 000150?"
-    question = Question(f"{number:016x}", "s", "family", "template", text, choices, mode)
+    question = Question(f"{number:016x}", "s", text, choices, mode)
     return Task(question, SequenceInfo("s", 15.0, 301, FRAMES), _observe, _panorama, steps.append, writes.append)
 
 

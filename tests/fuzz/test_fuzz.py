@@ -44,6 +44,7 @@ def test_a_few_cases_hold(world, tmp_path):
     assert ask(tmp_path, 10) > 10
 
 
+@pytest.mark.slow
 def test_an_error_out_of_the_tree_is_found(world, monkeypatch):
     monkeypatch.setattr(boxes_2d, "_cluster", int)
     with pytest.raises(TypeError):

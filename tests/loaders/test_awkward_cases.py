@@ -448,6 +448,7 @@ def test_case_26_tracks_with_gaps(tmp_path):
     assert report.problems == []
 
 
+@pytest.mark.slow
 def test_case_27_short_tracks_give_no_question_of_change(tmp_path):
     from jrdb_avr.engine.generate.run import generate
 

@@ -271,6 +271,7 @@ def test_mutated_files_give_no_fact_that_is_not_there(tmp_path):
     assert sum(count for (_, what), count in became.items() if what == "kept in part") > len(SEEDS) / 10
 
 
+@pytest.mark.slow
 def test_worlds_with_mutated_files_derive_what_was_kept():
     became = Counter(check_world(seed) for seed in WORLD_SEEDS)
     assert became["kept"] > len(WORLD_SEEDS) / 2, became

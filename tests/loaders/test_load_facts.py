@@ -150,6 +150,7 @@ def test_a_pose_file_without_poses_has_its_frames():
     assert expected["sequence"][0]["layers"] == ["2d", "actions", "pose"]
 
 
+@pytest.mark.slow
 def test_random_worlds_are_not_empty_of_facts():
     """The comparison is worth something only if every kind of fact occurs in it."""
     seen = Counter()
@@ -213,6 +214,7 @@ def test_the_graph_has_the_facts_of_the_oracle(seed, tmp_path):
             assert found == total == store.manifest().graph[relation]
 
 
+@pytest.mark.slow
 def test_a_synthetic_sample_has_the_facts_of_the_oracle(tmp_path):
     from jrdb_avr.loaders.synthetic.write import plan, write
 

@@ -206,6 +206,7 @@ class Killed(BaseException):
     """Stands for the end of the process."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", range(3))
 def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, loaded_one, loaded_two, call):
     """The moment when the new parts are moved in is too short to hit by chance."""
@@ -279,6 +280,7 @@ def test_killed_between_any_two_moves_no_table_is_lost(
     same(store, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("limit_kb", "people"), [(20, 60), (300, 10)], ids=["a table", "the graph"])
 def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, loaded_one, limit_kb, people):
     store = copied(loaded_one, tmp_path / "store")

@@ -505,6 +505,7 @@ def test_shares_lie_near_those_of_jrdb(root, flat, solid, seen, frames):
         assert ours == pytest.approx(theirs, abs=1.0 if theirs > 2 else 0.1)
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_whatever_the_workers(tmp_path):
     sizes = ("--frames", 60, "--people", 5, "--no-images")
     assert run(tmp_path / "one", *sizes, "--sequences", 2, "--workers", 1).exit_code == 0

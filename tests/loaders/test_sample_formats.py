@@ -55,6 +55,7 @@ def test_segments_decode_to_their_area_and_box_and_fill_the_picture(root):
             assert one["bbox"] == mask.toBbox(code).tolist()
 
 
+@pytest.mark.slow
 def test_segments_fill_the_picture_and_do_not_overlap(root):
     for name, content in files(root, "labels_2d_panoptic_stitched_CW").items():
         for image in (1, 4):
@@ -67,6 +68,7 @@ def test_segments_fill_the_picture_and_do_not_overlap(root):
             assert (count == 0).mean() < 0.001
 
 
+@pytest.mark.slow
 def test_segments_of_people_lie_in_their_boxes(root):
     """A person's pixels are in its 2D box, modulo 3760 and some pixels of rounding."""
     checked = 0

@@ -14,6 +14,8 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.schema.labels import POSES, normal_action
 from jrdb_avr.schema.markers import read
 
+pytestmark = pytest.mark.slow
+
 SIZES = ("--sequences", "2", "--frames", "150", "--people", "26")
 
 

@@ -239,6 +239,7 @@ def test_an_engine_that_crashes_or_hangs_is_waited_for_once(store, monkeypatch, 
     assert found["Handles"] == "not read, after Sequence"
 
 
+@pytest.mark.slow
 def test_a_table_may_take_long_while_its_reading_goes_on(store, monkeypatch):
     serve_by(monkeypatch, _slow)
     began = time.monotonic()

@@ -172,6 +172,7 @@ def test_the_tables_lie_beside_the_scene_and_leave_it_alone(scene):
         assert found.to_pylist() == [{"p.track": 1, "q.track": 2}]
 
 
+@pytest.mark.slow
 def test_a_file_of_its_own_is_made_from_nothing(tmp_path):
     path = tmp_path / "new" / "world.kuzu"
     with WorldGraph.open(path) as world:
@@ -231,6 +232,7 @@ for number in range(1000):
 """
 
 
+@pytest.mark.slow
 def test_a_killed_writer_leaves_a_graph_that_opens(scene, tmp_path):
     before = scene_rows(scene)
     said = tmp_path / "out"

@@ -94,6 +94,7 @@ def strange_plan(rng, mind):
     return planned("action", "t0", times, nodes, edges)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(6))
 @given(seed=st.integers(0, 10**9))
 def test_strange_words_and_shapes_come_to_what_brute_force_finds(world, seed):

@@ -511,6 +511,7 @@ def test_a_stated_frame_is_met_by_the_nearest_one_within_a_second(sighted, whole
     assert len({msgspec.json.encode(one) for one in placed}) == len(placed) <= 8
 
 
+@pytest.mark.slow
 def test_more_sets_of_people_than_are_tried_are_several(site):
     """Fifteen people in a row of those who talk with one another: the engine is not asked to try them all."""
     story, names = Story(), [f"p{n}" for n in range(12)]

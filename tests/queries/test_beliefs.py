@@ -111,6 +111,7 @@ def test_random_plans_over_random_beliefs_come_to_what_brute_force_finds(graph, 
     compare(graph, seed)
 
 
+@pytest.mark.slow
 def test_each_read_was_known_and_unknown(graph):
     for seed in range(examples(4)):
         compare(graph, seed, ("defined",) if seed < 2 else OUTCOMES[1:])
@@ -183,6 +184,7 @@ def compare_things(graph, seed):
         SEEN["things", belief.outcome] += 1
 
 
+@pytest.mark.slow
 def test_plans_with_things_had_each_outcome(graph):
     for seed in range(10):
         compare_things(graph, seed)
@@ -228,6 +230,7 @@ def test_what_holds_before_or_after_a_frame_is_found_as_by_brute_force(graph, se
     compare_moments(graph, seed)
 
 
+@pytest.mark.slow
 def test_moments_had_each_outcome(graph):
     for seed in range(6):
         compare_moments(graph, seed)

@@ -1,4 +1,4 @@
-"""Sequences on a Ray cluster of this machine: the same results as in processes; what dies is run again."""
+"""Sequences on a Ray cluster of this machine: the results of local processes, even if workers die."""
 
 from __future__ import annotations
 
@@ -10,65 +10,60 @@ from types import SimpleNamespace
 
 import pytest
 from entry import run
+from extras import needs
 
-from jrdb_avr.queries.cluster import map_on_cluster
-from jrdb_avr.queries.workers import map_shards
+from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.errors import InputError, StoreError
 
 
-def test_without_ray_the_extra_is_named(monkeypatch):
+def test_without_ray_the_message_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"pip install 'jrdb-avr\[ray\]'"):
-        list(map_on_cluster("ray", len, ["a"], [0]))
+        list(map_sequences(len, ["a"], "ray", len))
 
 
 @pytest.mark.parametrize("kind", [ConnectionError, LookupError])
-def test_a_cluster_that_refuses_is_one_line(monkeypatch, kind):
-    """Ray's own errors, such as that of a missing token, are of its own kind, here LookupError."""
+def test_a_cluster_that_refuses_is_reported_in_one_line(monkeypatch, kind):
+    """Ray raises its own class of errors, here LookupError, for example if a token is missing."""
 
     def init(**options):
         raise kind("no token was found.\nMore about it.")
 
-    exceptions = SimpleNamespace(RayError=LookupError)
-    monkeypatch.setitem(
-        sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False, init=init, exceptions=exceptions)
+    ray = SimpleNamespace(
+        is_initialized=lambda: False, init=init, exceptions=SimpleNamespace(RayError=LookupError, RayTaskError=KeyError)
     )
-    with pytest.raises(InputError, match=r"at ray: no token was found; where .* set RAY_AUTH_MODE=token$"):
-        list(map_on_cluster("ray", len, ["a"], [0]))
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    with pytest.raises(InputError, match=r"at ray: no token was found; if .* set RAY_AUTH_MODE=token$"):
+        list(map_sequences(len, ["a"], "ray", len))
 
 
 @pytest.mark.parametrize("address", ["spark", "ray:10", "http://ray"])
-def test_what_is_no_address_is_refused(tmp_path, address):
+def test_other_addresses_are_refused(tmp_path, address):
     code, _, err = run("load", "--rebuild", "--store", tmp_path, "--executor", address)
     assert code == 2 and "write ray, or ray://HOST:PORT" in err
 
 
 @pytest.fixture(scope="module")
 def ray():
-    if "REQUIRE_EXTRAS" not in os.environ:
-        pytest.importorskip("ray", minversion="2")  # not a mere folder of that name
+    needs("ray")
     import ray
 
-    # The functions of this file are sent by value: no worker can import it.
+    # Workers cannot import this file, so its functions are sent by value.
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     yield ray
     ray.shutdown()
 
 
-def square(value):
-    return value * value
-
-
 def refuse(value):
-    raise InputError(f"shard {value} is broken", field="value")
+    raise InputError(f"sequence {value} is broken", field="value")
 
 
-def die_once(place):
-    if not place.exists():
-        place.touch()
+def die_once(path):
+    if not path.exists():
+        path.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return place
+    return path
 
 
 def die(value):
@@ -76,28 +71,41 @@ def die(value):
 
 
 @pytest.mark.usefixtures("ray")
-def test_every_shard_gives_its_result_once_and_a_dead_worker_is_replaced(tmp_path):
-    assert dict(map_shards(square, [3, 1, 2], "ray", weight=float)) == {0: 9, 1: 1, 2: 4}
-    places = [tmp_path / name for name in "ab"]
-    assert dict(map_shards(die_once, places, "ray", weight=lambda place: 1.0)) == dict(enumerate(places))
+def test_a_sequence_is_run_again_if_its_worker_dies_but_not_forever(tmp_path):
+    paths = [tmp_path / name for name in "abc"]
+    assert dict(map_sequences(die_once, paths, "ray", lambda path: 1.0)) == dict(enumerate(paths))
     with pytest.raises(InputError, match="is broken"):
-        list(map_shards(refuse, [1, 2], "ray", weight=float))
+        list(map_sequences(refuse, [1, 2], "ray", float))
     with pytest.raises(StoreError, match="4 times on one sequence"):
-        list(map_shards(die, [1], "ray", weight=float))
+        list(map_sequences(die, [1], "ray", float))
 
 
 @pytest.mark.usefixtures("ray")
-def test_a_store_made_on_a_cluster_is_that_of_one_machine(small_demo, tmp_path):
-    root = small_demo.folder / "sample"
-    found = []
-    for place, where in (("here", ("--workers", 1)), ("there", ("--executor", "ray"))):
+def test_a_store_made_on_a_cluster_has_the_bytes_of_one_made_locally(tmp_path, monkeypatch):
+    from jrdb_avr.loaders import load
+    from jrdb_avr.loaders.synthetic.write import plan, write
+
+    root = tmp_path / "root"
+    sequences = [written.name for written in write(plan(root, [(120, 8)] * 2, 7, "none"), 1)]
+    # The worker of each sequence is killed once while it loads.
+    load_shard = load.load_shard
+
+    def killed_once(shard):
+        die_once(tmp_path / shard.files.sequence)
+        return load_shard(shard)
+
+    hashes = []
+    for folder, executor in ((tmp_path / "local", ("--workers", 1)), (tmp_path / "cluster", ("--executor", "ray"))):
+        if folder.name == "cluster":
+            monkeypatch.setattr(load, "load_shard", killed_once)
         for command in (("load", root), ("generate",), ("validate", "--replay")):
-            code, _, err = run(*command, "--store", tmp_path / place, *where)
+            code, _, err = run(*command, "--store", folder, *executor)
             assert code == 0, err
-        found.append(
+        hashes.append(
             {
-                path.relative_to(tmp_path / place): hashlib.sha256(path.read_bytes()).hexdigest()
-                for path in sorted((tmp_path / place).rglob("*.parquet"))
+                path.relative_to(folder): hashlib.sha256(path.read_bytes()).hexdigest()
+                for path in folder.rglob("*.parquet")
             }
         )
-    assert found[0] == found[1] and len(found[0]) > 20
+    assert hashes[0] == hashes[1] and len(hashes[0]) > 20
+    assert all((tmp_path / name).exists() for name in sequences)

@@ -311,6 +311,7 @@ def holds_of(world, condition, frame, track):
     return world.value((kind, condition[kind]), frame, track)
 
 
+@pytest.mark.slow
 def test_what_holds_before_or_after_a_frame_is_found_as_by_brute_force(sites):
     rng, seen = random.Random(5), Counter()
     for site in sites[:4]:

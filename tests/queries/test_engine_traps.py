@@ -576,6 +576,7 @@ def test_trap_what_the_language_lacks(memory, cypher):
         raw(memory, cypher)
 
 
+@pytest.mark.slow
 def test_trap_many_databases_exhaust_the_address_space():
     many = "d = [E.Database(':memory:') for _ in range(40)]"
     done = warm.run(warm.script, f"import {ENGINE} as E\n{many}")

@@ -5,6 +5,7 @@ import random
 from collections import Counter
 
 import msgspec
+import pytest
 from known_runs import Benchmark, table
 
 from jrdb_avr.engine.report.comparison import report
@@ -46,6 +47,7 @@ def cause(target, people, looks, frame, box):
     return "right person, loose box" if 0 < own == most else "wrong person" if most else "nobody"
 
 
+@pytest.mark.slow
 def test_causes_are_those_of_pixels(tmp_path):
     draw = random.Random(5)
 

@@ -229,6 +229,7 @@ def test_readers_share_and_keep_writers_out(path):
         assert ask_child(path, "build").startswith("LOCKED")
 
 
+@pytest.mark.slow
 def test_the_holder_is_named(path):
     with subprocess.Popen(child(path, "write", "wait"), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout.readline().strip() == b"4"
@@ -239,6 +240,7 @@ def test_the_holder_is_named(path):
     Graph.open(path).close()
 
 
+@pytest.mark.slow
 def test_a_killed_holder_lets_go(path):
     with subprocess.Popen(child(path, "write", "wait"), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         other.stdout.readline()

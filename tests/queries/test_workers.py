@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from jrdb_avr.queries.workers import map_shards
+from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.errors import InputError, StoreError
 
 
@@ -28,22 +28,22 @@ def die(value: int) -> int:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_every_shard_gives_its_result_once(workers):
     items = [3, 1, 2]
-    assert dict(map_shards(square, items, workers, weight=float)) == {0: 9, 1: 1, 2: 4}
+    assert dict(map_sequences(square, items, workers, weight=float)) == {0: 9, 1: 1, 2: 4}
 
 
 def test_the_heaviest_shard_starts_first():
-    assert [index for index, _ in map_shards(square, [3, 9, 5], 1, weight=float)] == [1, 2, 0]
+    assert [index for index, _ in map_sequences(square, [3, 9, 5], 1, weight=float)] == [1, 2, 0]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_of_a_shard_is_raised_as_it_is(workers):
     with pytest.raises(InputError, match="is broken"):
-        list(map_shards(refuse, [1, 2], workers, weight=float))
+        list(map_sequences(refuse, [1, 2], workers, weight=float))
 
 
 def test_a_dead_worker_is_an_error_that_says_what_to_do():
     with pytest.raises(StoreError, match="fewer --workers"):
-        list(map_shards(die, [1, 2], 2, weight=float))
+        list(map_sequences(die, [1, 2], 2, weight=float))
 
 
 def sleep_or_die(folder: Path | None) -> None:
@@ -58,5 +58,5 @@ def test_the_last_worker_that_dies_is_noticed_before_another_one_has_a_result(tm
     # Whoever watches the processes is awake before the last one is there.
     monkeypatch.setattr(BaseProcess, "start", lambda process: time.sleep(0.1) or start(process))
     with pytest.raises(StoreError, match="fewer --workers"):
-        list(map_shards(sleep_or_die, [tmp_path, None], 2, weight=lambda folder: folder is not None))
+        list(map_sequences(sleep_or_die, [tmp_path, None], 2, weight=lambda folder: folder is not None))
     assert not (tmp_path / "waited").exists()

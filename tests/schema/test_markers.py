@@ -99,6 +99,7 @@ def test_cells_give_back_the_mark(mark, layout, wide, high):
         assert decoded.mark == mark
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(30))
 @given(any_mark(), st.sampled_from(["first", "tall", "wide"]), st.data())
 def test_up_to_three_wrong_cells_are_noticed(mark, layout, data):
@@ -114,6 +115,7 @@ def test_up_to_three_wrong_cells_are_noticed(mark, layout, data):
         assert decoded.mark == first_only(mark)
 
 
+@pytest.mark.slow
 def test_random_cells_are_no_mark():
     rng = np.random.default_rng(0)
     found = sum(
@@ -186,6 +188,7 @@ def test_a_panorama_reads_no_mark_twice():
     assert [reading.box.x for reading in readings] == sorted(reading.box.x for reading in readings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.6, 0.75, 1.5, 2.0])
 def test_scaled_pictures_are_read_or_left_out(scale):
     rng = random.Random(3)
@@ -203,6 +206,7 @@ def test_scaled_pictures_are_read_or_left_out(scale):
     assert read_count >= 0.9 * examples(12)
 
 
+@pytest.mark.slow
 def test_crowds_noise_and_cuts_give_no_false_reading():
     """Many marks that cover and cut each other, twice through JPEG, with noise: each reading is right."""
     rng = random.Random(1)
@@ -230,6 +234,7 @@ def test_crowds_noise_and_cuts_give_no_false_reading():
     assert readings > 0.05 * drawn > 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cover", [0.02, 0.05, 0.2, 0.5, 0.9])
 def test_a_plate_covered_in_part_is_not_read_wrong(cover):
     rng = random.Random(7)

@@ -375,6 +375,7 @@ for thread in threads: thread.join()
 """
 
 
+@pytest.mark.slow
 def test_many_threads_may_read_their_first_plan_at_once():
     """A decoder that is made while threads decode crashed the process three times in four."""
     text = (

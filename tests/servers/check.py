@@ -40,7 +40,7 @@ from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Message, Picture
 from jrdb_avr.agent.model.options import Options
 from jrdb_avr.agent.model.probes import CROP_SIZE, PANORAMA_SIZE, drawn_picture
-from jrdb_avr.agent.model.reply import thought
+from jrdb_avr.agent.model.reply import thinking_text
 from jrdb_avr.agent.preflight import preflight
 from jrdb_avr.schema.errors import AvrError
 
@@ -176,8 +176,11 @@ def seeing_rows(server, store):
     off, on = (said(server.client(thinking=how)) for how in ("off", "on"))
     where = "as `reasoning_content`" if on.reasoning else "in the text, up to its closing delimiter"
     convention = convention_of(SEEING)
-    yield "Thinking off (`chat_template_kwargs`)", f"{'still there' if thought(off, convention) else 'none there'}"
-    yield "Thinking on", f"{where if thought(on, convention) else 'none there'}"
+    yield (
+        "Thinking off (`chat_template_kwargs`)",
+        "still there" if thinking_text(off, convention) else "none there",
+    )
+    yield "Thinking on", where if thinking_text(on, convention) else "none there"
     yield "Thinking on, with a schema", seen["json_schema", "on"].get("thinking", seen["json_schema", "on"]["schema"])
     crop, panorama = drawn_picture(CROP_SIZE), drawn_picture(PANORAMA_SIZE)
     counts = [said(server.client(), "What is this?", *sent).prompt_tokens for sent in ([], [crop], [crop] * 30)]
@@ -255,7 +258,7 @@ def held(server):
     with ThreadPoolExecutor(16) as pool:
         ended = Counter(pool.map(one, range(16)))
     lost = sum(n for end, n in ended.items() if end != "stop")
-    return f"{ended['stop']} replies, {lost} lost; {client._gate._limit:.1f} calls admitted at the end"
+    return f"{ended['stop']} replies, {lost} lost"
 
 
 def restarted(server, store):

@@ -1,6 +1,7 @@
 """A painted sequence, questions about it, and a store that holds the public files alone: what runs are tried on."""
 
 import shutil
+from dataclasses import asdict
 
 import pyarrow as pa
 import pytest
@@ -16,6 +17,7 @@ from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.wording.text import question_id, render
 
+LABELS = {"family": "unique_anchor", "template": "change"}
 POSES = ("walking", "sitting", "standing", "lying")
 FRAMES = tuple(range(0, 301, 15))
 
@@ -26,8 +28,8 @@ def question(t0, t1, sequence=SEQUENCE):
     times = {"t0": Time(frame=t0), "t1": Time(frame=t1)}
     plan = Plan("a", "a", times, (Node("a", conditions),), (), spec)
     text = render("change", plan, "0" * 64)
-    public = (sequence, "unique_anchor", "change", text, POSES, "multiple_choice")
-    return Question(question_id(*public), *public)
+    public = (sequence, *LABELS.values(), text, POSES, "multiple_choice")
+    return Question(question_id(*public), sequence, text, POSES, "multiple_choice")
 
 
 QUESTIONS_ASKED = [question(t0, t1) for t0 in (0, 15, 30) for t1 in (90, 105, 150, 300)]
@@ -36,8 +38,7 @@ BLIND = question(0, 90, "unseen")
 
 def write_public(store, questions, frames):
     """The public files: questions, and the frames of their sequences."""
-    rows = [{name: getattr(q, name) for name in QUESTIONS["questions"].names} for q in questions]
-    rows = [{**row, "choices": list(row["choices"])} for row in rows]
+    rows = [{**asdict(q), **LABELS, "choices": list(q.choices)} for q in questions]
     store.write_questions("questions", pa.Table.from_pylist(rows, QUESTIONS["questions"]), {})
     rows = [{"sequence": name, "fps": 15.0, "frame_count": 301, "frames": list(f)} for name, f in frames.items()]
     store.write_questions("sequences", pa.Table.from_pylist(rows, QUESTIONS["sequences"]), {})

@@ -9,7 +9,7 @@ from jrdb_avr.engine.run.methods import open_world
 from jrdb_avr.queries.runs import RunManifest, write_run_manifest
 from jrdb_avr.schema.method import Question, SequenceInfo
 
-ASKED = [Question(f"{n:016x}", "yard-1_0", "f", "t", f"Question {n}?", ("a", "b"), "multiple_choice") for n in range(6)]
+ASKED = [Question(f"{n:016x}", "yard-1_0", f"Question {n}?", ("a", "b"), "multiple_choice") for n in range(6)]
 
 
 INFO = {"yard-1_0": SequenceInfo("yard-1_0", 15.0, 46, (0, 15, 30, 45))}

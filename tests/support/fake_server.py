@@ -254,8 +254,6 @@ def corner_seen(request):
 def seeing(request, n=0, model="fake"):
     """What a good server replies to a preflight request; None to any other."""
     text = texts({"messages": [message for message in request["messages"] if message["role"] != "system"]})
-    if text.endswith("The people in the picture, as one JSON object:"):
-        return completion('{"people": []}', model=model) if 'frame_id": "000000"}' in text else None
     if text.endswith("one word: ready"):
         return completion("ready", model=model)
     if text.startswith("Say in one sentence"):

@@ -96,3 +96,18 @@ def layers_in_memory():
         patch.setattr(run, "ensure_layer", lambda store, *_: dict.fromkeys(store.manifest().sequences, 0))
         patch.setattr(run, "held_graph", lambda *_: contextlib.nullcontext())
         yield
+
+
+def all_steps(context):
+    """Return where relations lead from visible people: frame, source, relation, outcome, target."""
+    text = """
+        MATCH (:Moment)-[s:Step]->(b:Moment) WHERE b.id >= $low AND b.id < $low + 4294967296
+        WITH DISTINCT s.relation AS relation, s.bit AS bit
+        MATCH (a:Moment) WHERE a.id >= $low AND a.id < $low + 4294967296 AND coalesce(a.seen, 1) = 1
+          AND a.track IS NOT NULL
+        OPTIONAL MATCH (a)-[k:Step]->(b:Moment) WHERE k.relation = relation
+        RETURN a.frame AS frame, a.track AS source, relation,
+               CASE WHEN b.track IS NOT NULL THEN 'defined' WHEN b.id IS NOT NULL THEN b.nowhere
+                    WHEN bitwise_and(a.open, bit) > 0 THEN 'unknown' ELSE 'empty' END AS outcome, b.track AS target
+        ORDER BY frame, source, relation"""
+    return context.graph.query(text, {"low": context.low})

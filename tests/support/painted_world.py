@@ -59,6 +59,6 @@ class World:
         cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
 
     def task(self, question, mode, choices=(), steps=None, writes=None):
-        row = Question("0" * 16, SEQUENCE, "family", "template", question, tuple(choices), mode)
+        row = Question("0" * 16, SEQUENCE, question, tuple(choices), mode)
         record = (steps if steps is not None else []).append
         return Task(row, self.info, self.observe, self.panorama, record, ([] if writes is None else writes).append)

@@ -74,7 +74,7 @@ def blank_task(mode="multiple_choice", choices=CHOICES, frames=(0, 5, 10), frame
         looks.append((frame_index, None))
         return Panorama(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, b"\xff\xd8 whole \xff\xd9")
 
-    question = Question("0" * 16, "s", "family", "template", "What does the person do?", tuple(choices), mode)
+    question = Question("0" * 16, "s", "What does the person do?", tuple(choices), mode)
     record = ([] if steps is None else steps).append
     return Task(question, SequenceInfo("s", 15.0, frame_count, tuple(frames)), observe, panorama, record, None)
 

@@ -52,7 +52,7 @@ SCENE = (
 
 
 def question(number):
-    return Question(f"{number:016x}", "s", "family", "template", "Who?", (), "number")
+    return Question(f"{number:016x}", "s", "Who?", (), "number")
 
 
 def look(frame, angle=180.0):

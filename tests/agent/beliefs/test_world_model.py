@@ -270,6 +270,7 @@ def test_two_threads_keep_to_their_own_episode(graph):
     assert one == two and len(one["Has"]) == 12 and len(one["Related"]) == 3
 
 
+@pytest.mark.slow
 def test_sixty_four_episodes_at_once():
     with WorldGraph.memory() as graph:
 

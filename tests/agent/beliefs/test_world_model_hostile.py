@@ -74,6 +74,7 @@ MADE = "MATCH (e:Episode)-[:Made]->(o:Observation) RETURN e.id AS episode, o.id 
 SEEN = "MATCH (n:Entity)-[s:Sighted]->(:Observation) RETURN DISTINCT n.id AS who, s.frame AS frame"
 
 
+@pytest.mark.slow
 def test_ten_thousand_calls_write_nothing_that_names_no_observation_made():
     rng = random.Random(19)
     with WorldGraph.memory() as world:

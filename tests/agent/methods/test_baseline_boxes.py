@@ -62,6 +62,7 @@ def test_a_box_in_the_crop(coarse, fine):
     assert all(abs(a - b) < 0.051 for a, b in zip(told, prediction.evidence.box, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("x", [0, 47, 1801, 3620])
 def test_a_person_comes_back(tmp_path, method, x):
@@ -74,6 +75,7 @@ def test_a_person_comes_back(tmp_path, method, x):
     assert iou(Box(*prediction.evidence.box), Box(x, 101, 140, 239)) > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x", [-70, -69, -22, 3760 - 22, 3760 - 118])
 def test_a_person_over_the_seam(tmp_path, x):
     """One crop shows the person whole. A panorama shows two parts, of which one can be boxed: the larger."""

@@ -306,7 +306,7 @@ def test_one_degree_is_a_duplicate_whatever_rounding_says(tenths, turn):
             def complete(self, messages, schema=None, replies=replies):
                 return Reply(next(replies), finish_reason="stop")
 
-        question = Question("0" * 16, "s", "f", "t", "?", CHOICES, "multiple_choice")
+        question = Question("0" * 16, "s", "?", CHOICES, "multiple_choice")
         task = Task(question, SequenceInfo("s", 15.0, 1, (0,)), observe, None, lambda step: None, None)
         assert ReAct(Chat()).answer(task).n_observations == looks
 

@@ -153,6 +153,7 @@ def test_the_marker_writes_as_the_contract_asks():
 # -- what is asked ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_pictures_show_what_is_known_of_them():
     """The mark in each says where its rectangle is: in JPEG, read back by the marks' own reader."""
     pictures = drawn_rectangles(50, 0)
@@ -304,7 +305,7 @@ def test_a_server_that_takes_one_picture_at_a_time_is_calibrated(public):
     with FakeServer(one) as server:
         result = run(server, public)
     assert result.exit_code == 0
-    assert "warning: panoramas: 8 panoramas in one request refused" in result.stderr
+    assert "warning: panoramas: 8 panoramas in one request" in result.stderr
 
 
 def test_a_server_that_fails_its_preflight_is_warned_of_and_nothing_is_stored(public):

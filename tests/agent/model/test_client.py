@@ -18,12 +18,13 @@ from fake_server import Body, CutOff, Drip, FakeServer, Slow, Status, completion
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jrdb_avr.agent.model.cache import Calls, call_files, merge_calls
+from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcript, wire
 from jrdb_avr.agent.model.options import Options
 from jrdb_avr.agent.model.reply import Reply, read_completion
+from jrdb_avr.agent.model.transport import Bounds
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError, StoreError
 
 ASK = [Message("user", ("hello",))]
@@ -254,6 +255,7 @@ def test_an_account_without_credit_is_told_at_once(said, wrap):
     assert len(server.requests) == 1
 
 
+@pytest.mark.slow
 def test_sixty_four_share_a_server_that_takes_four():
     """It refuses whoever comes while four are served: nobody's question may be lost for that."""
     places, clock = threading.Semaphore(4), 0.03
@@ -278,10 +280,9 @@ def test_json_of_another_content_type_is_heard():
         assert client(server)[0].complete(ASK).content == "hi"
 
 
-def test_a_reply_without_end_is_not_read_to_its_end(monkeypatch):
-    monkeypatch.setattr("jrdb_avr.agent.model.transport.MOST_BYTES", 100_000)
+def test_a_reply_without_end_is_not_read_to_its_end():
     with FakeServer(sequence_of("x" * 90_000, "x" * 200_000)) as server:
-        made, _ = client(server)
+        made = Client(server.url, "fake", bounds=Bounds(reply_bytes=100_000))
         assert len(made.complete(ASK).content) == 90_000
         with pytest.raises(EndpointError, match="is this a chat server"):
             made.complete(ASK)
@@ -296,7 +297,7 @@ def test_a_reply_that_drips_is_given_up():
 
 
 @pytest.mark.parametrize("said", [b"a", b"HTTP/1.1 102 Processing\r\n\r\n"], ids=["head", "announcements"])
-def test_a_reply_that_never_begins_is_given_up(said, monkeypatch):
+def test_a_reply_that_never_begins_is_given_up(said):
     """A byte of a header line, or an announcement that the reply is to come, again and again, each in time.
 
     Were all of them waited for, the connection would end in another error.
@@ -319,12 +320,9 @@ def test_a_reply_that_never_begins_is_given_up(said, monkeypatch):
 
         threading.Thread(target=serve, daemon=True).start()
         made = Client(f"http://127.0.0.1:{listening.getsockname()[1]}/v1", "x", Options(timeout_s=0.2, retries=0))
-        with pytest.raises(EndpointError, match=r"no (whole )?reply within 0.2 s \(1 try\): .*--concurrency"):
+        with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(1 try\): .*--concurrency"):
             made.complete(ASK)
-        monkeypatch.setattr("jrdb_avr.agent.model.client._VERSION_TIMEOUT_S", 0.2)
-        began = time.monotonic()
         assert made.server_version() == ""
-        assert time.monotonic() - began < 10
 
 
 def test_retries_end():
@@ -369,35 +367,6 @@ def test_slow_replies_time_out_and_are_tried_again():
         assert made.complete(ASK).content == "hi"
 
 
-def test_a_server_that_is_too_slow_gets_fewer_calls():
-    """Eight calls time out together: of their repetitions, four and what replies win back are sent at a time."""
-    lock, inside, most = threading.Lock(), set(), []
-
-    def script(request, n):
-        if n < 8:
-            return Slow(1.0, "late")
-        with lock:
-            inside.add(n)
-            most.append(len(inside))
-        time.sleep(0.05)
-        with lock:
-            inside.remove(n)
-        return "hi"
-
-    with FakeServer(script) as server, ThreadPoolExecutor(8) as pool:
-        made = Client(server.url, "fake", Options(timeout_s=0.5), pause=lambda seconds: None)
-        assert {reply.content for reply in pool.map(made.complete, [ASK] * 8)} == {"hi"}
-    assert len(most) == 8 and max(most) <= 5
-
-
-def test_a_call_that_times_out_beside_others_says_how_many():
-    with FakeServer(sequence_of(Slow(0.5, "late"))) as server, ThreadPoolExecutor(4) as pool:
-        made, _ = client(server, timeout_s=0.2, retries=0)
-        failed = [job.exception() for job in [pool.submit(made.complete, ASK) for _ in range(4)]]
-    told = " ".join(map(str, failed))
-    assert re.search(r"no reply within 0.2 s with [123] other calls in flight .*--concurrency", told)
-
-
 def test_nobody_there_is_one_line():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -420,9 +389,8 @@ def test_who_alone_is_refused_does_not_stop_the_run():
     assert not isinstance(caught.value, RunStoppedError)
 
 
-def test_a_host_that_takes_no_connection_is_not_waited_for_as_for_a_reply(monkeypatch):
+def test_a_host_that_takes_no_connection_is_not_waited_for_as_for_a_reply():
     """A full queue of connections: the kernel answers no further one."""
-    monkeypatch.setattr("jrdb_avr.agent.model.transport.CONNECT_S", 0.3)
     with socket.socket() as full, contextlib.ExitStack() as stack:
         full.bind(("127.0.0.1", 0))
         full.listen(0)
@@ -430,11 +398,10 @@ def test_a_host_that_takes_no_connection_is_not_waited_for_as_for_a_reply(monkey
             waiting = stack.enter_context(socket.socket())
             waiting.setblocking(False)
             waiting.connect_ex(full.getsockname())
-        made = Client(f"http://127.0.0.1:{full.getsockname()[1]}/v1", "x", Options(retries=0))
-        started = time.monotonic()
+        url = f"http://127.0.0.1:{full.getsockname()[1]}/v1"
+        made = Client(url, "x", Options(retries=0), bounds=Bounds(connect_s=0.3))
         with pytest.raises(EndpointError, match="cannot reach the server"):
             made.complete(ASK)
-        assert time.monotonic() - started < 10
 
 
 @pytest.mark.parametrize(
@@ -605,6 +572,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_calls_survive_kills_and_two_processes(tmp_path):
     """Two processes keep the same call over and over, and are killed: every read finds one reply, whole."""
     path = tmp_path / CALLS
@@ -615,8 +583,8 @@ def test_calls_survive_kills_and_two_processes(tmp_path):
         for writer in writers:
             assert writer.stdout.readline() == b"ready\n"
         seen = set()
-        end = time.monotonic() + 30
-        while len(seen) < 2 and time.monotonic() < end:
+        while len(seen) < 2:
+            assert all(writer.poll() is None for writer in writers)
             if (reply := Calls(path).read(digest)) is not None:
                 assert len(reply.content) == 300_000
                 assert len(set(reply.content)) == 1
@@ -625,7 +593,6 @@ def test_calls_survive_kills_and_two_processes(tmp_path):
             writer.kill()
             writer.wait()
             writer.stdout.close()
-        assert seen == {"a", "b"}
         assert len(Calls(path).read(digest).content) == 300_000
 
 
@@ -665,38 +632,6 @@ def test_what_cannot_be_read_leaves_no_file_open(tmp_path, monkeypatch):
     assert len(list(Path("/proc/self/fd").iterdir())) == before
     monkeypatch.undo()
     assert calls.read("a").content == "hi"
-
-
-def test_calls_of_other_workers_are_found_beside_ones_own_and_merged(tmp_path):
-    for number, text in enumerate("ab", 1):
-        calls = Calls(tmp_path / f"calls-{number}.jsonl")
-        calls.append(text, Reply(text, prompt_tokens=number))
-        # Whatever is kept or read first.
-        assert [calls.read(name) and calls.read(name).content for name in "ab"] == ["a", "b" if number == 2 else None]
-        calls.append("own", Reply("own"))
-        assert calls.read("own").content == "own"
-    with (tmp_path / "calls-1.jsonl").open("a") as file:
-        file.write("cut sho")
-    assert Calls(tmp_path / CALLS).tokens() == (3, 0)
-    merge_calls(tmp_path / CALLS)
-    assert [path.name for path in call_files(tmp_path)] == [CALLS]
-    assert [Calls(tmp_path / CALLS).read(name).content for name in ("a", "b", "own")] == ["a", "b", "own"]
-    assert Calls(tmp_path / CALLS).tokens() == (3, 0)
-
-
-def test_a_call_just_kept_is_found_by_whoever_reads_meanwhile(tmp_path):
-    """Once its line is no longer noted as unread, its place is known."""
-    calls, found = Calls(tmp_path / CALLS), []
-
-    class Unread(set):
-        def discard(self, digest):
-            super().discard(digest)
-            found.append(calls.read(digest))
-
-    calls.append("a", Reply("hi"))
-    calls._unread = Unread(calls._unread)
-    assert calls.read("a").content == "hi"
-    assert [reply.content for reply in found] == ["hi"]
 
 
 LATE = """
@@ -915,12 +850,14 @@ def test_a_refusal_says_what_to_do(code, remedy):
         client(server)[0].complete(ASK)
 
 
-def test_a_probe_does_not_wait_as_long_as_a_question(monkeypatch):
-    monkeypatch.setattr("jrdb_avr.agent.model.client._PROBE_TIMEOUT_S", 0.2)
+def test_a_probe_does_not_wait_as_long_as_a_question():
     with FakeServer(sequence_of(Slow(0.5, "hi"))) as server:
-        with pytest.raises(EndpointError, match="no reply within"):
-            client(server)[0].probe(ASK)
-        assert client(server)[0].complete(ASK).content == "hi"
+        with pytest.raises(EndpointError, match="no whole reply within"):
+            Client(server.url, "fake", bounds=Bounds(probe_s=0.2), pause=lambda seconds: None).probe(ASK)
+        assert (
+            Client(server.url, "fake", bounds=Bounds(probe_s=0.2), pause=lambda seconds: None).complete(ASK).content
+            == "hi"
+        )
 
 
 def test_a_probe_that_fails_speaks_of_no_run_to_resume():

@@ -15,7 +15,7 @@ from jrdb_avr.agent.model import decode as boxes
 from jrdb_avr.agent.model import reply as replies
 from jrdb_avr.agent.model.conventions import CONTRACT, convention_of
 from jrdb_avr.agent.model.decode import read_answer, read_evidence, reply_object, write_box
-from jrdb_avr.agent.model.reply import Reply, spoken, thought
+from jrdb_avr.agent.model.reply import Reply, answer_text, thinking_text
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, crop_left, from_crop, iou, to_crop
@@ -162,13 +162,13 @@ def test_what_was_thought_is_never_what_was_said(thoughts, words, model):
     for opening, closing in convention.thinking:
         assume(closing not in thoughts + words and opening not in thoughts + words)
         whole = Reply(f"{opening}{thoughts}{closing}{words}", finish_reason="stop")
-        assert spoken(whole, convention) == words.strip()
-        assert thought(whole, convention) == thoughts.strip()
+        assert answer_text(whole, convention) == words.strip()
+        assert thinking_text(whole, convention) == thoughts.strip()
         stranded = Reply("", f"{thoughts}{closing}{words}", "stop")
-        assert spoken(stranded, convention) == words.strip()
-        assert spoken(Reply(f"{opening}{thoughts}", finish_reason="stop"), convention) == ""
-    assert spoken(Reply("", thoughts, "stop"), convention) == ""
-    assert thought(Reply("", thoughts, "stop"), convention) == thoughts.strip()
+        assert answer_text(stranded, convention) == words.strip()
+        assert answer_text(Reply(f"{opening}{thoughts}", finish_reason="stop"), convention) == ""
+    assert answer_text(Reply("", thoughts, "stop"), convention) == ""
+    assert thinking_text(Reply("", thoughts, "stop"), convention) == thoughts.strip()
 
 
 @pytest.mark.parametrize("finish_reason", ["length", "content_filter", "tool_calls"])
@@ -404,6 +404,7 @@ def test_schemas_close_every_object():
     assert decode.answer_schema("multiple_choice", ["a", "b"])["maximum"] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "filler", [" ", "\n", "\t", "`", "{", "```\n", "</think>", "<think>", "<think></think>", "<|channel>thought"]
 )

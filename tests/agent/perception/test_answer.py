@@ -44,6 +44,7 @@ def answer(plan, tracks, choices=()):
 VOTES = st.lists(st.dictionaries(st.sampled_from("abc"), st.sampled_from((-UNIT, 0.0, UNIT, 2 * UNIT))), max_size=6)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(200))
 @given(VOTES)
 def test_the_course_is_the_best_of_all_courses(votes):

@@ -87,7 +87,11 @@ LOOKS = [(frame, angle) for frame in range(0, 180, 15) for angle in range(0, 360
 # Measured over 60 worlds: 0.99 and 0.96, with wrong boxes and correlated misreadings 0.92.
 @pytest.mark.parametrize(
     ("noise", "least"),
-    [(Noise(), 0.95), (Noise(wrong=0.1), 0.9), (Noise(wrong=0.1, correlated=0.6, wrong_box=0.1, miss=0.1), 0.85)],
+    [
+        pytest.param(Noise(), 0.95, marks=pytest.mark.slow),
+        pytest.param(Noise(wrong=0.1), 0.9, marks=pytest.mark.slow),
+        (Noise(wrong=0.1, correlated=0.6, wrong_box=0.1, miss=0.1), 0.85),
+    ],
 )
 def test_people_are_kept_apart_on_walks(noise, least):
     counts = np.zeros(3)

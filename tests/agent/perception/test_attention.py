@@ -169,6 +169,7 @@ def test_the_end_of_an_action_waits_for_its_start():
     assert brackets(plan, during, "p1") == {"t1": Bracket(60, 75, 15), "t2": Bracket(90, 120, 75)}
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.sampled_from(("action", "presence", "start")), st.sampled_from((Noise(), NOISY)))
 @settings(max_examples=examples(12))
 def test_every_exploration_ends_in_time_with_somebody_and_repeats_no_look(seed, read, noise):
@@ -187,6 +188,7 @@ def test_every_exploration_ends_in_time_with_somebody_and_repeats_no_look(seed, 
 
 
 # Measured over 100 worlds: 0.95 with 15 looks; 0.77 where 60 % of the misreadings are the same in every picture.
+@pytest.mark.slow
 def test_attention_finds_the_target_with_noise():
     found = boxed = 0
     for seed in range(30):
@@ -199,6 +201,7 @@ def test_attention_finds_the_target_with_noise():
     assert found >= 26 and boxed >= 26
 
 
+@pytest.mark.slow
 def test_a_start_is_found_to_a_second():
     right = 0
     for seed in range(10):

@@ -82,6 +82,7 @@ def test_words_of_distances_are_those_of_the_second_program(metres):
         assert at_distance(metres, word) == (word in words and (True if len(words) == 1 else None))
 
 
+@pytest.mark.slow
 @given(PEOPLE, LOOKS, st.sampled_from((FIRST_LEFT, FIRST_RIGHT)))
 @settings(max_examples=examples(100))
 def test_what_is_certain_of_the_people_seen_is_so_of_all(boxes, looks, relation):

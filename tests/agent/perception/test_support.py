@@ -107,6 +107,7 @@ def test_whoever_is_not_where_they_should_be_is_less_likely():
     assert rank(plan, Tracks({"p1": (earlier,), "p2": (there,)}, unseen))[0].margin == 0
 
 
+@pytest.mark.slow
 def test_more_readings_find_more_people_and_votes_find_more_than_the_newest_reading():
     once, thrice = (identified(range(60), readings, Noise(wrong=0.1)) for readings in (1, 3))
     assert thrice.votes > once.votes == once.newest and thrice.votes > thrice.newest + 0.1

@@ -129,6 +129,7 @@ def test_an_answer_is_certain_only_where_the_engine_finds_its_person(graph):
     assert ranked.to_pylist() == [{"rank": n, "who": f"p{n}", "said": "supported"} for n in (1, 2)]
 
 
+@pytest.mark.slow
 @settings(max_examples=effort.examples(8))
 @given(st.integers(0, 2**32))
 def test_what_is_current_is_what_the_readings_come_to(graph, seed):

@@ -391,6 +391,7 @@ def test_the_newest_reading_of_a_frame_is_the_last():
     assert len(tracks.people["p1"]) == 1
 
 
+@pytest.mark.slow
 def test_no_step_depends_on_the_order_of_hashes():
     game = Path(noisy_game.__file__)
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -281,6 +281,7 @@ ROW = [(a, "conversation", b) for a, b in itertools.pairwise(NODES)]
 BOTH_WAYS = [edge for a, b in itertools.pairwise(NODES) for edge in ((a, "conversation", b), (b, "hugging", a))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joined", "why"), [(ROW, "too many sets of people"), (BOTH_WAYS, "nobody in the graph fits")], ids=["row", "ways"]
 )

@@ -17,7 +17,7 @@ from jrdb_avr.schema.things import OBJECTS, VERBS
 
 
 def task(mode="multiple_choice"):
-    question = Question("0" * 16, "s", "f", "t", "?", ("walking",), mode)
+    question = Question("0" * 16, "s", "?", ("walking",), mode)
     return SimpleNamespace(question=question, sequence=SequenceInfo("s", 15.0, 300, tuple(range(300))))
 
 

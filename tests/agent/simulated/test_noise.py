@@ -191,7 +191,9 @@ def test_nothing_turned_changes_no_byte(serve):
     assert serve(bodies, refusal=1e-12, wrong_box=1e-12, wrong_attribute=1e-12) == perfect
 
 
-@pytest.mark.parametrize("knob", ["malformed", "refusal", "truncated"])
+@pytest.mark.parametrize(
+    "knob", ["malformed", *(pytest.param(knob, marks=pytest.mark.slow) for knob in ("refusal", "truncated"))]
+)
 def test_rate_of_spoiled_replies(serve, knob):
     bodies = [body(salt) for salt in range(N)]
     replies = serve(bodies, **{knob: RATE, "seed": 1})

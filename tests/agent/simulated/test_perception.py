@@ -170,6 +170,7 @@ def test_look_alikes_are_labels_of_the_attribute():
     assert set(CONFUSED) >= {"gender", "age", "pose"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("knob", ["wrong_attribute", "confuse"])
 @pytest.mark.parametrize("correlated", [0.0, 0.6, 1.0])
 def test_correlated_misreadings_are_the_persons_and_the_rate_stays(knob, correlated):

@@ -426,6 +426,7 @@ def test_requests_that_the_server_cannot_understand(play, body):
     assert "\n" not in reply["error"]["message"]
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.recursive(

@@ -365,6 +365,7 @@ def test_search_without_a_person_proposes_no_box(play):
     assert prediction.n_model_calls == 4
 
 
+@pytest.mark.slow
 def test_a_proposal_beside_the_person_is_mended_in_the_crop(tmp_path):
     play = Play(tmp_path, Knobs(wrong_box=0.5, seed=4))
     mended = spoiled = 0

@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -180,6 +179,7 @@ def test_sums_are_numbers(store):
     assert (code, json.loads(out)) == (0, [{"s": 3}])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["--json", "--csv", None])
 @pytest.mark.parametrize("value", ["'infinity'::DATE", "'infinity'::TIMESTAMP", "['200000-01-01'::TIMESTAMP]"])
 def test_a_time_that_python_cannot_hold_is_one_line(store, form, value):
@@ -221,42 +221,6 @@ def test_rows_are_the_same_in_every_form(store, tmp_path):
     table = run(*ask)[1]
     assert all(row["question_id"] in table for row in rows)
     assert run(*ask, "--json", "--csv")[0] == 2
-
-
-def test_a_query_of_several_stores_gives_the_rows_of_each(store, tmp_path, monkeypatch):
-    """One store after the other, each by itself; types are made common, or their difference is one line."""
-    other = shutil.copytree(store.path, tmp_path / "other")
-    with build_graph(other / "graph.kuzu") as graph:
-        for statement in scene_ddl():
-            graph.execute(statement)
-        graph.copy("Action", pa.table({"name": ["standing"], "pose": [True]}))
-    write_run(Store(other), "react-c", {"choice": 1}, synthetic=True)
-    here, there = str(store.path), str(other)
-    also = ("--store", store.path, "--also", other)
-    _, out, err = run("cypher", "MATCH (a:Action) RETURN a.name AS name ORDER BY name", *also, "--json")
-    assert [(row["store"], row["name"][-3:]) for row in json.loads(out)] == [
-        (here, "red"),
-        (here, "ing"),
-        (there, "ing"),
-    ]
-    runs = "SELECT run_id, 1 AS store FROM predictions GROUP BY 1 ORDER BY 1"
-    _, out, err = run("sql", runs, *also, "--json")
-    found = [(row["store"], row["run_id"][-1], row["store_2"]) for row in json.loads(out)]
-    assert found == [(place, name, 1) for place, names in ((here, "ab"), (there, "abc")) for name in names]
-    tables = [pa.table({"x": [1]}), pa.table({"x": ["a"]})]
-    monkeypatch.setattr(Store, "query", lambda *arguments: tables.pop())
-    code, out, err = run("sql", "SELECT 1 AS x", *also)
-    assert (code, out, len(err.splitlines())) == (1, "", 1) and "cast it" in err
-
-
-@pytest.mark.parametrize("language", ["cypher", "sql"])
-def test_a_store_that_is_given_twice_is_refused(store, tmp_path, language):
-    (tmp_path / "link").symlink_to(store.path)
-    (tmp_path / "other").mkdir()
-    for also in ([store.path], [tmp_path / "link"], [tmp_path / "other", tmp_path / "other"]):
-        others = [part for path in also for part in ("--also", path)]
-        code, out, err = run(language, "RETURN 1", "--store", store.path, *others)
-        assert (code, out) == (2, "") and f"{also[-1]} is given twice" in err and "name each store once" in err
 
 
 def test_parameters_and_names(store):
@@ -320,6 +284,7 @@ def test_terminal_escapes_are_stripped_from_errors(monkeypatch):
     assert (code, err) == (1, "jrdb-avr: a server says ]0;title2J so\n")
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_is_no_traceback(store):
     ask = f"'{COMMAND}' sql 'SELECT range FROM range(200000)' --csv --store '{store.path}' | head -1"
     done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)

@@ -87,6 +87,7 @@ def complete(*words, **environment):
     return [word.partition(",")[2] for word in done.stdout.split()]
 
 
+@pytest.mark.slow
 def test_the_shell_completes_runs_sequences_and_queries(here):
     store = here / "S"
     for name in ("react-a", "react-b", "agent"):
@@ -103,6 +104,7 @@ def test_the_shell_completes_sequences(sample_benchmark):
     assert found == sorted(sample_benchmark.manifest().sequences)
 
 
+@pytest.mark.slow
 def test_statements_come_from_files_and_standard_input(sample_benchmark, here):
     (here / "mine.sql").write_text("SELECT count(*) AS n\nFROM questions -- of all\n")
     store = ("-s", sample_benchmark.path, "--json")

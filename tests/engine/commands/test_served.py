@@ -29,6 +29,7 @@ def started(*arguments):
         process.communicate()
 
 
+@pytest.mark.slow
 def test_a_person_may_end_a_session_at_any_time(small_demo, tmp_path):
     """A run that was begun can be resumed, and its manifest says who plays what."""
     shutil.copytree(small_demo.folder / "store", tmp_path / "store")

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.blind import QuestionText, best_guess, blind_check, question_texts
-from jrdb_avr.engine.pages.stats import _GUESSERS
 from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer, same_answer
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.tables import QUESTIONS
@@ -204,8 +203,3 @@ def test_posed_reads_the_public_text():
 
 def test_nothing_to_check():
     assert blind_check([]) == []
-
-
-def test_the_picture_of_stats_shows_every_guesser():
-    (row,) = blind_check([choice("a", "walking")])
-    assert {*_GUESSERS} == row.keys() - {"template", "form", "asks", "n", "aim", "within_aim", "reason"}

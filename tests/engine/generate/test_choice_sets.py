@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from itertools import combinations
 
 import pyarrow as pa
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -67,6 +68,7 @@ def test_no_two_poses_of_a_set_overlap_and_each_pose_has_sets():
     assert {pose for one in APART for pose in one} == set(POSES)
 
 
+@pytest.mark.slow
 @given(st.fixed_dictionaries({pose: st.integers(0, 12) for pose in POSES[:8]}))
 @settings(deadline=None, max_examples=30)
 def test_the_set_does_not_tell_the_answer(counts):

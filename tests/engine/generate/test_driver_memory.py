@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
+import pytest
 import warm
 from keyframe_layer import layers_in_memory
 from lively_worlds import lively_world
@@ -24,6 +25,7 @@ PADDING = " " * (1 << 17)
 """Padding of every record, so that the memory for sequences stands out from what Python itself takes."""
 
 
+@pytest.mark.slow
 def test_twenty_times_the_sequences_take_the_same_memory(tmp_path):
     store = graphless_store(tmp_path, lively_world(random.Random(5), NAME))
     with layers_in_memory():

@@ -9,6 +9,7 @@ from collections import Counter
 import msgspec
 import numpy as np
 import pyarrow.parquet as pq
+import pytest
 from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -185,6 +186,7 @@ def compare(seed):
         return Counter({form: len(rows) for form, rows in expected.items()})
 
 
+@pytest.mark.slow
 def test_every_form_is_found():
     counts = sum((compare(seed) for seed in (0, 2, 11)), Counter())
     assert {form.form for form in FORMS} == set(counts)
@@ -236,6 +238,7 @@ def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
     assert found.lacking == {"gap": ("2d",)} and found.counts == {} and len(found.pool) == 0
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(2), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32 - 1))
 def test_search_agrees_with_trying_all(seed):

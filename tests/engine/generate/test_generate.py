@@ -268,6 +268,7 @@ def shuffled(world, seed):
     return result
 
 
+@pytest.mark.slow
 def test_files_do_not_depend_on_workers_input_order_hash_seed_or_candidates(made, tmp_path):
     load_world(tmp_path, shuffled(two_worlds(), 1))
     environment = os.environ | {"PYTHONHASHSEED": "77"}

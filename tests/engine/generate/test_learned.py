@@ -26,6 +26,7 @@ def choices_of(generator):
     return tuple(generator.sample(POSES, 4))
 
 
+@pytest.mark.slow
 def test_choices_that_say_nothing_are_guessed_at_chance():
     generator = random.Random(0)
     sets = [choices_of(generator) for _ in range(800)]

@@ -151,7 +151,7 @@ def test_rows_staged_by_workers_are_the_ones_copied(tmp_path):
     assert build(store, ["yard-1_0"])["Beside"] == tables["beside"].num_rows
 
 
-@pytest.mark.parametrize(("rows", "frames"), [(1, 6), (20, 12)])
+@pytest.mark.parametrize(("rows", "frames"), [pytest.param(1, 6, marks=pytest.mark.slow), (20, 12)])
 def test_batches_of_any_size_give_the_same_graph(tmp_path, monkeypatch, rows, frames):
     monkeypatch.setattr(scene, "BATCH_ROWS", rows)
     store = table_store(tmp_path, seed=3, frames=frames, people=3, sequences=("b.c", "d-e_0"))

@@ -14,7 +14,6 @@ from worlds import load_world
 
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.integrations.huggingface import export_folders
-from jrdb_avr.engine.integrations.lmms_eval import export_tasks
 from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.engine.validate.statistics import statistics
 from jrdb_avr.queries.store import Store
@@ -147,9 +146,8 @@ def test_no_command_takes_it_for_a_benchmark(trained, tmp_path):
     store = trained[0]
     with pytest.warns(AvrWarning, match="a training set .profile train, disjoint from generation"):
         statistics(store)
-    for export in (export_folders, export_tasks):
-        with pytest.raises(StoreError, match="not a benchmark"):
-            export(store, tmp_path / "out")
+    with pytest.raises(StoreError, match="not a benchmark"):
+        export_folders(store, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

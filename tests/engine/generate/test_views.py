@@ -39,6 +39,7 @@ def brute_force(boxes):
     raise AssertionError("some box cannot be shown")
 
 
+@pytest.mark.slow
 @given(BOXES)
 @example([(0.0, 12.0), (480.0, 12.0)])
 @example([(0.5, 12.0), (480.5, 12.0)])

@@ -138,6 +138,7 @@ def test_numbers_are_an_answer_of_each_mode(make, mode, choices, expected):
     assert info["prediction"].evidence.box == (3520.0, 0.0, 240.0, 480.0)
 
 
+@pytest.mark.slow
 def test_the_reward_is_the_judges_where_asked_for(small_demo, by_evaluate, make):
     import gymnasium
 
@@ -188,6 +189,7 @@ def test_an_unknown_question_is_refused(make):
         make().reset(options={"question_id": "nope"})
 
 
+@pytest.mark.slow
 def test_the_example_learns_a_question_by_heart(small_demo, by_evaluate):
     """A reward that tells right from wrong teaches the right choice, and nothing but the seed decides how."""
     train = runpy.run_path(str(DOCS / "examples" / "reinforce.py"))["train"]

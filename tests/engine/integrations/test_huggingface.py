@@ -75,6 +75,7 @@ def by_key(rows):
     return sorted(rows, key=lambda row: next(iter(row.values())))
 
 
+@pytest.mark.slow
 def test_croissant_is_valid_and_loads_the_same_records(folders):
     import mlcroissant
 

@@ -47,7 +47,7 @@ def metrics(log):
     return {(score.name, name): own.value for score in log.results.scores for name, own in score.metrics.items()}
 
 
-@pytest.mark.parametrize("name", ["react", "tools"])
+@pytest.mark.parametrize("name", [pytest.param("react", marks=pytest.mark.slow), "tools"])
 def test_the_simulated_model_plays_as_in_evaluate_without_anything_private(
     blocked, run, same, small_demo, secrets, model, name
 ):
@@ -136,6 +136,7 @@ def test_the_run_of_evaluate_has_rows_of_the_same_columns(small_demo, by_evaluat
     assert set(table.column_names) == set(RUNS["predictions"].names)
 
 
+@pytest.mark.slow
 def test_a_judge_whose_process_has_ended_is_replaced(small_demo, by_evaluate, monkeypatch):
     import asyncio
 

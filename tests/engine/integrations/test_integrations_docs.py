@@ -50,6 +50,7 @@ def commands(block):
     return [line[2:] for line in block.splitlines() if line.startswith("$ ")]
 
 
+@pytest.mark.slow
 def test_inspect_runs_as_shown(shell):
     port = str(free_port())
     (block,) = [own for own in CONSOLE if "inspect eval" in own]

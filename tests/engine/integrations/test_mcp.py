@@ -99,6 +99,7 @@ def http_server(*arguments):
             process.communicate(timeout=300)
 
 
+@pytest.mark.slow
 def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo, model, same, secrets, tmp_path):
     """Of a whole store, whose private files are pipes that whoever opens them waits at for ever."""
     import mcp
@@ -124,6 +125,7 @@ def test_over_http_it_plays_as_in_evaluate_and_reads_nothing_private(small_demo,
     assert not [secret for secret in secrets if any(secret in text for text in sent)]
 
 
+@pytest.mark.slow
 def test_the_http_server_answers_its_token_and_its_own_names_alone(public_store):
     store, images = public_store
     body = {"jsonrpc": "2.0", "id": 1, "method": "tools/list", "params": {}}

@@ -257,6 +257,7 @@ def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark,
     assert "{{7*7}}[U+202E]xxx" in said and "\u202e" not in html and "\x1b" not in html
 
 
+@pytest.mark.slow
 def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchmark_copy):
     from selenium.webdriver import ActionChains, Keys
 
@@ -313,6 +314,7 @@ def test_questions_are_judged_by_keyboard_and_imported(opened, inspected, benchm
     assert count().startswith("0 of 4")
 
 
+@pytest.mark.slow
 def test_what_a_browser_keeps_is_not_trusted(opened, inspected):
     """Another file's page may have written to the same shelf."""
     driver, _ = opened
@@ -356,6 +358,7 @@ def pressed(driver, *keys):
         ActionChains(driver).send_keys(key).perform()
 
 
+@pytest.mark.slow
 def test_filters_leave_questions_out_and_the_keyboard_goes_past_them(opened, inspected):
     from selenium.webdriver.support.ui import Select
 
@@ -464,6 +467,7 @@ def test_a_panorama_is_zoomed_turned_and_shown_again(opened, pictured):
         assert wide < 2000 and tall == 480 and 0 < (first.x - left) % 3760 < wide
 
 
+@pytest.mark.slow
 def test_frames_a_second_before_and_after_are_those(opened, pictured):
     import cv2
 
@@ -506,6 +510,7 @@ def test_unknown_questions_are_refused(sample_benchmark, tmp_path):
 # -- trace ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_world_model_grows_with_the_slider(opened, benchmark_copy, tmp_path):
     driver, _ = opened
     store, name = benchmark_copy, trace_runs(benchmark_copy)

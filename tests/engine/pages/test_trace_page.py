@@ -21,6 +21,7 @@ def traced(benchmark_copy):
     return benchmark_copy, trace_runs(benchmark_copy)
 
 
+@pytest.mark.slow
 def test_a_page_of_thousands_of_steps_stays_small(benchmark_copy, tmp_path, monkeypatch):
     """Pictures are shown of the first looks alone; the rest is told."""
     question = benchmark_copy.questions("questions").to_pylist()[0]

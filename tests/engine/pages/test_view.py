@@ -171,6 +171,7 @@ def test_questions_are_found_by_outcome_and_cause(failures):
         assert listed(family="no such family") == set()
 
 
+@pytest.mark.slow
 def test_two_runs_are_compared_question_by_question(opened, failures):
     driver = opened
     with serving(Viewer(failures, None, report(failures)).respond) as server:
@@ -269,6 +270,7 @@ def _looks(store, run, question):
     return [row for row in rows if row["question_id"] == question and row["kind"] == "observe"]
 
 
+@pytest.mark.slow
 def test_the_report_leads_to_runs_and_pairs(opened, failures):
     driver = opened
     with serving(Viewer(failures, None, report(failures)).respond) as server:
@@ -281,6 +283,7 @@ def test_the_report_leads_to_runs_and_pairs(opened, failures):
         assert complaints(driver) == []
 
 
+@pytest.mark.slow
 def test_the_report_is_sorted_and_filtered(opened, failures):
     from selenium.webdriver import Keys
     from selenium.webdriver.support.ui import Select

@@ -60,6 +60,7 @@ def stores(tmp_path_factory):
     return [store_of(folder / str(count), count) for count in (1, 20)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [("score",), ("report", "--table", "sequence")], ids=["score", "report"])
 def test_twenty_times_the_sequences_take_the_same_memory(stores, arguments):
     few, many = (peak(*arguments, "--store", store) for store in stores)

@@ -408,6 +408,7 @@ def write_every_format(path, folder):
     assert entry.run("report", "--store", path, "--paper", "--html", folder / "html")[0] == 0
 
 
+@pytest.mark.slow
 def test_a_report_is_the_same_under_any_hash_seed(tmp_path):
     benchmark, run, store = stored_failures(tmp_path / "S")
     predictions = benchmark.written["predictions"].to_pylist()

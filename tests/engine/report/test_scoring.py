@@ -334,6 +334,7 @@ def test_a_hundred_thousand_boxes_as_pycocotools_has_them():
     assert (expected > 0).mean() > 0.25
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_spans_as_sets_have_them():
     generator = np.random.default_rng(12)
     starts, lengths = generator.integers(0, 40, (2, 100_000)), generator.integers(-3, 40, (2, 100_000))
@@ -400,6 +401,7 @@ def worlds(draw):
     return rows, draw(st.permutations(predicted))
 
 
+@pytest.mark.slow
 @given(worlds(), st.sampled_from([0.25, 0.5, 1.0]))
 @settings(max_examples=examples(40), deadline=None)
 def test_set_wise_equals_row_by_row(world, threshold):

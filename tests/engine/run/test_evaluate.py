@@ -440,6 +440,7 @@ def test_the_journal_keeps_what_was_appended(tmp_path):
         assert journal.finished == {"a": entry("a"), "b": entry("b")}
 
 
+@pytest.mark.slow
 def test_twenty_times_the_questions_take_no_more_memory(tmp_path, monkeypatch):
     """Of transcripts; what is known of each question besides is small."""
     monkeypatch.setattr(journals, "_GROUP", 10)

@@ -115,6 +115,7 @@ def test_a_rebuild_of_a_torn_graph_brings_every_run_back(store, live):
     assert jrdb_avr("load", "--verify", "--store", store.path).exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_run_with_a_graph_of_its_own_is_merged(store, live, tmp_path):
     run(store, "three", path=tmp_path / "own.kuzu")
     assert dump(store.graph_path) == live

@@ -192,6 +192,7 @@ def test_what_is_no_move_is_refused(store):
     assert not (store.run_path("human-a") / "predictions.parquet").exists()
 
 
+@pytest.mark.slow
 def test_a_person_drags_looks_boxes_and_answers(store, tmp_path):
     from selenium.webdriver import ActionChains, Keys
     from selenium.webdriver.support.ui import WebDriverWait

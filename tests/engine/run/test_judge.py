@@ -29,6 +29,7 @@ def read(question):
     return answer_one(Reader(), question, None, None, None)
 
 
+@pytest.mark.slow
 def test_predictions_are_scored_from_many_threads_at_once(judged):
     """Of the reader every second answer is right, and every box."""
     found = {}

@@ -222,6 +222,7 @@ def test_react_killed_and_resumed(launcher, asked_world, tmp_path):
     kill_and_resume(launcher, asked_world, tmp_path, "react", react, 1, 1)
 
 
+@pytest.mark.slow
 def test_agent_killed_and_resumed(launcher, asked_world, tmp_path):
     whole = kill_and_resume(launcher, asked_world, tmp_path, "agent", agent, 2, 2)
     record = pq.read_table(whole.run_path("r") / "world.parquet")

@@ -168,6 +168,7 @@ def opaque(asked_world, tmp_path_factory, marker):
     return store, marker[1][before:]
 
 
+@pytest.mark.slow
 def test_opaque_runs_answer_and_never_hold_the_real_name(opaque, full):
     store, sent = opaque
     own = opaque_names(store, [SEQUENCE])[SEQUENCE]

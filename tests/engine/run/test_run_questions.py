@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.run.selection import QuestionSelection, matching, select_questions
+from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
-from jrdb_avr.schema.method import Question
 
 WORDS = [
-    Question(f"{n:016x}", sequence, family, template, f"{n}?", (), "number")
+    QuestionRow(f"{n:016x}", sequence, family, template, f"{n}?", (), "number")
     for n, (sequence, family, template) in enumerate(
         (s, f, t)
         for t in ("gap", "span")

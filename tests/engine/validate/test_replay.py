@@ -222,6 +222,7 @@ def test_a_fact_changed_in_the_interval_tables_is_noticed(one):
         run(store)
 
 
+@pytest.mark.slow
 def test_a_fact_changed_in_the_keyframe_layer_is_noticed(one):
     store, name, sequence, track, frame = one
     with Graph.open(store.graph_path) as graph:
@@ -247,6 +248,7 @@ def test_the_command_names_every_difference_and_fails(one):
     assert f"replay: {name}: hops: stored 7, now 0" in err.splitlines()
 
 
+@pytest.mark.slow
 def test_a_fact_changed_in_the_scene_is_noticed(one):
     store, name, sequence, track, frame = one
     with Graph.open(store.graph_path) as graph:

@@ -144,6 +144,7 @@ def agreements(reviews):
 PAIRS = st.lists(st.tuples(st.sampled_from(["accept", "reject"]), st.sampled_from(["accept", "reject"])), min_size=1)
 
 
+@pytest.mark.slow
 @given(PAIRS)
 def test_kappa_is_that_of_statsmodels(pairs):
     # Its import takes seconds.

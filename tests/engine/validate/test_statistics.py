@@ -3,7 +3,6 @@
 import json
 from collections import Counter
 from itertools import combinations
-from xml.etree import ElementTree
 
 import duckdb
 import msgspec
@@ -12,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from jrdb_avr.engine.commands.generate import stats
-from jrdb_avr.engine.pages.stats import stats_svg
 from jrdb_avr.engine.validate.statistics import TITLES, statistics
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES
 
@@ -281,53 +279,3 @@ def test_the_papers_table_of_generators(sample_benchmark, ask):
 def test_tables_for_people(sample_benchmark):
     result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path)])
     assert result.exit_code == 0 and "Answering without looking" in result.output
-
-
-SVG = "{http://www.w3.org/2000/svg}"
-
-
-def drawn(tables):
-    return ElementTree.fromstring(stats_svg(tables))
-
-
-def bars(picture, color):
-    """Widths of the bars of a color."""
-    return [float(e.get("width")) for e in picture.iter(f"{SVG}rect") if e.get("class") == color and e.get("y")]
-
-
-def test_the_picture(sample_benchmark, tables, tmp_path):
-    path = tmp_path / "stats.svg"
-    result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path), "--picture", str(path), "--json"])
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)
-    assert path.read_text() == stats_svg(tables)
-    picture = drawn(tables)
-    words = [e.text for e in picture.iter(f"{SVG}text")]
-    assert f"{sum(row['n'] for row in tables['family']):,} questions" in words
-    for row in tables["family"]:
-        assert row["family"] in words and f"{row['n']:,} of {row['paper']:,}" in words
-    # A bar grows with its number; the smallest are a pixel wide.
-    before, after = (
-        bars(drawn(tables | {"family": [row | {"n": number} for row in tables["family"]]}), "c1")[0]
-        for number in (200, 400)
-    )
-    assert (after + 1) / (before + 1) == pytest.approx(2)
-    parts = [row["share"] for row in tables["distractor"] if row["yielded_by"] == "none"]
-    drawn_parts = [width for width in bars(picture, "none") if width > 10]
-    assert len(drawn_parts) == len(parts)
-    assert max(drawn_parts) / min(drawn_parts) == pytest.approx(max(parts) / min(parts), rel=0.1)
-
-
-def test_a_picture_of_nothing(tables):
-    empty = {name: [] for name in tables}
-    assert drawn(empty) is not None
-    empty["family"] = [row | {"n": 0} for row in tables["family"]]
-    empty["shortfall"] = [row | dict.fromkeys(("candidates", "proven", "questions"), 0) for row in tables["shortfall"]]
-    assert "0 questions" in [e.text for e in drawn(empty).iter(f"{SVG}text")]
-
-
-def test_a_picture_that_cannot_be_written(sample_benchmark, tmp_path):
-    (tmp_path / "file").write_text("")
-    place = str(tmp_path / "file" / "stats.svg")
-    result = CliRunner().invoke(stats, ["--store", str(sample_benchmark.path), "--picture", place])
-    assert result.exit_code != 0 and "cannot write" in str(result.exception)

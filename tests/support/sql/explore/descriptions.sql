@@ -1,1 +1,0 @@
-SELECT text, t, track, t, track, anchor, text FROM names

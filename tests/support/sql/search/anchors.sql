@@ -1,1 +1,0 @@
-SELECT text, t, track, general, t, track, anchor FROM names

@@ -1,1 +1,0 @@
-SELECT t, source, target, label FROM hops
