@@ -33,10 +33,10 @@ def in_rows(
 ) -> Clause:
     """Facts stored as rows over intervals of frames, inclusive; a row that is not certain makes the fact possible.
 
-    pattern: what to match; may: the relationship whose rows make the fact possible beside those of the pattern; equal: columns of it with the variables they must equal; nullable: the same of columns whose
-    null may stand for any value; span: the row's variable, with columns `first`, `last` and `certain`; then: the clause
-    of a row that must lead on from this one. (As one pattern the two would close a circle, on which the engine loses
-    rows.)
+    pattern: what to match; may: a relationship whose rows make the fact possible too; equal: columns of it with the
+    variables they must equal; nullable: the same of columns whose null may stand for any value; span: the row's
+    variable, with columns `first`, `last` and `certain`; then: the clause of a row that must lead on from this one. (As
+    one pattern the two would close a circle, on which the engine loses rows.)
     """
     same = [f"{column} = {{{variable}}}" for column, variable in (equal or {}).items()]
     wanted = (nullable or {}).items()

@@ -156,7 +156,9 @@ def test_batches_of_any_size_give_the_same_graph(tmp_path, monkeypatch, rows, fr
     monkeypatch.setattr(scene, "BATCH_ROWS", rows)
     store = table_store(tmp_path, seed=3, frames=frames, people=3, sequences=("b.c", "d-e_0"))
     expected = in_files(store)
-    assert all(rows for table, rows in expected.items() if not table.startswith("May")) and expected["SeenIn"].total() > rows
+    # So few frames have few facts that may hold.
+    assert all(expected[table] for table in expected if not table.startswith("May"))
+    assert expected["SeenIn"].total() > rows
     check_all(store)
 
 
