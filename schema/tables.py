@@ -3,8 +3,6 @@
 Annotation tables hold what the files state, one row per fact, with raw values. Interval tables hold what follows from
 them under `LoadRules`; all of them can be rebuilt. Frames are integer label keys; boxes are stitched pixels; 3D is in
 metres in the robot frame (x forward, y left, z up); intervals are inclusive on both ends.
-
-`python -m jrdb_avr.schema.tables > docs/tables.md` writes the reference page.
 """
 
 from __future__ import annotations
@@ -433,36 +431,8 @@ GENERATION_KEY: Final = "generation"
 """Metadata key of the mark that the tables of one generation share."""
 
 
-def tables_page() -> str:
-    """The reference page of all tables, in Markdown."""
-    lines = [
-        "# Tables of a store",
-        "",
-        "Every table is a view in `jrdb-avr sql`; `SHOW TABLES` and `DESCRIBE intervals_actions` work there too. A",
-        "table that is not written yet is an empty view. Written by `python -m jrdb_avr.schema.tables`.",
-        "",
-        "`sightings_keypoints` is `intervals_sightings` with one column more: `keypoints`, those of",
-        "`annotations_poses` at the same frame, or null.",
-        "",
-    ]
-    for name, schema, private in views():
-        secret = " Private: never opened by the process that talks to a model." if private else ""
-        lines += [f"## `{name}`", "", f"{ABOUT[name]}{secret}", "", "| column | type | meaning |", "|--|--|--|"]
-        lines += [f"| `{field.name}` | {_type(field)} | {column(name, field.name)[1]} |" for field in schema]
-        lines.append("")
-    return "\n".join(lines)
-
-
 def views() -> Iterator[tuple[str, pa.Schema, bool]]:
     """Name, schema and privacy of each view."""
     for prefix, group in (("annotations_", ANNOTATIONS), ("intervals_", INTERVALS), ("", QUESTIONS), ("", RUNS)):
         for name, schema in group.items():
             yield f"{prefix}{name}", schema, group is QUESTIONS and name in PRIVATE
-
-
-def _type(field: pa.Field) -> str:
-    return f"{field.type}".replace(" not null", "").replace("item: ", "") + (" or null" if field.nullable else "")
-
-
-if __name__ == "__main__":
-    print(tables_page())
