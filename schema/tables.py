@@ -392,7 +392,7 @@ _QUESTIONS: Final = {
         "question_id answer target_track plan proofs distractors rules hops time_gap_s separation_deg "
         "people_in_scene bindings needed",
     ),
-    "evidence": ("Every box of each question's target.", "question_id frame x y w h"),
+    "evidence": ("Every box of every target of a question, by `answers.target_track`.", "sequence track frame x y w h"),
     # kind "count": candidates that a rule refuses, per sequence and template; kind "example": one of them.
     "rejected": (
         "Refused candidates: counts by rule, and examples.",

@@ -1,35 +1,41 @@
-"""Fields of label records: what counts as usable, and what can be used of a record that does not decode as it stands.
+"""Readers of single JSON values of label records.
 
-Functions that read a field take a decoded JSON value of any type and raise ValueError, with the reason, where it is
-unusable. Each layer lists its fields with such functions as `Rules`.
+Each function takes a decoded value of any type and returns what can be stored. It raises ValueError with the reason if
+the value is unusable.
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
-from jrdb_avr.loaders.labelfiles.json import first_members, members, parse
-from jrdb_avr.loaders.problems import Problems, shorten
+import msgspec
+
 from jrdb_avr.schema.labels import plain
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 
 MAX_TRACK: Final = 2**31 - 2
 MAX_PIXEL: Final = 1e5
-"""No coordinate of a stitched box is as large as this: the panorama has 3760 columns."""
+"""Maximum coordinate of a stitched 2D box in pixels. The panorama has 3760 columns."""
 MAX_METRE: Final = 1e4
 MAX_TEXT: Final = 100
+"""Maximum characters of a label."""
+
+BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
+"""Errors that msgspec raises for text that does not decode."""
+ABSENT: Final = (b"", b"null")
+"""Raw values of a missing key. A null says no more than a missing key."""
+NOTHING: Final = msgspec.Raw(b"")
+"""Default of raw fields."""
 
 TWICE: Final = "key twice, the first is kept"
 
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
 _PREFIXED: Final = re.compile(r"([^:]+):-?[0-9]+")
-# "Other" may be anything, a person too.
+# The category "other" may be anything, also a person.
 _THINGS: Final = frozenset(
     plain(name)
     for category in set(OBJECTS) - PERSON_CATEGORIES - {"other"}
@@ -38,16 +44,28 @@ _THINGS: Final = frozenset(
 
 
 class NotAPersonError(ValueError):
-    """A well-formed label id of something that is certainly no person: its prefix names a category of things."""
+    """A well-formed label id with the prefix of a category of things."""
 
 
-def track_of(label_id: object) -> int:
-    """The N of `pedestrian:N`. Raises NotAPersonError for a known thing, ValueError for anything else.
+def parse(raw: bytes | msgspec.Raw) -> Any:
+    """Return a decoded JSON value. Raises ValueError."""
+    try:
+        return msgspec.json.decode(raw)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    except BROKEN:
+        raise ValueError("not JSON") from None
 
-    Every other prefix or number may be a person's, badly written.
+
+def track_of(label_id: str) -> int:
+    """Return the N of `pedestrian:N`.
+
+    Any unknown prefix or number may be a badly written person.
+
+    Raises:
+        NotAPersonError: the prefix is a category of things.
+        ValueError: anything else.
     """
-    if not isinstance(label_id, str):
-        raise ValueError("label_id is no text" if label_id is not None else "label_id is missing")
     match = _PERSON.fullmatch(label_id)
     if match and int(match[1]) <= MAX_TRACK:
         return int(match[1])
@@ -57,7 +75,7 @@ def track_of(label_id: object) -> int:
 
 
 def number(value: object) -> float:
-    """A finite number; bool is none."""
+    """Return a finite number. A bool is refused."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("not a number")
     try:
@@ -70,15 +88,13 @@ def number(value: object) -> float:
 
 
 def whole(value: object, low: int, high: int) -> int:
-    """A whole number in [low, high], also as 7.0 or "7"."""
-    if type(value) is int and low <= value <= high:
-        return value
+    """Return a whole number in [low, high], also from 7.0 or "7"."""
     if isinstance(value, str) and _WHOLE.fullmatch(value):
         value = int(value)
     result = number(value)
     if result != math.floor(result):
         raise ValueError("not a whole number")
-    # Integers beyond 2**53 keep their digits.
+    # An int beyond 2**53 would lose digits as a float.
     exact = value if isinstance(value, int) else int(result)
     if not low <= exact <= high:
         raise ValueError("number out of range")
@@ -86,7 +102,7 @@ def whole(value: object, low: int, high: int) -> int:
 
 
 def flag(value: object) -> bool:
-    """A bool, also as "true" or "false" in any case."""
+    """Return a bool, also from "true" or "false" in any case."""
     if isinstance(value, bool):
         return value
     if isinstance(value, str) and value.lower() in ("true", "false"):
@@ -94,115 +110,17 @@ def flag(value: object) -> bool:
     raise ValueError("neither true nor false")
 
 
-def string(value: object) -> str:
-    """A text as it stands."""
-    if not isinstance(value, str):
-        raise ValueError("not a text")
-    return value
-
-
 def difficulty(value: object) -> int:
-    """A difficulty code 1..3, also as 1.0 or "1"."""
+    """Return a difficulty code 1..3, also from 1.0 or "1"."""
     return whole(value, 1, 3)
 
 
 @functools.lru_cache(maxsize=10_000)
-def _clean(value: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in value).strip()
-
-
-def text(value: object) -> str:
-    """Text that can be stored and printed: no lone surrogates, no control characters, not empty, not endless."""
-    clean = _clean(string(value))
+def text(value: str) -> str:
+    """Return printable text of 1 to MAX_TEXT characters, without surrogates and control characters."""
+    clean = "".join(c if c.isprintable() else " " for c in value).strip()
     if not clean:
         raise ValueError("empty text")
     if len(clean) > MAX_TEXT:
         raise ValueError("text too long")
     return clean
-
-
-def numbers(value: object, n: int, count: str) -> list[float]:
-    """A list of `n` finite numbers; `count` is `n` in the words of the reason."""
-    if not isinstance(value, list) or len(value) != n:
-        raise ValueError(f"not {count} numbers")
-    return [number(item) for item in value]
-
-
-def label_id(value: object) -> str:
-    """A label id of any kind; which are of tracked people is judged for all records at once."""
-    with contextlib.suppress(NotAPersonError):
-        track_of(value)
-    return str(value)
-
-
-def box(value: object) -> tuple[float, ...]:
-    """A 2D box: x, y, width and height."""
-    return tuple(numbers(value, 4, "four"))
-
-
-# -- records that do not decode ------------------------------------------------------------------------------------
-
-
-class Rule(NamedTuple):
-    """How a field is read where its record does not decode."""
-
-    read: Callable[[Any], Any] | Rules
-    """A function of the decoded value; or the rules of a sub-object's members, each of which may be null."""
-    costs: str = "field"
-    """What is lost where the field cannot be read: `field`, `record`, or `object` for the sub-object it is in."""
-    reason: str = ""
-    """Begins the reasons for refusing the field."""
-    make: Callable[..., Any] = dict
-    """Makes the sub-object of its members."""
-
-
-Rules = Mapping[str, Rule]
-
-
-def optional(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A function that reads a field which may be missing or null."""
-    return lambda value: None if value is None else read(value)
-
-
-def record_parts(raw: bytes | memoryview, place: str, problems: Problems, kind: str = "") -> dict[str, bytes]:
-    """Raw values of an object by key, first of equal keys; `kind` begins the names of its fields.
-
-    Raises MalformedError if it is no object.
-    """
-    parts: dict[str, bytes] = {}
-    for name, value in members(raw, strict=True):
-        if name in parts:
-            problems.add("field", TWICE, frame=place, field=kind + shorten(name))
-        else:
-            parts[name] = bytes(value)
-    return parts
-
-
-def read_fields(
-    parts: Mapping[str, Any], rules: Rules, place: str, problems: Problems, within: str = ""
-) -> dict[str, Any] | None:
-    """Usable fields by name; None, with the reason counted, where one is unusable that the record cannot do without.
-
-    `parts` are raw values, or decoded members of a sub-object, which raises ValueError instead; `within` begins the
-    names of fields in the report.
-    """
-    values: dict[str, Any] = {}
-    for name, rule in rules.items():
-        part = parts.get(name)
-        try:
-            value = parse(part) if isinstance(part, bytes) else part
-            if callable(rule.read):
-                values[name] = rule.read(value)
-            elif value is not None or rule.costs == "record":
-                inner, again = first_members(value)
-                for key in again:
-                    problems.add("field", TWICE, frame=place, field=f"{name}.{shorten(key)}")
-                values[name] = rule.make(**read_fields(inner, rule.read, place, problems, f"{name}.") or {})
-        except ValueError as error:
-            if rule.costs == "object":
-                raise ValueError(f"{name}: {error}") from None
-            shown = b"missing" if part is None else part
-            problems.add(rule.costs, f"{rule.reason}{error}", frame=place, field=within + name, value=shown)
-            if rule.costs == "record":
-                return None
-    return values

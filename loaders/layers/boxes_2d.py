@@ -1,8 +1,9 @@
 """The stitched 2D layer with JRDB-Act: `labels_2d_stitched/<sequence>.json` -> annotation tables.
 
 Boxes, actions, groups and social activities of one sequence, one row per fact, in stitched pixels. A frame is listed
-in `frames` for the layer `2d` only if every person of it could be read: a frame with a refused person proves nobody's
-absence and nothing unique. The layers `actions` and `groups` know the frames in which anybody has such a label.
+in `frames` for the layer `2d` only if every person of it could be read: a frame with a refused person cannot prove that
+a person is absent, or that a description fits one person only. The layers `actions` and `groups` know the frames with
+such a label.
 """
 
 from __future__ import annotations
@@ -21,19 +22,20 @@ import pyarrow as pa
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, Refusals, known_frames, mask_of, spread
 from jrdb_avr.loaders.labelfiles.facts import ColumnFacts, Decoded, KeptRecords, expand, facts_table, keep_people
-from jrdb_avr.loaders.labelfiles.frames import gather, take_fields
-from jrdb_avr.loaders.labelfiles.json import ABSENT, NOTHING
-from jrdb_avr.loaders.labelfiles.record_reader import Fields, RecordReader
-from jrdb_avr.loaders.labelfiles.records import Rule, optional
+from jrdb_avr.loaders.labelfiles.frames import Fields, RecordReader, gather, take_fields
+from jrdb_avr.loaders.labelfiles.records import NOTHING
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
 
 SUFFIXES: Final = ("jpg", "jpeg", "png")
 
+StitchedBox = tuple[float, float, float, float]
+"""x, y, width and height in stitched pixels."""
+
 
 class Attributes2D(msgspec.Struct, gc=False, frozen=True):
-    """The `attributes` object; null where missing."""
+    """The `attributes` object. A missing attribute is None."""
 
     occlusion: str | None = None
     truncated: bool | str | None = None
@@ -42,10 +44,10 @@ class Attributes2D(msgspec.Struct, gc=False, frozen=True):
 
 
 class Record2D(msgspec.Struct, gc=False):
-    """One person in one frame. Sub-objects that repeat from frame to frame stay raw until each is decoded once."""
+    """One person in one frame. Sub-objects that repeat from frame to frame stay raw; each is decoded once."""
 
     label_id: str
-    box: tuple[float, float, float, float]
+    box: StitchedBox
     attributes: Attributes2D | None = None
     action_label: msgspec.Raw = NOTHING
     social_group: msgspec.Raw = NOTHING
@@ -53,49 +55,22 @@ class Record2D(msgspec.Struct, gc=False):
     file_id: str | None = None
 
 
-PERSON: Final = {
-    "label_id": Rule(records.label_id, "record"),
-    "box": Rule(records.box, "record", "box: "),
-}
-"""Rules of the fields that every record of people has."""
-
-_ATTRIBUTES: Final = {
-    "occlusion": Rule(optional(records.string)),
-    "truncated": Rule(optional(lambda value: value if isinstance(value, bool) else records.string(value))),
-    "interpolated": Rule(optional(records.flag)),
-    "no_eval": Rule(optional(records.flag)),
-}
-
-
-def _attributes(**fields: Any) -> Attributes2D:
-    """Attributes of the fields that could be read. Who may be left out of evaluation is in no clear view: where
-    `no_eval` could not be read, the occlusion is not known either."""
-    return Attributes2D(**fields if "no_eval" in fields else fields | {"occlusion": None})
-
-
-def _unread_attributes(parts: dict[str, bytes], frame: str, problems: Problems) -> dict[str, Any]:
-    """Attributes of a record that wrote some that cannot be read: a sequence without any shows everybody clearly."""
-    return {} if parts.get("attributes", b"") in ABSENT else {"attributes": Attributes2D()}
-
-
-_READER: Final = RecordReader(
-    Record2D,
-    PERSON | {"attributes": Rule(_ATTRIBUTES, make=_attributes), "file_id": Rule(optional(records.text))},
-    # Of other repeated keys JSON's usual reading, the last, holds.
-    once=("label_id", "box", "attributes", "action_label", "social_group", "social_activity"),
-    more=_unread_attributes,
-)
+_READER: Final = RecordReader(Record2D)
 _CODED: Final = ("label_id", "attributes", "file_id", "action_label", "social_group", "social_activity")
 
 
 def load_2d(path: Path, problems: Problems) -> LayerTables:
-    """Read a stitched 2D label file. Raises InputError if the file as a whole cannot be used."""
+    """Read a stitched 2D label file.
+
+    Raises:
+        InputError: the file as a whole cannot be used.
+    """
     codes: dict[str, Distinct] = defaultdict(Distinct)
     columns, _, complete = gather(path, SUFFIXES, _READER, lambda fields: take_people(fields, _CODED, codes), problems)
     box = columns["box"]
     refusals = Refusals(columns["frame"], problems)
     people = keep_people(columns, codes, refusals, box_faults(box), lambda row: box[row].tolist())
-    # Rows are sorted by person from here on; the first example of a problem is then the first by frame.
+    # From here on rows are sorted by frame and person.
     refusals = Refusals(people.frame, problems)
     columns = {name: column[people.row] for name, column in columns.items()}
 
@@ -123,14 +98,14 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
 
 
 def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinct]) -> Columns:
-    """The column `box` and the numbered columns of records of people."""
+    """Return the column `box`, shape (n, 4), and the coded columns of a batch of people."""
     boxes = fields["box"]
     numbers = np.fromiter(chain.from_iterable(boxes), np.float64, 4 * len(boxes))
     return {"box": numbers.reshape(-1, 4), **take_fields(fields, coded, codes)}
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Boxes that cannot be used, and why."""
+    """Return masks of unusable boxes, shape (n, 4), with the reasons."""
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
         (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),
@@ -138,7 +113,7 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 
 
 def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -> Bools:
-    """Which boxes can be used; the others are reported, except missing ones (NaN)."""
+    """Return the mask of usable boxes. Report the others, except missing boxes (NaN)."""
     usable = ~np.isnan(box[:, 0])
     for fault, reason in box_faults(box):
         refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())
@@ -153,20 +128,22 @@ def _box_table(
     known = [item or Attributes2D() for item in codes["attributes"]]
 
     def attribute(name: str, read: Callable[[Any], Any] | None, kind: pa.DataType) -> pa.Array:
-        return _taken([getattr(item, name) for item in known], code, kind, read, f"attributes.{name}", refusals)
+        return _taken([getattr(item, name) for item in known], code, kind, refusals, f"attributes.{name}", read)
 
     return pa.table(
         {
             "frame": people.frame,
             "track": people.track,
             **{name: box[:, i] for i, name in enumerate("xywh")},
-            "has_attributes": _taken([item is not None for item in codes["attributes"]], code, pa.bool_()),
+            "has_attributes": _taken([item is not None for item in codes["attributes"]], code, pa.bool_(), refusals),
             "occlusion": attribute("occlusion", _occlusion, pa.string()),
             "truncated": attribute("truncated", records.flag, pa.bool_()),
             "interpolated": attribute("interpolated", None, pa.bool_()),
             "no_eval": attribute("no_eval", None, pa.bool_()),
             "has_actions": listed,
-            "file_id": _taken(list(codes["file_id"]), columns["file_id"], pa.string(), records.text),
+            "file_id": _taken(
+                list(codes["file_id"]), columns["file_id"], pa.string(), refusals, "file_id", records.text
+            ),
         }
     )
 
@@ -175,11 +152,11 @@ def _taken(
     values: list[Any],
     code: Ints,
     kind: pa.DataType,
-    read: Callable[[Any], Any] | None = None,
+    refusals: Refusals,
     field: str = "",
-    refusals: Refusals | None = None,
+    read: Callable[[Any], Any] | None = None,
 ) -> pa.Array:
-    """The column `values[code]`, each distinct value read once; null, and counted, where it cannot be read."""
+    """Return the column `read(values[code])`. An unreadable value is null and counted."""
     usable: list[Any] = []
     wrong: dict[int, str] = {}
     for i, value in enumerate(values):
@@ -188,9 +165,8 @@ def _taken(
         except ValueError as error:
             usable.append(None)
             wrong[i] = str(error)
-    if refusals is not None and wrong:
-        refused = np.isin(code, list(wrong))
-        refusals.count(refused, "field", next(iter(wrong.values())), field, lambda row: values[code[row]])
+    refused = np.isin(code, list(wrong))
+    refusals.count(refused, "field", next(iter(wrong.values()), ""), field, lambda row: values[code[row]])
     return spread(usable, kind, code)
 
 
@@ -203,28 +179,28 @@ def _occlusion(value: str) -> str:
 # -- raw sub-objects -----------------------------------------------------------------------------------------------
 
 
-def _actions(raw: bytes, found: Decoded) -> None:
-    for label, code in found.labels(raw, "action_label"):
+def _actions(raw: bytes, decoded: Decoded) -> None:
+    for label, code in decoded.labels(raw, "action_label"):
         action = normal_action(label)
-        found.whole &= action in ACTIONS
+        decoded.whole &= action in ACTIONS
         if action != IMPOSSIBLE:
-            found.values.append((action, label, found.difficulty(code, "action_label")))
+            decoded.values.append((action, label, decoded.difficulty(code, "action_label")))
 
 
-def _activities(raw: bytes, found: Decoded) -> None:
-    for label, value in found.labels(raw, "social_activity"):
-        number = found.read(records.number, value, "social_activity", "value: ")
-        found.values.append((normal_action(label), number))
+def _activities(raw: bytes, decoded: Decoded) -> None:
+    for label, value in decoded.labels(raw, "social_activity"):
+        number = decoded.read(records.number, value, "social_activity", "value: ")
+        decoded.values.append((normal_action(label), number))
 
 
-def _group(raw: bytes, found: Decoded) -> None:
-    values = found.members(raw, "social_group")
-    if values is None:
+def _group(raw: bytes, decoded: Decoded) -> None:
+    values = decoded.members(raw, "social_group")
+    if not decoded.whole:
         return
-    cluster = found.read(_cluster, values.get("cluster_ID"), "social_group.cluster_ID")
+    cluster = decoded.read(_cluster, values.get("cluster_ID"), "social_group.cluster_ID")
     if cluster is not None:
-        code = found.read(records.difficulty, values.get("cluster_stat"), "social_group.cluster_stat")
-        found.values.append((cluster, code))
+        code = decoded.read(records.difficulty, values.get("cluster_stat"), "social_group.cluster_stat")
+        decoded.values.append((cluster, code))
 
 
 def _cluster(value: object) -> int:

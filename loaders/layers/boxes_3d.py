@@ -1,8 +1,8 @@
 """The 3D layer: `labels_3d/<sequence>.json` -> the annotation table `boxes_3d`.
 
-Metres in the robot frame: x forward, y left, z up, the box's centre. `rot_z` is stored as written; the heading that
-follows from it is `wrap(pi - rot_z)`, which `heading_check` compares with how people move. A frame with a record that
-is lost and may be a person's has no rows: any of its boxes could be somebody else's.
+Metres in the robot frame: x forward, y left, z up, the centre of the box. `rot_z` is stored as written. The heading
+that follows from it is `wrap(pi - rot_z)`; `heading_check` compares it with the motion of people. If a refused record
+may be a person, its frame has no rows, because any of its boxes could belong to another person.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     paired,
 )
 from jrdb_avr.loaders.labelfiles.facts import keep_people
-from jrdb_avr.loaders.labelfiles.frames import gather, take_fields
-from jrdb_avr.loaders.labelfiles.record_reader import Fields, RecordReader
-from jrdb_avr.loaders.labelfiles.records import Rule, optional
+from jrdb_avr.loaders.labelfiles.frames import Fields, RecordReader, gather, take_fields
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.loaders.report import Heading
 from jrdb_avr.schema.rules import FPS, frames
@@ -41,7 +39,7 @@ MOVING_MPS: Final = 0.5
 
 
 class Attributes3D(msgspec.Struct, gc=False, frozen=True):
-    """The `attributes` object; null where missing."""
+    """The `attributes` object. A missing attribute is None."""
 
     distance: float | None = None
     num_points: float | None = None
@@ -60,25 +58,15 @@ class Record3D(msgspec.Struct, gc=False):
     attributes: Attributes3D | None = None
 
 
-_ATTRIBUTES: Final = {
-    "distance": Rule(optional(records.number)),
-    "num_points": Rule(optional(records.number)),
-    "interpolated": Rule(optional(records.flag)),
-    "no_eval": Rule(optional(records.flag)),
-}
-_READER: Final = RecordReader(
-    Record3D,
-    {
-        "label_id": Rule(records.label_id, "record"),
-        "box": Rule({name: Rule(records.number, "object") for name in NUMBERS}, "record", "box: ", Box),
-        "attributes": Rule(_ATTRIBUTES, make=Attributes3D),
-    },
-    once=("label_id", "box", "attributes"),
-)
+_READER: Final = RecordReader(Record3D)
 
 
 def load_3d(path: Path, problems: Problems) -> LayerTables:
-    """Read a 3D label file. Raises InputError if the file as a whole cannot be used."""
+    """Read a 3D label file.
+
+    Raises:
+        InputError: the file as a whole cannot be used.
+    """
     codes: dict[str, Distinct] = defaultdict(Distinct)
     columns, listed, complete = gather(path, ("pcd", "pcb"), _READER, lambda fields: _take(fields, codes), problems)
     numbers = columns["numbers"]
@@ -123,7 +111,7 @@ def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:
     return {
         **take_fields(fields, ("label_id",), codes),
         "numbers": np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)),
-        # None becomes NaN: numbers of a file are finite by now.
+        # None becomes NaN. JSON has no NaN, so NaN means "missing" from here on.
         "distance": np.array([item.distance for item in attributes], np.float64),
         "points": np.array([item.num_points for item in attributes], np.float64),
         "flags": numbered(codes["flags"], [(item.interpolated, item.no_eval) for item in attributes], n),
@@ -131,9 +119,9 @@ def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:
 
 
 def heading_check(table: pa.Table) -> Heading:
-    """Median angle between heading and displacement over one second, of people who moved more than half a metre.
+    """Return the median angle between heading and displacement over one second, for people faster than 0.5 m/s.
 
-    Positions are in the robot's frame, so a driving robot blurs the measure; a reversed sign shows anyway.
+    Positions are in the robot frame, so a driving robot blurs the measure. A reversed sign is visible anyway.
     """
     located = read_located(table)
     step = frames(1.0)
@@ -141,6 +129,6 @@ def heading_check(table: pa.Table) -> Heading:
     now = np.flatnonzero(later >= 0)
     moved = located.center[later[now], :2] - located.center[now, :2]
     fast = np.hypot(moved[:, 0], moved[:, 1]) > MOVING_MPS * step / FPS
-    way = np.arctan2(moved[fast, 1], moved[fast, 0])
-    off = np.degrees(np.abs(wrap(located.heading[now][fast] - way)))
+    direction = np.arctan2(moved[fast, 1], moved[fast, 0])
+    off = np.degrees(np.abs(wrap(located.heading[now][fast] - direction)))
     return Heading(len(off), float(np.median(off)) if len(off) else None)

@@ -1,13 +1,12 @@
 """The panoptic layer: `labels_2d_panoptic_stitched_CW/<sequence>.json` -> the tables `panoptic` and `categories`.
 
 Masks of things and of their surroundings, once per second. A thing is known by its track and its category together:
-tracks restart in each category. Category numbers are the file's own, so each file's list of names is stored beside.
-People are annotated here too; they stay in the table, but it is the box layers that count them.
+tracks restart in each category. Category numbers belong to the file, so its list of names is stored too. People are
+annotated here as well; they stay in the table, but only the box layers count people.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -22,102 +21,87 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.coco import (
-    MAX_CATEGORY,
-    NUMBER,
     Images,
+    Index,
     Number,
-    annotation_frames,
-    annotation_reader,
     categories_table,
-    crowded,
     open_coco,
     read_categories,
-    read_list,
+    read_chunks,
 )
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, ascending, known_frames, mask_of, nullable
-from jrdb_avr.loaders.labelfiles.json import ABSENT, BROKEN, NOTHING, first_members, parse
-from jrdb_avr.loaders.labelfiles.record_reader import Fields
-from jrdb_avr.loaders.labelfiles.records import Rule, optional
-from jrdb_avr.loaders.layers.boxes_2d import usable_boxes
-from jrdb_avr.loaders.problems import Problems, shorten
+from jrdb_avr.loaders.labelfiles.frames import RecordReader
+from jrdb_avr.loaders.labelfiles.records import ABSENT, BROKEN, NOTHING
+from jrdb_avr.loaders.layers.boxes_2d import StitchedBox, usable_boxes
+from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Ints
 
 MAX_SEGMENTATION: Final = 1 << 20
-"""The most bytes of a mask that is stored; a mask of every second pixel of the panorama takes about as much."""
+"""Maximum bytes of a stored mask. A mask of every second pixel of the panorama takes about as much."""
 NO_TRACK: Final = -1
 
 _NO_BOX: Final = (math.nan,) * 4
-# Names of tracks repeat from frame to frame.
-_parse: Final = functools.lru_cache(maxsize=10_000)(parse)
+
+Track = int | float | str | None
+
+
+class Attributes(msgspec.Struct, gc=False):
+    """The `attributes` object. Some files have the track here."""
+
+    tracking_id: Track = None
+    floor_id: Track = None
 
 
 class SegmentAnnotation(msgspec.Struct, gc=False):
-    """One thing, or all there is of a stuff, in one image. Some files have the track in `attributes`."""
+    """One thing, or a whole kind of surroundings, in one image."""
 
     image_id: Number
-    category_id: Number
-    tracking_id: msgspec.Raw = NOTHING
-    attributes: msgspec.Raw = NOTHING
-    bbox: tuple[float, float, float, float] | None = None
+    category_id: Index
+    tracking_id: Track = None
+    attributes: Attributes | None = None
+    bbox: StitchedBox | None = None
     area: float | None = None
     segmentation: msgspec.Raw = NOTHING
     id: msgspec.Raw = NOTHING
 
 
 class RunLengths(msgspec.Struct, gc=False):
-    """A mask as run lengths: column by column, as numbers or packed into a text."""
+    """A mask as run lengths, column by column: numbers, or packed into text."""
 
     size: tuple[int, int]
     counts: str | list[int]
 
 
+_READER: Final = RecordReader(SegmentAnnotation)
 _SEGMENTATION: Final = msgspec.json.Decoder(RunLengths | list[list[float]])
 
 
-def _track_keys(fields: Fields) -> list[tuple[int, tuple[bytes, ...]]]:
-    """How often the names of the track are written, attributes included."""
-    outer = {b'"tracking_id"': len([raw for raw in fields["tracking_id"] if raw is not NOTHING]), b'"floor_id"': 0}
-    attributes = [bytes(raw) for raw in fields["attributes"] if raw is not NOTHING]
-    return [(count + sum(raw.count(key) for raw in attributes), (key,)) for key, count in outer.items()]
-
-
-_READER: Final = annotation_reader(
-    SegmentAnnotation,
-    {
-        "image_id": NUMBER,
-        "category_id": NUMBER,
-        "bbox": Rule(optional(records.box), reason="bbox: "),
-        "area": Rule(optional(records.number)),
-    },
-    ("image_id", "category_id", "bbox"),
-    _track_keys,
-)
-
-
 def load_panoptic(path: Path, problems: Problems) -> LayerTables:
-    """Read a panoptic file. Raises InputError if the file as a whole cannot be used."""
-    file = open_coco(path, problems)
-    images = Images(file, problems)
+    """Read a panoptic file.
+
+    Raises:
+        InputError: the file as a whole cannot be used.
+    """
+    file = open_coco(path)
+    images = Images(file, path.stem, problems)
     categories, unknown = read_categories(file, problems)
     parts: dict[str, list[Any]] = defaultdict(list)
-    for chunk in read_list(file, "annotations", _READER, problems):
-        for name, column in _take(chunk, annotation_frames(chunk, images, problems), problems).items():
+    for chunk in read_chunks(file.annotations, "annotation", _READER, problems):
+        for name, column in _take(chunk, images.frames_of(chunk, problems), problems).items():
             parts[name].append(column)
     texts = pa.concat_arrays(parts.pop("segmentation"))
     columns = {name: np.concatenate(parts.pop(name)) for name in list(parts)}
     frame, track, category = (columns[name] for name in ("frame", "object", "category_id"))
     refusals = Refusals(frame, problems)
-    full = crowded(frame, refusals)
-    # By frame, category and track, those without a track last and in the file's order.
-    rows = np.flatnonzero(~full)
-    rows = rows[ascending(frame[rows], category[rows], track[rows] == NO_TRACK, track[rows])]
+    # By frame, category and track. Things without a track come last, in the order of the file.
+    rows = ascending(frame, category, track == NO_TRACK, track)
     same = np.zeros(len(rows), np.bool_)
     same[1:] = track[rows[1:]] != NO_TRACK
     for column in (frame, category, track):
         same[1:] &= column[rows[1:]] == column[rows[:-1]]
     again = mask_of(rows[same], len(track))
     refusals.count(again, "record", "same thing twice in a frame, the first is kept", "tracking_id", _item(track))
-    wrong = ~np.isin(category, list(categories)) & ~full
+    wrong = ~np.isin(category, list(categories))
     refusals.count(wrong, "field", "not in the list of categories", "category_id", _item(category))
     rows = rows[~same]
     columns["box"][~usable_boxes(columns["box"], refusals, "bbox")] = np.nan
@@ -135,7 +119,7 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
             "segmentation": texts.take(pa.array(rows)),
         }
     )
-    known = known_frames(np.setdiff1d(images.frame, frame[full]), frame[rows])
+    known = known_frames(np.sort(images.frame), frame[rows])
     return LayerTables({"panoptic": table, "categories": categories_table(categories)}, {"panoptic": known}, unknown)
 
 
@@ -144,7 +128,7 @@ def _number_column(values: npt.NDArray[Any]) -> pa.Array:
 
 
 def _item(values: Any) -> Callable[[int], object]:
-    """The value of a row, for the report."""
+    """Return a function that returns the value of a row, for the report."""
     return lambda row: int(values[row])
 
 
@@ -152,18 +136,14 @@ def _item(values: Any) -> Callable[[int], object]:
 
 
 def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> dict[str, Any]:
-    """Columns of the annotations of a chunk that have a frame and a category; numbers are NaN where there is none."""
-    category = np.fromiter(map(attrgetter("category_id"), chunk), np.int64, len(chunk))
-    odd = (category < 0) | (category > MAX_CATEGORY)
-    Refusals(frame, problems).count((frame >= 0) & odd, "record", "number out of range", "category_id", _item(category))
-    rows = np.flatnonzero((frame >= 0) & ~odd)
+    """Return the columns of the annotations with a frame. A missing number is NaN."""
+    rows = np.flatnonzero(frame >= 0)
     chunk = [chunk[row] for row in rows.tolist()]
     refusals = Refusals(frame[rows], problems)
     return {
         "frame": frame[rows],
-        "category_id": category[rows],
+        "category_id": np.fromiter(map(attrgetter("category_id"), chunk), np.int64, len(chunk)),
         "object": np.array([_track(row, annotation, refusals) for row, annotation in enumerate(chunk)], np.int64),
-        # Numbers of a file are finite by now.
         "box": np.array([annotation.bbox or _NO_BOX for annotation in chunk], np.float64).reshape(-1, 4),
         "area": np.array([annotation.area for annotation in chunk], np.float64),
         "segmentation": _segmentations(chunk, refusals),
@@ -171,29 +151,19 @@ def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> di
 
 
 def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
-    """The first of the three names of the track that has a value; NO_TRACK where there is none or it is unusable."""
-    inner: dict[str, Any] = {}
-    raw = bytes(annotation.attributes)
+    """Return the first track under the three names, or NO_TRACK if there is none or it is unusable."""
+    inner = annotation.attributes or Attributes()
+    values = (annotation.tracking_id, inner.tracking_id, inner.floor_id)
+    value = next((value for value in values if value is not None), NO_TRACK)
     try:
-        if raw not in ABSENT:
-            inner, again = first_members(_parse(raw))
-            for key in again:
-                refusals.add("field", records.TWICE, f"attributes.{shorten(key)}", row, raw, 1)
-    except ValueError as error:
-        refusals.add("field", str(error), "attributes", row, raw, 1)
-    raw = bytes(annotation.tracking_id)
-    try:
-        outer = None if raw in ABSENT else _parse(raw)
-        values = (outer, inner.get("tracking_id"), inner.get("floor_id"))
-        value = next((value for value in values if value is not None), NO_TRACK)
         return records.whole(value, NO_TRACK, records.MAX_TRACK)
     except ValueError as error:
-        refusals.add("field", f"track: {error}", "tracking_id", row, raw, 1)
+        refusals.add("field", f"track: {error}", "tracking_id", row, value, 1)
         return NO_TRACK
 
 
 def _segmentations(chunk: Sequence[SegmentAnnotation], refusals: Refusals) -> pa.Array:
-    """Masks as text without blanks, null where there is none."""
+    """Return the masks as text without blanks. A missing or unusable mask is null."""
     texts: list[bytes | None] = []
     for row, annotation in enumerate(chunk):
         raw = bytes(annotation.segmentation)
@@ -206,7 +176,7 @@ def _segmentations(chunk: Sequence[SegmentAnnotation], refusals: Refusals) -> pa
 
 
 def _compact(raw: bytes) -> bytes:
-    """A mask without blanks. Raises ValueError where it is neither run lengths nor polygons."""
+    """Return a mask without blanks. Raise ValueError if it is neither run lengths nor polygons."""
     if len(raw) > MAX_SEGMENTATION:
         raise ValueError(f"larger than {MAX_SEGMENTATION >> 20} MB")
     try:

@@ -1,4 +1,4 @@
-// Gender and age of the certain members of each group, counted over the whole sequence.
+// Gender and age of all certain members of each group.
 // param sequence: text
 MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
 WHERE m.sequence = $sequence AND m.certain

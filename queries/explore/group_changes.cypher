@@ -1,4 +1,4 @@
-// People who join or leave a group, in order of time, also by coming into view or leaving it.
+// Changes of groups in order of time: people who join or leave, also because they come into view or leave it.
 // A closed gap between two labels of one group is no change.
 // param sequence: text
 MATCH (s:Sequence)

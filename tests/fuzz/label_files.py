@@ -7,9 +7,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 from mutate import KEYS, TEXTS, mutate, places_of
-
-from jrdb_avr.loaders.labelfiles.json import MalformedError, elements
 
 BY_FRAME = ("2d", "3d", "social", "reasoning")
 COCO = ("pose", "panoptic")
@@ -92,8 +91,8 @@ def stays_apart(raw):
     """Whether a file stays readable in its other records when `raw` replaces one of them."""
     try:
         raw.decode()
-        return bool(list(elements(b"[" + raw + b"]")))
-    except (UnicodeError, MalformedError):
+        return bool(msgspec.json.decode(b"[" + raw + b"]", type=list[msgspec.Raw]))
+    except (UnicodeError, RecursionError, msgspec.DecodeError):
         return False
 
 

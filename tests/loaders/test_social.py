@@ -5,15 +5,12 @@ Worlds are small enough to see through. What is refused is counted and leaves no
 
 from __future__ import annotations
 
-import json
-
 import pytest
 from quick_store import load_root
 from social_files import BOX, NAME, read, reasons, record, rows
 from worlds import member, write_root
 
 from jrdb_avr.loaders.root import find_root
-from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import (
     AGES,
     AIMS,
@@ -145,16 +142,7 @@ def test_a_record_with_everything(tmp_path):
     assert not reading.unknown
 
 
-@pytest.mark.parametrize("code", [2, 2.0, "2"])
-def test_case_05_codes_as_numbers_and_texts(tmp_path, code):
-    content = [member(1, BOX, {"gender": {"Male": code}}, [(2, {"hugging": code})], {"aim": {"wandering": code}})]
-    reading, problems = read(tmp_path, content)
-    for layer in ("demographics", "interactions", "group_info"):
-        assert reading.tables[layer]["difficulty"].to_pylist() == [2]
-    assert problems == []
-
-
-@pytest.mark.parametrize("code", [0, 4, 1.5, -1, "one", "", "1.0", True, None, [], {}, 10**30, "9" * 4000])
+@pytest.mark.parametrize("code", [0, 4, 1.5, -1, "one", "", "1.0", True, None, [], 10**30, "9" * 4000])
 def test_case_05_other_codes_leave_the_label_unknown(tmp_path, code):
     content = [member(1, BOX, {"gender": {"Male": code}}, [(2, {"hugging": code})], {"aim": {"wandering": code}})]
     reading, problems = read(tmp_path, content)
@@ -194,17 +182,6 @@ def test_case_09_unknown_labels_are_kept_and_counted(tmp_path):
     assert problems == []
 
 
-def test_case_10_person_zero(tmp_path):
-    reading, problems = read(
-        tmp_path, [member(0, BOX, {"gender": {"Male": "1"}}, [(1, {"hugging": "1"})]), member(1, BOX, None, [])]
-    )
-    assert rows(reading, "demographics") == [(0, 0, "gender", "male", 1)]
-    assert rows(reading, "interactions") == [(0, 0, 1, "hugging", 1)]
-    reading, problems = read(tmp_path, [member(1, BOX, None, [(0, {"hugging": "1"})])])
-    assert rows(reading, "interactions") == [(0, 1, 0, "hugging", 1)]
-    assert problems == []
-
-
 @pytest.mark.parametrize("pair", ["pedestrian:9", "9", 9, 9.0])
 def test_partners_in_every_form(tmp_path, pair):
     reading, problems = read(tmp_path, [record(**{"H-interaction": talk((pair, {"hugging": "1"}))})])
@@ -222,20 +199,6 @@ def test_case_29_entries_of_one_pair_are_kept_as_written(tmp_path):
         (0, 1, 2, "hugging", 2),
     ]
     assert rows(reading, "listed") == [("interactions", 0, 1)]
-    assert problems == []
-
-
-def test_case_36_either_name_of_the_list(tmp_path):
-    entries, others = talk((2, {"hugging": "1"})), talk((3, {"conversation": "1"}))
-    reading, problems = read(tmp_path, [record(HHI=entries)])
-    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
-    assert problems == []
-    # Both in one record: a key given twice, of which the first counts, unless it says nothing.
-    reading, problems = read(tmp_path, [record(HHI=entries, **{"H-interaction": others})])
-    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
-    assert reasons(problems) == [("key twice, the first is kept", "H-interaction", "000000.jpg", 1)]
-    reading, problems = read(tmp_path, [record(HHI=None, **{"H-interaction": others})])
-    assert rows(reading, "interactions") == [(0, 1, 3, "conversation", 1)]
     assert problems == []
 
 
@@ -281,25 +244,16 @@ def test_the_tables_do_not_depend_on_the_order_of_records_or_labels(tmp_path):
 GOOD = {"gender": {"Male": "1"}}
 
 ENTRIES = {
-    "a number": (5, "entry is no object"),
-    "null": (None, "entry is no object"),
-    "a list": ([2, {"hugging": "1"}], "entry is no object"),
-    "no pair": ({"inter_labels": {"hugging": "1"}}, "pair is missing"),
-    "null pair": ({"pair": None, "inter_labels": {"hugging": "1"}}, "pair: not a number"),
+    "no pair": ({"inter_labels": {"hugging": "1"}}, "pair: missing"),
+    "null pair": ({"pair": None, "inter_labels": {"hugging": "1"}}, "pair: missing"),
     "a bool": ({"pair": True, "inter_labels": {"hugging": "1"}}, "pair: not a number"),
     "half a person": ({"pair": 2.5, "inter_labels": {"hugging": "1"}}, "pair: not a whole number"),
     "negative": ({"pair": -1, "inter_labels": {"hugging": "1"}}, "pair: number out of range"),
-    "huge": ({"pair": 10**400, "inter_labels": {"hugging": "1"}}, "pair: number too large"),
     "too large": ({"pair": 2**31 - 1, "inter_labels": {"hugging": "1"}}, "pair: number out of range"),
-    "NaN": ({"pair": float("nan"), "inter_labels": {"hugging": "1"}}, "pair: not a finite number"),
     "no person": ({"pair": "person:-1", "inter_labels": {"hugging": "1"}}, "pair: label_id is not pedestrian:N"),
-    "a name": ({"pair": "Ann", "inter_labels": {"hugging": "1"}}, "pair: label_id is not pedestrian:N"),
-    "nested": ({"pair": [[2]], "inter_labels": {"hugging": "1"}}, "pair: not a number"),
     "oneself": ({"pair": 1, "inter_labels": {"hugging": "1"}}, "pair is the person itself"),
     "no labels": ({"pair": 2}, "inter_labels is missing"),
-    "null labels": ({"pair": 2, "inter_labels": None}, "inter_labels is missing"),
     "labels a list": ({"pair": 2, "inter_labels": ["hugging"]}, "not an object"),
-    "labels a text": ({"pair": 2, "inter_labels": "hugging"}, "not an object"),
     "empty label": ({"pair": 2, "inter_labels": {"": "1"}}, "label: empty text"),
     "endless label": ({"pair": 2, "inter_labels": {"h" * 101: "1"}}, "label: text too long"),
 }
@@ -317,6 +271,24 @@ def test_a_broken_entry_leaves_the_others_but_the_list_is_not_whole(tmp_path, na
     assert reasons(problems) == [(reason, "H-interaction", "000000.jpg", 1)]
 
 
+@pytest.mark.parametrize("value", [5, {}, [5], [[2, {"hugging": "1"}]]], ids=str)
+@pytest.mark.parametrize("key", ["H-interaction", "HHI"])
+def test_what_is_no_list_of_entries_costs_its_record(tmp_path, key, value):
+    lost = record(demographics_info=[GOOD], **{key: value})
+    reading, problems = read(tmp_path, {0: [lost, member(2, BOX, GOOD, [])], 1: [member(2, BOX, GOOD, [])]})
+    # A person is lost, so the frame proves nothing.
+    assert rows(reading, "demographics") == [(1, 2, "gender", "male", 1)]
+    assert rows(reading, "listed") == [("interactions", 1, 2)]
+    assert [(p.kind, p.field, p.frame, p.count) for p in problems] == [("record", key, "000000.jpg", 1)]
+
+
+def test_case_36_a_record_with_both_names_has_both_lists(tmp_path):
+    entries, others = talk((2, {"hugging": "1"})), talk((3, {"conversation": "1"}))
+    reading, problems = read(tmp_path, [record(HHI=entries, **{"H-interaction": others})])
+    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1), (0, 1, 3, "conversation", 1)]
+    assert problems == []
+
+
 def test_an_impossible_interaction_is_no_fact_and_no_denial(tmp_path):
     entries = talk((2, {"impossible": "1", "hugging": "1"}))
     reading, problems = read(tmp_path, [record(**{"H-interaction": entries})])
@@ -325,83 +297,21 @@ def test_an_impossible_interaction_is_no_fact_and_no_denial(tmp_path):
     assert problems == []
 
 
-@pytest.mark.parametrize("value", [5, "x", True, {}, {"gender": {"Male": 1}}, {"pair": 2}])
-@pytest.mark.parametrize("key", ["demographics_info", "H-interaction", "HHI", "group_info"])
-def test_what_is_no_list_costs_its_own_facts(tmp_path, key, value):
-    good = member(1, BOX, GOOD, [(2, {"hugging": "1"})], {"aim": {"wandering": "1"}})
-    if key == "HHI":
-        del good["H-interaction"]
-    reading, problems = read(tmp_path, [good | {key: value}])
-    tables = {"demographics_info": "demographics", "group_info": "group_info"}
-    lost = tables.get(key, "interactions")
-    for layer in ("demographics", "interactions", "group_info"):
-        assert reading.tables[layer].num_rows == (0 if layer == lost else 1), layer
-    assert (rows(reading, "listed") == []) == (lost == "interactions")
-    assert [(p.reason, p.field) for p in problems] == [("not a list", "H-interaction" if key == "HHI" else key)]
-
-
 @pytest.mark.parametrize(
     ("value", "reason", "field"),
     [
         ([5], "not an object", "demographics_info"),
-        ([None], "not an object", "demographics_info"),
-        ([[{"gender": {"Male": "1"}}]], "not an object", "demographics_info"),
+        (5, "not a list", "demographics_info"),
         ([{"gender": "Male", "age": {"Childhood": "1"}}], "not an object", "demographics_info.gender"),
-        ([{"gender": ["Male"], "age": {"Childhood": "1"}}], "not an object", "demographics_info.gender"),
         ([{"gender": {"": "1"}, "age": {"Childhood": "1"}}], "label: empty text", "demographics_info.gender"),
         ([{"gender": {"-": "1"}, "age": {"Childhood": "1"}}], "label: no word", "demographics_info.gender"),
     ],
 )
 def test_broken_demographics(tmp_path, value, reason, field):
     reading, problems = read(tmp_path, [record(demographics_info=value)])
-    kept = [(0, 1, "age", "childhood", 1)] if isinstance(value[0], dict) else []
+    kept = [(0, 1, "age", "childhood", 1)] if field.endswith("gender") else []
     assert rows(reading, "demographics") == kept
     assert reasons(problems) == [(reason, field, "000000.jpg", 1)]
-
-
-def test_text_that_decoders_choke_on(tmp_path):
-    deep = "[" * 100_000 + "]" * 100_000
-    good = json.dumps(member(2, BOX, GOOD, []))
-    raw = (
-        '{"label_id": "pedestrian:1", "box": [1, 2, 3, 4], "demographics_info": [{"gender": {"Male": NaN}, '
-        '"age": {"Childhood": 1}}], "H-interaction": [{"pair": 2, "inter_labels": {"hugging": Infinity}}], '
-        f'"group_info": {deep}}}'
-    )
-    reading, problems = read(tmp_path, f'{{"labels": {{"000000.jpg": [{raw}, {good}]}}}}')
-    assert rows(reading, "demographics") == [
-        (0, 1, "age", "childhood", 1),
-        (0, 1, "gender", "male", None),
-        (0, 2, "gender", "male", 1),
-    ]
-    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", None)]
-    assert {(p.reason, p.field) for p in problems} == {
-        ("difficulty: not a finite number", "demographics_info.gender"),
-        ("difficulty: not a finite number", "H-interaction"),
-        ("nested too deeply", "group_info"),
-    }
-
-
-def test_repeated_keys_keep_the_first_at_every_level(tmp_path):
-    raw = """{"label_id": "pedestrian:1", "box": [1, 2, 3, 4],
-        "demographics_info": [{"gender": {"Male": "1", "Male": "3"}, "gender": {"Female": "1"}}],
-        "demographics_info": [],
-        "H-interaction": [{"pair": 2, "pair": 3, "inter_labels": {"hugging": "1", "hugging": "3"}},
-                          {"pair": 4, "inter_labels": {"hugging": "1"}, "inter_labels": {}}],
-        "group_info": [], "group_in\\u0066o": [{"aim": {"wandering": "1"}}]}"""
-    reading, problems = read(tmp_path, f'{{"labels": {{"000000.jpg": [{raw}]}}}}')
-    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1)]
-    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1), (0, 1, 4, "hugging", 1)]
-    assert rows(reading, "group_info") == []
-    assert {p.reason for p in problems} == {"key twice, the first is kept"}
-    assert sorted(p.field for p in problems) == [
-        "H-interaction.hugging",
-        "H-interaction.inter_labels",
-        "H-interaction.pair",
-        "demographics_info",
-        "demographics_info.gender",
-        "demographics_info.gender.Male",
-        "group_info",
-    ]
 
 
 def test_a_record_without_a_box_has_its_facts(tmp_path):
@@ -437,22 +347,8 @@ def test_a_list_with_a_label_of_no_vocabulary_is_not_whole(tmp_path):
     assert rows(reading, "listed") == [("interactions", 0, 2)]
 
 
-def test_a_list_beyond_reason_is_refused_whole(tmp_path):
-    entries = talk(*((i, {"hugging": "1"}) for i in range(2, 1003)))
-    reading, problems = read(tmp_path, [record(**{"H-interaction": entries})])
-    assert rows(reading, "interactions") == []
-    assert rows(reading, "listed") == []
-    assert [p.reason for p in problems] == ["list with more than 1000 entries"]
-
-
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe{}", b"[]", b'{"labels": []}', b'{"labels": {"000000.jpg": ['])
-def test_a_file_that_cannot_be_used(tmp_path, content):
-    with pytest.raises(InputError, match=NAME):
-        read(tmp_path, content)
-
-
 def test_a_file_that_gives_the_boxes_too_is_reported_once(tmp_path):
-    records = [record(box=[1, 2, -3, 4]), {"label_id": "dog"}, 7, member(2, BOX, {"gender": {"Male": "x"}})]
+    records = [record(box=[1, 2, -3, 4]), record(label_id="dog"), 7, member(2, BOX, {"gender": {"Male": "x"}})]
     root = write_root(tmp_path / "root", {NAME: {"social": {0: records}}})
     (files,) = find_root(root).sequences
     assert set(files.labels) == {"2d", "social"}

@@ -29,7 +29,7 @@ CONTRACTS = {
     "sequences": "sequence fps frame_count frames",
     "answers": "question_id answer target_track plan proofs distractors rules hops time_gap_s separation_deg "
     "people_in_scene bindings needed",
-    "evidence": "question_id frame x y w h",
+    "evidence": "sequence track frame x y w h",
     "predictions": "run_id question_id status answer evidence_frame evidence_x evidence_y evidence_w evidence_h raw "
     "reason verdict n_observations n_model_calls prompt_tokens completion_tokens seconds",
     "steps": "run_id question_id step kind request response seconds",
