@@ -1,16 +1,9 @@
 """The graph file with its side files: the fingerprint and the lock.
 
-<<<<<<< HEAD
 The engine has no page checksums and opens a file that was cut short or swapped without an error. The fingerprint,
 `<graph>.json`, is written when the file is built. It shows whether the file is whole and has this program's tables.
 `load --verify` compares its hash with the file. The hash is not in the manifest, because two builds of the same scene
 differ in their bytes, and manifests of equal stores are equal.
-=======
-The engine has no page checksums, and opens a truncated or replaced file without an error. The fingerprint
-`<graph>.json` is written when the graph is built. It shows whether the file is complete and has the tables of this
-program. Its checksum needs a read of the whole file, so only `load --verify` compares it. The fingerprint is not in the
-manifest, because two builds of the same scene differ in their bytes.
->>>>>>> main
 
 The lock is on a side file, `<graph>.lock`, and admits one writer or any number of readers.
 """
@@ -54,14 +47,7 @@ _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
 
 class Fingerprint(msgspec.Struct, frozen=True):
-<<<<<<< HEAD
     """A graph file as built: version of its tables, size in bytes, sha256, and rows per table."""
-=======
-    """Version of the tables, size in bytes and CRC-32 of a graph file when it was built.
-
-    The CRC-32 excludes the first page, which the engine rewrites when it opens the file for writing.
-    """
->>>>>>> main
 
     storage_version: int
     size: int
@@ -79,7 +65,6 @@ def building_path(graph: Path) -> Path:
     return graph.with_name(f".{graph.name}.building")
 
 
-<<<<<<< HEAD
 def fingerprint_of(file: Path, rows: Mapping[str, int]) -> Fingerprint:
     """Return the fingerprint of a finished graph file with its rows per table. Raises OSError."""
     return Fingerprint(STORAGE_VERSION, file.stat().st_size, file_hash(file), dict(rows))
@@ -88,16 +73,6 @@ def fingerprint_of(file: Path, rows: Mapping[str, int]) -> Fingerprint:
 def is_as_built(graph: Path) -> bool:
     """Return whether a graph file has the hash in its fingerprint. Raises as `check_fingerprint`."""
     return check_fingerprint(graph).sha256 == file_hash(graph)
-=======
-def fingerprint_of(file: Path) -> Fingerprint:
-    """Compute the fingerprint of a finished graph file. Raises OSError."""
-    with file.open("rb") as stream:
-        stream.seek(PAGE)
-        checksum = 0
-        while chunk := stream.read(_CHUNK):
-            checksum = zlib.crc32(chunk, checksum)
-        return Fingerprint(STORAGE_VERSION, stream.tell(), checksum)
->>>>>>> main
 
 
 def check_fingerprint(graph: Path) -> Fingerprint:
@@ -225,32 +200,20 @@ def check_room(graph: Path) -> None:
             )
 
 
-<<<<<<< HEAD
-def publish(temporary: Path, place: Path, rows: Mapping[str, int]) -> None:
-    """Rename a finished graph file with these rows per table to its place, with its fingerprint. Raises StoreError."""
-=======
 def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
     """Rename a finished graph file with these rows per table, and write its fingerprint.
 
     Raises StoreError if the disk refuses.
     """
->>>>>>> main
     try:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
         # Remove the old log first, because the engine would replay it into the new file.
         for suffix in _SIDE_FILES:
-<<<<<<< HEAD
-            place.with_name(place.name + suffix).unlink(missing_ok=True)
-        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary, rows)))
-        temporary.replace(place)
-        _follow(place)
-=======
             graph.with_name(graph.name + suffix).unlink(missing_ok=True)
         fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary, rows)))
         temporary.replace(graph)
         _rename_fingerprint(graph)
->>>>>>> main
     except OSError as error:
         raise StoreError(f"cannot write {graph}: {error.strerror}; free some space and run the command again") from None
 
