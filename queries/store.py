@@ -130,6 +130,12 @@ class Store(Displayed):
         """Read an interval table, or some of its columns. Raises StoreError if it is missing or broken."""
         return read_table(self.interval_path(kind, sequence), columns)
 
+    def facts(self, kind: str, sequence: str) -> pa.Table:
+        """Return the written labels of one kind (`LABELED`) and, as rows that are not certain, the unwritten facts."""
+        labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
+        unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
+        return pa.concat_tables([labels, unwritten], promote_options="default")
+
     def questions(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         """Read a table of `questions/`, or some of its columns. Raises StoreError if it is missing or broken."""
         path = self.question_path(name)

@@ -204,7 +204,7 @@ def test_a_damage_that_changes_answers_is_found_by_the_answers_alone(answers, co
     reseal(copy)
     assert dump(copy) not in (answers, "timeout")
     found = faults(copy)
-    assert set(found) == {"Action", "Performs", "SeenIn", "Interacts"}
+    assert set(found) == {"Action", "Performs", "MayPerform", "SeenIn", "Interacts", "MayInteract"}
     assert all("\n" not in fault for fault in found.values())
 
 
