@@ -33,6 +33,7 @@ from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnin
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
 from jrdb_avr.loaders.sequence import NOT_LABELS, annotate, stamps_of
+from jrdb_avr.loaders.verify import PARTS
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
@@ -48,8 +49,6 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 
 STAGING: Final = ".loading"
 """Folder inside the store where a load prepares everything."""
-
-PARTS: Final = ("annotations", "intervals")
 
 
 @dataclass(frozen=True)

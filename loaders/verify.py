@@ -23,6 +23,7 @@ from jrdb_avr.schema.errors import AvrError, StoreError
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
 
 PARTS: Final = ("annotations", "intervals")
+"""Folders of a store that a load writes."""
 VERIFY_STEPS: Final = len(PARTS) + 1
 """Number of calls of `advance` by `checks_of`."""
 
