@@ -10,13 +10,11 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from places import DOCS
 from processes import run, run_program
 from worlds import person, write_root
 
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_table
-from jrdb_avr.schema import tables
 from jrdb_avr.schema.errors import InputError, LockedError, StoreError
 
 SCHEMA = pa.schema([pa.field("a", pa.int32(), nullable=False), pa.field("b", pa.string())])
@@ -158,12 +156,3 @@ def test_what_is_no_file_is_not_replaced(tmp_path):
         write_atomic(tmp_path / "pipe", lambda path: path.write_bytes(b"x"))
     assert (tmp_path / "pipe").is_fifo()
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
-
-
-def test_the_page_of_tables_is_written_from_the_schemas_and_says_what_each_column_means():
-    found = (DOCS / "tables.md").read_text("utf-8")
-    assert found.rstrip() == tables.tables_page().rstrip()
-    known = {(name, field) for name, schema, _ in tables.views() for field in schema.names}
-    assert set(tables.SPECIAL) <= known
-    assert set(tables.COLUMNS) <= {field for _, field in known}
-    assert set(tables.ABOUT) == {name for name, _ in known}

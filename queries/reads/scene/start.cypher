@@ -6,22 +6,22 @@ UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.action AS action, q.posture AS posture, q.after AS after,
      q.low AS low, q.high AS high, q.step AS step
 WHERE after >= low AND (after - low) % step = 0
-MATCH (p:Person)-[r:Performs]->(x:Action)
+MATCH (p:Person)-[r:Performs|MayPerform]->(x:Action)
 WHERE p.sequence = scope AND p.track = who AND x.name = action AND r.last >= after
 WITH id, action, posture, after, low, high, step, p, min(r.first) AS first
 WHERE first > after
 // Of intervals that follow each other without a gap, the last is the first one without a successor.
-MATCH (p)-[r:Performs]->(x:Action)
+MATCH (p)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = action AND r.first >= first
-  AND NOT EXISTS { MATCH (p)-[n:Performs]->(y:Action) WHERE y.name = action AND n.first = r.last + step }
+  AND NOT EXISTS { MATCH (p)-[n:Performs|MayPerform]->(y:Action) WHERE y.name = action AND n.first = r.last + step }
 WITH id, action, posture, after, low, high, step, p, first, min(r.last) AS last
 WHERE last - first >= $least
-MATCH (p)-[r:Performs]->(x:Action)
+MATCH (p)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = action
 WITH id, action, posture, after, low, high, step, p, first, last,
      max(CASE WHEN r.last < first THEN r.last END) AS before,
      min(CASE WHEN r.first > last THEN r.first END) AS next,
-     sum(CASE WHEN r.first >= first AND r.last <= last AND r.certain = false AND r.gap = false THEN 1 ELSE 0 END) AS unsure,
+     sum(CASE WHEN r.first >= first AND r.last <= last AND (r.certain = false OR r.gap = false) THEN 1 ELSE 0 END) AS unsure,
      sum(CASE WHEN r.first >= first AND r.last <= last AND r.certain = true THEN (r.last - r.first) / step + 1 ELSE 0 END)
          AS named,
      $edge / step * step AS edge, $quiet / step * step AS quiet
