@@ -8,17 +8,27 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 Progress = Callable[[str, int, int], None]
-"""Called with the name of the work, the number of finished steps and the number of all steps."""
+"""Function of the task's name, the number of finished steps and the number of all steps."""
 
 _Rows = Sequence[Mapping[str, Any]]
 Tables = Mapping[str, _Rows]
+"""Rows of tables by the title of the table."""
 
 MAX_ROWS: Final = 100
-"""Rows that a notebook displays of one table."""
+"""Maximum number of rows that a notebook displays of a table."""
 
 
 def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[int], None]:
-    """Return a function that adds finished steps and reports them to `progress`, first at the start."""
+    """Return a function that adds finished steps and reports the sum to `progress`.
+
+    Args:
+        progress: Receiver of the reports; None reports nothing.
+        what: Name of the task.
+        total: Number of all steps.
+
+    Returns:
+        A function of the number of steps that have just finished; the first report, of no steps, has been made.
+    """
     done = 0
 
     def advance(steps: int = 1) -> None:
@@ -32,12 +42,12 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
 
 
 def columns_of(rows: _Rows) -> list[str]:
-    """Every column of any row, in the order of their first appearance."""
+    """Return the columns of all rows, in the order of their first appearance."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
 
 class Displayed(ABC):
-    """Base of a result: `repr` is its summary in one line, a notebook adds its tables."""
+    """Base class of a result. `repr` is a summary in one line; a notebook also displays its tables."""
 
     @abstractmethod
     def _summary(self) -> str: ...

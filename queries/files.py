@@ -1,7 +1,7 @@
-"""Files and folders that are written whole: beside their place, their files synced, and renamed into it.
+"""Atomic writes of files and folders: a temporary file in the same folder is written, synced and renamed.
 
-Whoever is killed meanwhile leaves the old state, and a hidden `.NAME.????????.tmp` beside it, which the same user takes
-away by writing NAME again: its writer holds a lock on it as long as it lives.
+A process that is killed before the rename leaves the old state and a hidden `.NAME.????????.tmp`. The next write of
+NAME by the same user removes that file. A live writer holds a lock on its temporary file, so no process removes it.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import hashlib
 import os
 import re
 import shutil
@@ -21,27 +22,42 @@ from jrdb_avr.schema.errors import InputError, StoreError
 
 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
-    """Call `write` with a path beside `path`, sync the file, rename it in. Raises StoreError if the disk refuses."""
+    """Write a file atomically: let `write` write a temporary file, sync it and rename it to `path`.
+
+    Args:
+        path: File to make or replace; its folder is made if it is missing.
+        write: Function that writes a file at the path it is given.
+
+    Raises:
+        StoreError: The disk refuses, or `path` exists and is not a file.
+    """
     if path.exists() and not path.is_file():
-        raise StoreError(f"cannot write {path}: it is there already and no file; choose another name")
+        raise StoreError(f"cannot write {path}: it exists and is not a file; choose another name")
     with _beside(path, folder=False) as temporary:
         write(temporary)
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
-        # mkstemp makes files private; a store is shared like any other data folder.
+        # mkstemp makes private files, but a store may be shared.
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
 
 
+def file_hash(path: Path) -> str:
+    """Return the sha256 of a file in hexadecimal digits. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file whole, as `write_atomic` does. Raises StoreError if the disk refuses."""
+    """Write bytes to a file atomically, as `write_atomic` does. Raises StoreError if the disk refuses."""
     write_atomic(path, lambda temporary: temporary.write_bytes(data))
 
 
 def write_once(path: Path, data: bytes) -> None:
-    """Write a private file unless there is one: of several who write it at once, the first one's stays.
+    """Write a private file unless it exists. If several processes write it at once, the first file stays.
 
-    Raises StoreError if the disk refuses.
+    Raises:
+        StoreError: The disk refuses.
     """
     with _beside(path, folder=False) as temporary:
         temporary.write_bytes(data)
@@ -53,9 +69,14 @@ def write_once(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Make a folder to write into, which takes the name `folder` when the block ends well; otherwise it is removed.
+    """Yield a temporary folder, and rename it to `folder` when the block ends; remove it if the block raises.
 
-    Raises InputError where `folder` holds something or cannot be replaced, StoreError if the disk refuses.
+    Args:
+        folder: Folder that does not exist or is empty.
+
+    Raises:
+        InputError: `folder` is not empty, or cannot be replaced.
+        StoreError: The disk refuses.
     """
     folder = folder.resolve()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -70,20 +91,20 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _beside(path: Path, *, folder: bool) -> Iterator[Path]:
-    """A new hidden file or folder beside `path`, locked, and gone at the end. Raises StoreError for any OSError."""
+    """Yield a new locked hidden file or folder beside `path`, and remove it at the end. Map OSError to StoreError."""
     with contextlib.ExitStack() as cleanup:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             _remove_left_over(path, folder)
             yield _make(path, folder, cleanup)
         except OSError as error:
-            # pyarrow raises its own OSError without a number; its text then is the reason.
+            # pyarrow raises OSError without a number; the reason is then its text.
             reason = os.strerror(error.errno) if error.errno else (str(error).splitlines() or [type(error).__name__])[0]
             hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) else ""
-            # What is copied into a new folder may be what cannot be read.
-            other = str(error.filename or path)
-            named = "" if path.is_relative_to(other) or f".{path.name}." in other else f"{other}: "
-            raise StoreError(f"cannot write {path}: {named}{reason}{hint}") from None
+            # A file that cannot be read may be the source of a copy. Then the message names it too.
+            source = str(error.filename or path)
+            prefix = "" if path.is_relative_to(source) or f".{path.name}." in source else f"{source}: "
+            raise StoreError(f"cannot write {path}: {prefix}{reason}{hint}") from None
 
 
 def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
@@ -91,14 +112,14 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
         if folder:
             name = tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
         else:
-            made, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-            os.close(made)
+            descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+            os.close(descriptor)
         cleanup.callback(_remove, temporary := Path(name))
-        # Until it is locked, another writer may take it for one that was left over.
+        # Before the lock is taken, another writer may remove the file as one of a killed process. Then make another.
         with contextlib.suppress(FileNotFoundError):
             handle = os.open(name, os.O_RDONLY)
             cleanup.callback(os.close, handle)
-            # Some file systems lock nothing; there nobody takes anything away either.
+            # Some file systems have no locks. There no writer removes temporary files either.
             with contextlib.suppress(OSError):
                 fcntl.flock(handle, fcntl.LOCK_EX)
             if temporary.exists():
@@ -106,16 +127,16 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
 
 
 def _remove_left_over(path: Path, folder: bool) -> None:
-    """Remove the temporary files, or folders, that this user's killed writers of `path` left beside it."""
-    ours = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\.tmp")
+    """Remove the temporary files, or folders, that killed writers of `path` left, if they belong to this user."""
+    pattern = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\.tmp")
     for entry in list(os.scandir(path.parent)):
-        if ours.fullmatch(entry.name):
+        if pattern.fullmatch(entry.name):
             with contextlib.suppress(OSError):
-                found = entry.stat(follow_symlinks=False)
-                kind = stat.S_ISDIR if folder else stat.S_ISREG
-                if not kind(found.st_mode) or found.st_uid != os.geteuid():
+                status = entry.stat(follow_symlinks=False)
+                is_kind = stat.S_ISDIR if folder else stat.S_ISREG
+                if not is_kind(status.st_mode) or status.st_uid != os.geteuid():
                     continue
-                # It may have become a link or a pipe since.
+                # A link or a pipe may have replaced the entry since stat(). So do not follow it, and do not wait.
                 handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

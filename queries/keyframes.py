@@ -1,4 +1,4 @@
-"""The keyframe layer of a stored graph, as statements see it: the values they need, and its stamp."""
+"""Parameters of statements over the keyframe layer of a stored graph, and the stamp of that layer."""
 
 from __future__ import annotations
 
@@ -11,11 +11,19 @@ from jrdb_avr.schema.graph import KEYFRAME_NODES
 from jrdb_avr.schema.rules import FPS, Rules, frames
 
 SPAN: Final = 1 << 32
-"""Ids of a sequence: each sequence of a layer has a range of so many, which begins at its `low`."""
+"""Number of node ids reserved for each sequence of a layer; the range of a sequence begins at its `low`."""
 
 
 def keyframe_values(rules: Rules, low: int) -> dict[str, int | float]:
-    """Values of the parameters that statements over the layer may use: the sequence's ids; frames, metres, degrees."""
+    """Return the values of all parameters that statements over the layer may use.
+
+    Args:
+        rules: Rules under which the layer was made.
+        low: First id of the sequence.
+
+    Returns:
+        Values by parameter name: ids, or quantities in frames, metres or degrees.
+    """
     return {
         "low": low,
         "high": low + SPAN,
@@ -36,12 +44,15 @@ STAMP: Final = (
     "MATCH (k:Keyframes) RETURN k.low AS low, k.sequence AS sequence, k.rules_hash AS rules_hash, k.rules AS rules "
     "ORDER BY low"
 )
-"""The stamp of a layer: a row per sequence, with the rules under which it was made."""
+"""Statement that reads the stamp of a layer: a row per sequence, with the rules of the layer."""
 
 
 def layer_stamp(graph: Graph) -> tuple[dict[str, int], Rules | None]:
-    """The first id of each sequence of a graph's keyframe layer, and the rules of the layer; nothing where it is not
-    complete."""
+    """Return the first id of each sequence in the keyframe layer, and the rules of the layer.
+
+    Returns:
+        Ids by sequence, and rules; an empty dictionary and None if the graph has no complete layer.
+    """
     if not KEYFRAME_NODES.keys() <= graph.tables():
         return {}, None
     rows = graph.query(STAMP).to_pylist()

@@ -1,4 +1,4 @@
-"""The manifest of a store: which sequences are loaded, by which rules, and the files of each."""
+"""The manifest of a store: its sequences, their files, and the rules under which they were loaded."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import LoadRules
 
 MANIFEST_NAME: Final = "store.json"
-MANIFEST_VERSION: Final = 1
-"""The version of a store's tables and manifest: a program reads stores of its own version alone."""
+MANIFEST_VERSION: Final = 2
+"""Version of a store's tables and manifest. A program reads only stores of its own version."""
 
 
 class SequenceEntry(msgspec.Struct, frozen=True):
-    """A sequence in the manifest: its layers, and its files' content hashes by path in the store."""
+    """Entry of a sequence: its layers, and the sha256 of each of its files by path in the store."""
 
     layers: tuple[str, ...]
     tables: dict[str, str]
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """`store.json`. `image_root` is the folder that holds one folder of panoramas per sequence, or None.
+    """Content of `store.json`.
 
-    It is relative to the store where it lies inside, so that a store with its panoramas can be moved.
+    `image_root` is the folder that holds one folder of panoramas per sequence, or None. It is relative to the store if
+    it is inside, so that a store can be moved together with its panoramas.
     """
 
     image_root: str | None
@@ -34,14 +35,21 @@ class Manifest(msgspec.Struct, frozen=True):
     load_rules_hash: str
     sequences: dict[str, SequenceEntry]
     graph: dict[str, int | str]
-    """Rows per table of the scene namespace as built, and its storage version."""
+    """Number of rows in each table of the scene when it was built, and the storage version."""
     version: int = MANIFEST_VERSION
 
 
 def read_manifest(store: Path) -> Manifest:
-    """Read the manifest of a store's folder, its `image_root` made absolute.
+    """Read the manifest of a store.
 
-    Raises StoreError where nothing is loaded, or another version of the program wrote it.
+    Args:
+        store: Folder of the store.
+
+    Returns:
+        The manifest, with an absolute `image_root`.
+
+    Raises:
+        StoreError: Nothing is loaded, or the manifest is broken or of another version.
     """
     refuse_newer(store)
     path = store / MANIFEST_NAME
@@ -65,11 +73,11 @@ class _Version(msgspec.Struct):
 
 
 def refuse_newer(store: Path) -> None:
-    """Raise StoreError where a newer version of the program wrote the store, which this one could only spoil."""
+    """Raise StoreError if a newer version of the program wrote the store, because this version could damage it."""
     with contextlib.suppress(OSError, UnicodeDecodeError, msgspec.DecodeError):
-        found = msgspec.json.decode((store / MANIFEST_NAME).read_bytes(), type=_Version).version
-        if found > MANIFEST_VERSION:
+        version = msgspec.json.decode((store / MANIFEST_NAME).read_bytes(), type=_Version).version
+        if version > MANIFEST_VERSION:
             raise StoreError(
-                f"{store} was written by a newer jrdb-avr (version {found} of the store, this reads "
+                f"{store} was written by a newer jrdb-avr (version {version} of the store, this reads "
                 f"{MANIFEST_VERSION}): update jrdb-avr, or load into another --store"
             )

@@ -1,8 +1,8 @@
-"""Named queries: the files of `queries/results/*.sql` and of four folders of Cypher, by their stem.
+"""Named queries: the files of `queries/results/*.sql` and of four folders of Cypher, named by their stem.
 
-The first comment line of a file is the question that it answers. A comment line `param NAME: TYPE`, or with a default
-`param NAME: TYPE = VALUE`, declares a parameter: text, integer or number. Where a query takes a `frame`, `seconds` may
-replace it: frame / 15, as in questions.
+The first comment line of a file states the question that the query answers. A comment line `param NAME: TYPE` declares
+a parameter of the type text, integer or number; `param NAME: TYPE = VALUE` gives it a default. If a query has a
+parameter `frame`, the caller may give `seconds` in its place (frame / 15, as in questions).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _PARAMETER = re.compile(r"^param\s+(\w+):\s*(text|integer|number)(?:\s*=\s*(.*))
 
 @dataclass(frozen=True)
 class NamedQuery:
-    """A query from a file: its text, what it answers, the types of its parameters, and the defaults of some."""
+    """Query from a file: its text, the question it answers, and the types and defaults of its parameters."""
 
     name: str
     text: str
@@ -39,16 +39,22 @@ class NamedQuery:
 
     @property
     def takes(self) -> str:
-        """The parameters in words, as in 'sequence (text), frame (integer; or seconds), count (integer, 20)'."""
-        words = []
+        """Description of the parameters: 'sequence (text), frame (integer; or seconds), count (integer, 20)'."""
+        parts = []
         for name, kind in self.types.items():
             more = "; or seconds" if name == "frame" else f", {self.defaults[name]}" if name in self.defaults else ""
-            words.append(f"{name} ({kind}{more})")
-        return ", ".join(words)
+            parts.append(f"{name} ({kind}{more})")
+        return ", ".join(parts)
 
     def values(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Values for every parameter. Raises QueryError, with the remedy, where one is missing, unknown or of
-        another type."""
+        """Return a value for every parameter: the given one, or the default.
+
+        Args:
+            params: Given values by name.
+
+        Raises:
+            QueryError: A value is missing, unknown or of another type; the message gives the remedy.
+        """
         values = dict(params)
         if "frame" in self.types and "seconds" in values and "frame" not in values:
             values["frame"] = round(_checked("seconds", "number", values.pop("seconds")) * FPS)
@@ -67,43 +73,50 @@ _EXAMPLES: Final = {"text": "TEXT", "integer": "INTEGER", "number": "NUMBER"}
 
 
 def _checked(name: str, kind: str, value: Any) -> Any:
-    """The value, if it is of the type. Raises QueryError."""
+    """Return the value if it has the type `kind`. Raises QueryError otherwise."""
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
     value = scalar(value)
     fits: tuple[type, ...] = {"text": (str,), "integer": (int,), "number": (int, float)}[kind]
-    endless = isinstance(value, float) and not math.isfinite(value)
-    if not isinstance(value, fits) or isinstance(value, bool) or endless:
+    infinite = isinstance(value, float) and not math.isfinite(value)
+    if not isinstance(value, fits) or isinstance(value, bool) or infinite:
         raise QueryError(f"{name} is {_EXAMPLES[kind].lower()}, not {str(value)[:60]!r}: give {name}={_EXAMPLES[kind]}")
     return value
 
 
 def named_queries(language: str) -> dict[str, NamedQuery]:
-    """The queries of a language ("cypher" or "sql") by name, sorted."""
+    """Return the queries of a language ("cypher" or "sql") by name, sorted."""
     folders = [files("jrdb_avr.queries").joinpath(folder) for folder in FOLDERS[language]]
-    found = [entry for folder in folders for entry in folder.iterdir() if entry.name.endswith(f".{language}")]
-    queries = [_read(entry.name.removesuffix(f".{language}"), entry.read_text("utf-8")) for entry in found]
+    entries = [entry for folder in folders for entry in folder.iterdir() if entry.name.endswith(f".{language}")]
+    queries = [_parse(entry.name.removesuffix(f".{language}"), entry.read_text("utf-8")) for entry in entries]
     return {query.name: query for query in sorted(queries, key=lambda query: query.name)}
 
 
 def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """The statement and parameters for `text`: the name of a query, or a statement.
+    """Return the statement and the parameters for a text, which is the name of a query or a statement.
 
-    Raises QueryError for a single word that is no query's name (naming the nearest), and for wrong parameters of one.
+    Args:
+        language: "cypher" or "sql".
+        text: Name or statement.
+        params: Given values by name.
+
+    Raises:
+        QueryError: The text is a single word but not the name of a query, or the parameters do not fit the query.
     """
     if not _NAME.fullmatch(text.strip()):
         return text, params
-    known = named_queries(language)
+    queries = named_queries(language)
     name = text.strip()
-    query = known.get(name)
+    query = queries.get(name)
     if query is None:
-        raise QueryError(f"no query is named {name!r}{did_you_mean(name, known)} --list shows all")
+        raise QueryError(f"no query is named {name!r}{did_you_mean(name, queries)} --list shows all")
     return query.text, query.values(params)
 
 
 def parse_value(text: str) -> Any:
-    """A parameter's value: JSON where it is JSON, else the text as it stands. A question's id stays text even where it
-    looks like a number with an exponent.
+    """Return the value of a parameter: decoded if the text is JSON, otherwise the text itself.
+
+    The id of a question stays a text even if it looks like a number with an exponent.
 
     >>> parse_value("15"), parse_value("female"), parse_value("[1, 2]"), parse_value("0012345678901e23")
     (15, 'female', [1, 2], '0012345678901e23')
@@ -116,9 +129,9 @@ def parse_value(text: str) -> Any:
         return text
 
 
-def _read(name: str, text: str) -> NamedQuery:
+def _parse(name: str, text: str) -> NamedQuery:
     lines = [match[1].strip() for line in text.splitlines() if (match := _COMMENT.match(line.strip()))]
-    found = [match for line in lines if (match := _PARAMETER.match(line))]
-    types = {match[1]: match[2] for match in found}
-    defaults = {match[1]: parse_value(match[3].strip()) for match in found if match[3] is not None}
+    declared = [match for line in lines if (match := _PARAMETER.match(line))]
+    types = {match[1]: match[2] for match in declared}
+    defaults = {match[1]: parse_value(match[3].strip()) for match in declared if match[3] is not None}
     return NamedQuery(name, text, lines[0] if lines else "", types, defaults)

@@ -45,7 +45,7 @@ def read_question_rows(store: Store) -> list[QuestionRow]:
     rows = _public_rows(store, "questions", HIDDEN)
     ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
     if len(ids) < len(rows) or not modes <= set(ANSWER_TYPES):
-        raise StoreError(f"{store.question_path('questions')} holds an unknown mode or an id twice: generate again")
+        raise StoreError(f"{store.question_path('questions')} holds an unknown mode or a repeated id: generate again")
     return [QuestionRow(**{**dict.fromkeys(HIDDEN, ""), **row, "choices": tuple(row["choices"])}) for row in rows]
 
 
@@ -55,7 +55,7 @@ def read_questions(store: Store) -> list[Question]:
 
 
 def read_sequences(store: Store) -> dict[str, SequenceInfo]:
-    """The public facts of each sequence, by name. Raises StoreError as `read_questions` does."""
+    """Return the public facts of each sequence by name. Raises StoreError if the file is missing or broken."""
     rows = _public_rows(store, "sequences")
     return {row["sequence"]: SequenceInfo(**{**row, "frames": tuple(row["frames"])}) for row in rows}
 
@@ -73,38 +73,50 @@ def _public_rows(store: Store, name: str, optional: Sequence[str] = ()) -> list[
 
 
 def sequences_of_questions(store: Store) -> dict[str, str]:
-    """The sequence of each question, by its id. Raises StoreError where there are none."""
+    """Return the sequence of each question by question id. Raises StoreError if there are no questions."""
     table = store.questions("questions", ["question_id", "sequence"])
-    # One text of each sequence, and not one of each question.
-    named = table["sequence"].combine_chunks().dictionary_encode()
-    names, ids = named.dictionary.to_pylist(), table["question_id"].to_pylist()
-    return {name: names[number] for name, number in zip(ids, named.indices.to_pylist(), strict=True)}
+    # With a dictionary, all questions of a sequence share one string.
+    encoded = table["sequence"].combine_chunks().dictionary_encode()
+    names, ids = encoded.dictionary.to_pylist(), table["question_id"].to_pylist()
+    return {question: names[index] for question, index in zip(ids, encoded.indices.to_pylist(), strict=True)}
 
 
 def in_order(questions: pa.Table) -> pa.Table:
-    """Questions, or what has their columns, by sequence and id: the order of the tables of runs."""
+    """Return rows with the columns `sequence` and `question_id` in the order of the tables of runs."""
     return questions.sort_by([("sequence", "ascending"), ("question_id", "ascending")])
 
 
 def fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
-    """A table read from a path under a schema, without further columns. Raises StoreError where it does not fit."""
+    """Cast a table to a schema, and drop all other columns.
+
+    Args:
+        table: Table that was read from `path`.
+        schema: Schema of the result.
+        path: File to name in the message.
+        command: Command to repeat, for the message.
+
+    Raises:
+        StoreError: A column is missing or of another type.
+    """
     missing = set(schema.names) - set(table.column_names)
     if missing:
         raise StoreError(f"{path} lacks the columns {', '.join(sorted(missing))}: {command} again")
     try:
         return table.select(schema.names).cast(schema)
     except (ValueError, pa.ArrowException) as error:
-        raise StoreError(f"{path} is of another form ({str(error).splitlines()[0]}): {command} again") from None
+        raise StoreError(f"{path} has other column types ({str(error).splitlines()[0]}): {command} again") from None
 
 
 def loaded_sequence(store: Store, name: str) -> SequenceInfo:
-    """A sequence as loaded, with the frames that have an image.
+    """Return the facts of a loaded sequence, with the frames that have a panorama.
 
-    Raises StoreError before `load`, ObserveError for a name that is not in the store.
+    Raises:
+        StoreError: Nothing is loaded.
+        ObserveError: The store has no sequence of this name.
     """
-    known = sorted(store.manifest().sequences)
-    if name not in known:
-        raise ObserveError(f"no sequence {name[:100]!r} is loaded{did_you_mean(name, known)}")
+    names = sorted(store.manifest().sequences)
+    if name not in names:
+        raise ObserveError(f"no sequence {name[:100]!r} is loaded{did_you_mean(name, names)}")
     row = store.interval("sequence", name).to_pylist()[0]
     frames = store.interval("frames", name)
     with_image = frames.filter(frames["image"])["frame"].to_pylist()

@@ -6,18 +6,21 @@ from typing import Any
 
 import msgspec
 
-from jrdb_avr.queries.store import Store, file_hash, write_json
+from jrdb_avr.queries.files import file_hash
+from jrdb_avr.queries.store import Store, write_json
 from jrdb_avr.schema.errors import StoreError, did_you_mean
 
 
 class RunManifest(msgspec.Struct, frozen=True):
-    """`run.json`. `questions_sha256` is the hash of the questions file, `question_ids` the run's questions in it.
+    """Content of `run.json`.
 
-    `synthetic` marks runs of the simulated model or on the sample world: their scores are labelled so wherever they are
-    printed. `settings` holds what else shaped the run (budget, sampling, box convention), as plain JSON. `created` is
-    an ISO 8601 time. `selection` is how the questions were chosen, a `QuestionSelection` as plain JSON, empty for all.
-    `world` counts the statements that read and wrote the world model, `reads` and `writes`, of a run that has ended; a
-    resumed one adds to them, and a session that was killed is not counted.
+    - `questions_sha256`: hash of the file of questions; `question_ids`: the questions of the run.
+    - `synthetic`: true for the simulated model and for sample worlds; every table marks the scores of such a run.
+    - `settings`: other settings of the run (budget, sampling, box convention), as plain JSON.
+    - `created`: time in ISO 8601.
+    - `selection`: the `QuestionSelection` as plain JSON, empty if the run has all questions.
+    - `world`: number of statements that read (`reads`) and wrote (`writes`) the world model. A resumed run adds to the
+      numbers. Sessions that were killed are not counted.
     """
 
     run_id: str
@@ -33,7 +36,7 @@ class RunManifest(msgspec.Struct, frozen=True):
 
 
 def questions_hash(store: Store) -> str:
-    """sha256 of the store's questions file, in hex. Raises StoreError where there is none."""
+    """Return the sha256 of the file of questions, in hex. Raises StoreError if there are no questions."""
     path = store.question_path("questions")
     try:
         return file_hash(path)
@@ -44,12 +47,12 @@ def questions_hash(store: Store) -> str:
 
 
 def write_run_manifest(store: Store, manifest: RunManifest) -> None:
-    """Write `run.json`, atomically."""
+    """Write `run.json` atomically."""
     write_json(store.run_path(manifest.run_id) / "run.json", manifest)
 
 
 def read_run_manifest(store: Store, run_id: str) -> RunManifest:
-    """Read `run.json`. Raises StoreError where the run is missing or its manifest cannot be read or names another."""
+    """Read `run.json`. Raises StoreError if the run is missing, or its manifest is broken or names another run."""
     path = store.run_path(run_id) / "run.json"
     try:
         manifest = msgspec.json.decode(path.read_bytes(), type=RunManifest)
@@ -58,11 +61,11 @@ def read_run_manifest(store: Store, run_id: str) -> RunManifest:
     except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
         raise StoreError(f"cannot read {path}: {error}; evaluate again under another run id") from None
     if manifest.run_id != run_id:
-        # A copied or renamed folder: its scores would be written to, and reported as, the other run's.
+        # In a copied or renamed folder, scores would be reported as those of the other run.
         raise StoreError(f"{path} is of run {manifest.run_id!r}: give the folder that name, or take it out of runs/")
     return manifest
 
 
 def run_ids(store: Store) -> list[str]:
-    """Names of the store's runs, sorted."""
+    """Return the ids of the store's runs, sorted."""
     return sorted(path.parent.name for path in (store.path / "runs").glob("*/run.json"))

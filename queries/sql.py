@@ -1,8 +1,8 @@
-"""SQL over a store's Parquet files, by DuckDB: one view per table, reading only.
+"""Read-only SQL over the Parquet files of a store, with DuckDB and one view per table.
 
-Views: `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `runs` and the tables of all runs, and
-what joins them (`JOINED`). A table that has not been written yet is an empty view. Nothing but the views' own
-files can be opened.
+The views are `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `runs`, the tables of all runs, and
+the joins in `JOINED`. The view of a table that has not been written yet is empty. Statements can open only the files of
+the views.
 """
 
 from __future__ import annotations
@@ -28,18 +28,24 @@ JOINED: Final[dict[str, str]] = {
         " LEFT JOIN annotations_poses p USING (sequence, frame, track)"
     )
 }
-"""Views over the tables' views. Key points are read with their sighting here: 51 numbers per person and frame, written
-once; beside every sighting of the graph they would be two thirds of its file."""
+"""Views that join tables. The graph holds no key points (51 numbers per person and frame), because they would be two
+thirds of its file; this view joins them to the sightings."""
 
 
 _RUN_COLUMNS: Final = ", ".join(f"{name}: '{'BOOL' if name == 'synthetic' else 'TEXT'}'" for name in RUNS["runs"].names)
 
 
 def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
-    """Each view's name, its schema and the files behind it, sorted; where `runs` are named, of these only.
+    """Yield the name, the schema and the sorted files of each view.
 
-    Of a store with a manifest these are the files that it lists: one that is gone is a fault of its view, not fewer
-    rows. Raises StoreError for a manifest that does not read, and for questions of an older version.
+    The manifest lists the files of annotations and intervals, so that a missing file is an error instead of fewer rows.
+
+    Args:
+        folder: Folder of the store.
+        runs: Ids of the runs to include; None includes all.
+
+    Raises:
+        StoreError: The manifest is broken, or the questions are of an older version.
     """
     listed: dict[Path, list[Path]] = {}
     if loaded := (folder / MANIFEST_NAME).exists():
@@ -48,16 +54,10 @@ def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[s
             listed.setdefault(path.parent, []).append(path)
     for part, tables in (("annotations", ANNOTATIONS), ("intervals", INTERVALS)):
         for name, schema in tables.items():
-            place = folder / part / name
-            yield f"{part}_{name}", schema, listed.get(place, []) if loaded else sorted(place.glob("*.parquet"))
-    if (older := folder / "questions" / "evidence.parquet").exists():
-        raise StoreError(f"{older} is of an older version: run 'jrdb-avr generate --store {folder}'")
+            files_in = folder / part / name
+            yield f"{part}_{name}", schema, listed.get(files_in, []) if loaded else sorted(files_in.glob("*.parquet"))
     for name, schema in QUESTIONS.items():
-        yield (
-            name,
-            schema,
-            sorted((folder / "questions").glob("evidence/*.parquet" if name == "evidence" else f"{name}.parquet")),
-        )
+        yield name, schema, sorted((folder / "questions").glob(f"{name}.parquet"))
     for name, schema in RUNS.items():
         files = sorted((folder / "runs").glob("*/run.json" if name == "runs" else f"*/{name}.parquet"))
         yield name, schema, [path for path in files if runs is None or path.parent.name in runs]
@@ -71,9 +71,18 @@ def query_tables(
     timeout_s: float = _TIMEOUT_S,
     tables: Mapping[str, pa.Table] | None = None,
 ) -> pa.Table:
-    """Run one SELECT over the views of `open_tables`; `$name` in it are bound to `params`.
+    """Run one SELECT over the views of a store.
 
-    Raises StoreError where the folder is no store, QueryError where the statement is refused, fails or takes too long.
+    Args:
+        folder: Folder of the store.
+        sql: Statement; `$name` is the value of `name` in `params`.
+        params: Values of parameters.
+        timeout_s: Seconds after which the statement is stopped.
+        tables: Further tables, as in `open_tables`.
+
+    Raises:
+        StoreError: The folder is not a store.
+        QueryError: The statement is refused, fails or takes too long.
     """
     with open_tables(folder, tables) as select:
         return select(sql, params, timeout_s)
@@ -81,10 +90,18 @@ def query_tables(
 
 @contextlib.contextmanager
 def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> Iterator[Callable[..., pa.Table]]:
-    """A function that runs SELECTs over the views of a store's folder, made once as that takes longer than most.
+    """Yield a function that runs SELECTs over the views of a store, which takes longer to set up than most statements.
 
-    `tables` stand beside the views, or in their place; where `scores` is among them, views of runs hold only its runs.
-    The function takes a statement, its parameters and its timeout, and raises as `query_tables`.
+    Args:
+        folder: Folder of the store.
+        tables: Tables that are added to the views, or replace views of the same name. If `scores` is among them, the
+            views of runs hold only its runs.
+
+    Yields:
+        A function of a statement, its parameters and its timeout, which raises QueryError as `query_tables` does.
+
+    Raises:
+        StoreError: The folder is not a store.
     """
     import duckdb
 
@@ -106,7 +123,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
                 statements = connection.extract_statements(sql)
                 if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
                     raise QueryError("one SELECT statement is allowed, and nothing that writes, loads or attaches")
-                # As a relation, so that the rows are not copied once more on their way to Arrow.
+                # A relation gives Arrow without a second copy of the rows.
                 values = {name: scalar(value) for name, value in (params or {}).items()}
                 return connection.sql(sql, params=values or None).to_arrow_table()
             except duckdb.InterruptException:
@@ -119,14 +136,14 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
                 raise QueryError(message if len(message) <= 300 else message[:297] + "...") from None
             finally:
                 timer.cancel()
-                # A thread that holds the connection when the program ends makes the engine report a leak.
+                # The engine reports a leak if a thread holds the connection when the program ends.
                 timer.join()
 
         yield select
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
-    """Make all views; returns the reason for each that cannot be made, so that the others stay usable."""
+    """Make all views. Return the reason for each view that cannot be made, so that the other views stay usable."""
     import duckdb
 
     broken: dict[str, str] = {}
@@ -156,14 +173,14 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
         if reason := next((reason for table, reason in broken.items() if table in query), ""):
             broken[name] = reason
         else:
-            # Its tables may be Parquet files of another form.
+            # The join fails if the Parquet files have other columns.
             make(name, query, f"cannot make {name}")
     connection.execute(f"SET allowed_paths = [{', '.join(allowed)}]")
     return broken
 
 
 def _lock_down(connection: Any) -> None:
-    """Close every way out of the connection, for good."""
+    """Disable access to other files, to extensions and to Python objects, and lock these settings."""
     for setting in (
         "python_enable_replacements = false",
         "autoinstall_known_extensions = false",

@@ -1,4 +1,4 @@
-"""The Cypher and SQL statements in the files of this folder, as text."""
+"""Texts of the Cypher and SQL statements in the files below this folder."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from importlib.resources import files
 
 @cache
 def read_statement(path: str) -> str:
-    """The text of a file below `queries/`, as `reads/scene/poses.cypher`."""
+    """Return the text of a file below `queries/`, such as `reads/scene/value.cypher`."""
     return files("jrdb_avr.queries").joinpath(path).read_text("utf-8")

@@ -19,28 +19,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
-import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow.compute as pc
 
-from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.store import Store, write_groups
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 
-PUBLISHED: Final = ("answers", "rejected", "sequences", "questions")
-"""The tables of a generation in the order in which they are moved in after the evidence; `questions` last, it makes
-them valid."""
+PUBLISHED: Final = ("evidence", "answers", "rejected", "sequences", "questions")
+"""The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
 
 QUESTION_GROUP: Final = 1 << 12
 """How many questions one row group of a table holds: each takes some kilobytes with its proofs."""
-
-EVIDENCE_BLOCK: Final = 500
-"""How many questions' boxes one row group of a sequence's evidence holds."""
-
-_EVIDENCE: Final = np.dtype(
-    [(field.name, field.type.to_pandas_dtype()) for field in QUESTIONS["evidence"] if field.name != "question_id"]
-)
 
 
 class _Records:
@@ -67,22 +57,15 @@ class Chosen:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True)
-        self._records = {name: _Records(folder / f"{name}.records") for name in ("questions", "answers", "evidence")}
+        self._records = {name: _Records(folder / f"{name}.records") for name in ("questions", "answers")}
         self._ids: list[str] = []
         self._numbers: dict[str, list[int]] = {}
-        self._sequences: dict[str, range] = {}
+        self._targets: dict[str, set[int]] = {}
 
-    def add(self, sequence: str, rows: Sequence[Mapping[str, Any]], sightings: pa.Table) -> None:
-        """Add the questions of one sequence; the evidence is every box of each question's target, by frame."""
-        self._sequences[sequence] = range(len(self._ids), len(self._ids) + len(rows))
-        track = sightings["track"].to_numpy()
-        order = np.lexsort((sightings["frame"].to_numpy(), track))
-        boxes = np.empty(len(order), _EVIDENCE)
-        for name in _EVIDENCE.names or ():
-            boxes[name] = sightings[name].to_numpy()[order]
+    def add(self, sequence: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Add the questions of one sequence."""
         for row in rows:
-            low, high = np.searchsorted(track, [row["target_track"], row["target_track"] + 1], sorter=order)
-            self._records["evidence"].add(boxes[low:high].tobytes())
+            self._targets.setdefault(sequence, set()).add(row["target_track"])
             for name in ("questions", "answers"):
                 own = {column: row[column] for column in QUESTIONS[name].names}
                 self._records[name].add(msgspec.json.encode(own, order="sorted"))
@@ -111,24 +94,14 @@ class Chosen:
             order = self._order(numbers)
             yield self._table("questions", order), self._table("answers", order, answers)
 
-    @property
-    def sequences(self) -> list[str]:
-        """The sequences that have questions."""
-        return sorted(name for name, numbers in self._sequences.items() if numbers)
-
-    def evidence(self, sequence: str) -> Iterator[pa.Table]:
-        """The row groups of a sequence's evidence: by question and frame."""
-        order = self._order(self._sequences[sequence])
-        for start in range(0, len(order), EVIDENCE_BLOCK):
-            block = order[start : start + EVIDENCE_BLOCK]
-            parts = [np.frombuffer(self._records["evidence"][number], _EVIDENCE) for number in block]
-            boxes, ids = np.concatenate(parts), pa.array([self._ids[number] for number in block], pa.string())
-            owner = np.repeat(np.arange(len(block)), list(map(len, parts)))
-            columns = [
-                ids.take(pa.array(owner)),
-                *(np.ascontiguousarray(boxes[name]) for name in _EVIDENCE.names or ()),
-            ]
-            yield pa.table(columns, QUESTIONS["evidence"].names).cast(QUESTIONS["evidence"])
+    def evidence(self, store: Store) -> Iterator[pa.Table]:
+        """The evidence as a row group per sequence: every box of the questions' targets, by track and frame."""
+        names = QUESTIONS["evidence"].names
+        for sequence, tracks in sorted(self._targets.items()):
+            sightings = store.interval("sightings", sequence, names)
+            targets = pa.array(sorted(tracks), sightings.schema.field("track").type)
+            boxes = sightings.filter(pc.is_in(sightings["track"], value_set=targets))
+            yield boxes.sort_by([("track", "ascending"), ("frame", "ascending")]).cast(QUESTIONS["evidence"])
 
     def close(self) -> None:
         for records in self._records.values():
@@ -163,18 +136,13 @@ def publish(
         shutil.rmtree(pending, ignore_errors=True)
         chosen = Chosen(scratch)
         for sequence, rows in questions:
-            chosen.add(sequence, rows, store.interval("sightings", sequence, ["track", *(_EVIDENCE.names or ())]))
+            chosen.add(sequence, rows)
         metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: chosen.digest()}
         written = {name: chosen.tables(name) for name in ("questions", "answers")} | dict(tables)
+        written["evidence"] = chosen.evidence(store)
         for name, groups in written.items():
             write_groups(pending / f"{name}.parquet", groups, QUESTIONS[name], metadata)
-        for name in chosen.sequences:
-            blocks = chosen.evidence(name)
-            write_atomic(
-                pending / "evidence" / f"{name}.parquet",
-                lambda path, blocks=blocks: _write_blocks(path, blocks, metadata),  # type: ignore[misc]
-            )
-        _move_in(pending, folder, chosen.sequences)
+        _move_in(pending, folder)
     except OSError as error:
         raise StoreError(f"cannot write {folder}: {error.strerror}; free some space and generate again") from None
     finally:
@@ -182,28 +150,12 @@ def publish(
     return chosen
 
 
-def _write_blocks(path: Path, blocks: Iterator[pa.Table], metadata: dict[str, str]) -> None:
-    # Unlike measurements elsewhere these are alike: several questions have one target.
-    schema = QUESTIONS["evidence"].with_metadata(metadata)
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-        for block in blocks:
-            writer.write_table(block.replace_schema_metadata(metadata))
-
-
-def _move_in(pending: Path, folder: Path, sequences: Sequence[str]) -> None:
-    """Move the files of a generation into their places, and take away what an earlier one has left."""
-    evidence = folder / "evidence"
-    evidence.mkdir(exist_ok=True)
-    kept = {evidence / f"{name}.parquet" for name in sequences}
-    for path in {*evidence.glob("*.parquet"), folder / "evidence.parquet"} - kept:
-        path.unlink(missing_ok=True)
-    for name in sequences:
-        (pending / "evidence" / f"{name}.parquet").replace(evidence / f"{name}.parquet")
+def _move_in(pending: Path, folder: Path) -> None:
+    """Move the files of a generation into their places."""
     for name in PUBLISHED:
         (pending / f"{name}.parquet").replace(folder / f"{name}.parquet")
-    for changed in (evidence, folder):
-        handle = os.open(changed, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -4,7 +4,7 @@
     DIR/public/croissant.json                 the same for machines
     DIR/public/data/questions.parquet, sequences.parquet
     DIR/private/README.md
-    DIR/private/data/answers.parquet, evidence/<sequence>.parquet, names.parquet
+    DIR/private/data/answers.parquet, evidence.parquet, names.parquet
 
 They are two folders because every file of a published one can be fetched, whatever its configs name. Sequences have
 their opaque names in the public folder, and `names` says which they are. No picture is in either.
@@ -27,7 +27,7 @@ import yaml
 from jrdb_avr import __version__
 from jrdb_avr.engine.integrations.croissant import Release, croissant
 from jrdb_avr.engine.run.opaque import opaque_names
-from jrdb_avr.queries.files import new_folder, write_atomic, write_bytes
+from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
 from jrdb_avr.schema.tables import ABOUT, CANARY, GENERATION_KEY, QUESTIONS, column
@@ -61,7 +61,7 @@ def export_folders(
 
 
 def _write(store: Store, public: Path, private: Path, creator: str, url: str, published: datetime.date | None) -> None:
-    questions, sequences, _ = store.question_tables("questions", "sequences", "answers")
+    questions, sequences, *_ = store.question_tables("questions", "sequences", *_PRIVATE)
     names = opaque_names(store, sequences["sequence"].to_pylist())
     sources = _sources(store, names)
     unclear = len(names.keys() & set(store.without_occlusion()))
@@ -70,13 +70,9 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     day = published or datetime.datetime.now(datetime.UTC).date()
     release = Release(f"{__version__}+{generation[:12]}", day, creator, url)
 
-    copied = {store.question_path("answers"): _path("answers")}
-    for sequence in questions["sequence"].unique().to_pylist():
-        store.evidence(sequence, questions)  # Only of the same generation.
-        source = store.evidence_path(sequence)
-        copied[source] = f"data/evidence/{source.name}"
-    for source, name in copied.items():
-        write_atomic(private / name, lambda path, source=source: shutil.copyfile(source, path))  # type: ignore[misc]
+    (private / "data").mkdir(parents=True)
+    for name in _PRIVATE:
+        shutil.copyfile(store.question_path(name), private / _path(name))
     known = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)
     write_table(private / _path("names"), known.sort_by("sequence"), _NAMES, metadata)
     shared = {"title": card.TITLE, "release": release, "canary": CANARY, "n": len(questions)}
@@ -111,8 +107,8 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
 
 
 def _path(table: str) -> str:
-    """Where a table lies in its folder; of the evidence the pattern of its files' names."""
-    return "data/evidence/*.parquet" if table == "evidence" else f"data/{table}.parquet"
+    """Return the path of a table in its folder."""
+    return f"data/{table}.parquet"
 
 
 def _renamed(table: pa.Table, names: Mapping[str, str]) -> pa.Table:

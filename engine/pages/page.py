@@ -13,7 +13,7 @@ import msgspec
 
 from jrdb_avr.engine.pages.svg import NODE_WIDTH, shortened
 from jrdb_avr.engine.report.formats import cell
-from jrdb_avr.engine.report.scoring import read_answer
+from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.queries.files import write_bytes
 from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span

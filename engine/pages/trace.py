@@ -13,8 +13,8 @@ import msgspec
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import shortened
-from jrdb_avr.engine.report.scoring import read_answer
 from jrdb_avr.engine.report.traces import Look, StoredRow, Trace, Transcript
+from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.schema.answers import Answer, Choice
 from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.errors import ObserveError

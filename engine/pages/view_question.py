@@ -7,8 +7,8 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from jrdb_avr.engine.pages.page import readable, render, unit_of
 from jrdb_avr.engine.pages.trace import ROLES, evidence_box
-from jrdb_avr.engine.report.scoring import read_answer
 from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, Written
+from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import Choice

@@ -16,13 +16,10 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.report.answer_key import AnswerKey
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular, write_lines
 from jrdb_avr.engine.report.run_scores import SCORED, Submission, predictions_path
-from jrdb_avr.engine.report.scoring import row_numbers
 from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, is_plain_name, read_table
@@ -86,13 +83,11 @@ def read_bundle(folder: str | Path) -> Bundle:
     return Bundle(folder, run, parse_lines(data[_PREDICTIONS], run.run_id, folder / _PREDICTIONS))
 
 
-def bundle_submission(store: Store, key: AnswerKey, bundle: Bundle) -> Submission:
+def bundle_submission(store: Store, bundle: Bundle) -> Submission:
     """A bundle as a run to be scored. Raises StoreError where it is of other questions than the store's."""
     if bundle.run.questions_sha256 != questions_hash(store):
         raise StoreError(f"{bundle.folder} is of another questions file than this store's: score it in its own store")
-    order = np.argsort(row_numbers(bundle.predictions["question_id"], key.ids), kind="stable")
-    predictions = bundle.predictions.select(SCORED.names).cast(SCORED).take(pa.array(order))
-    return Submission(bundle.run, iter([predictions]), lambda: predictions.select(["question_id", "answer"]))
+    return Submission(bundle.run, bundle.predictions.select(SCORED.names).cast(SCORED))
 
 
 def _manifest(data: bytes, path: Path) -> RunManifest:

@@ -12,10 +12,9 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.report import formats
-from jrdb_avr.engine.report.answer_key import AnswerKey
 from jrdb_avr.engine.report.epochs import epoch_rows
 from jrdb_avr.engine.report.people import agreement_rows
-from jrdb_avr.engine.report.run_scores import score_runs, scores_table, submission, write_scores
+from jrdb_avr.engine.report.run_scores import make_scores_table, read_submission, score_runs, write_scores
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.tables import (
     RESULTS,
@@ -31,6 +30,7 @@ from jrdb_avr.engine.report.tables import (
     rows_of_pairs,
     score_row,
 )
+from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.runs import run_ids
@@ -66,7 +66,7 @@ class Comparison(Displayed):
     @property
     def scores(self) -> pa.Table:
         """The rows of all runs, as `score` would write them."""
-        return pa.concat_tables(map(scores_table, self.runs))
+        return pa.concat_tables(map(make_scores_table, self.runs))
 
     @property
     def synthetic(self) -> bool:
@@ -245,7 +245,7 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
 
 def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
     """The runs with their scores, the best run first."""
-    key, known = AnswerKey(store), run_ids(store)
+    known = run_ids(store)
     if not known:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
     store.warn_of_training()
@@ -258,7 +258,7 @@ def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
     # Scoring takes milliseconds, so scores of an earlier threshold or question file are never trusted.
     # Tables that are queries would add up the rows of a run that is named twice.
     runs = [*dict.fromkeys(names or known)]
-    done = [run for _, run in score_runs(key, runs, partial(submission, store), iou, refuse)]
+    done = [run for _, run in score_runs(read_truth(store), runs, partial(read_submission, store), iou, refuse)]
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
     return ranked(done)

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 
-from jrdb_avr.engine.report.answer_key import AnswerKey
 from jrdb_avr.engine.report.bundle import Bundle, bundle_submission, read_bundle
 from jrdb_avr.engine.report.comparison import Scores
 from jrdb_avr.engine.report.formats import with_intervals
@@ -18,6 +17,7 @@ from jrdb_avr.engine.report.run_scores import Submission, score_runs
 from jrdb_avr.engine.report.scored_runs import ScoredRun, read_index
 from jrdb_avr.engine.report.scoring import DEFAULT_IOU
 from jrdb_avr.engine.report.tables import Row, main_rows, score_row
+from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
@@ -103,12 +103,11 @@ def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou:
 
 
 def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: bool) -> list[tuple[Bundle, ScoredRun]]:
-    key = AnswerKey(store)
     bundles: dict[str | Path, Bundle] = {}
 
     def opened(folder: str | Path) -> Submission:
         bundles[folder] = read_bundle(folder)
-        return bundle_submission(store, key, bundles[folder])
+        return bundle_submission(store, bundles[folder])
 
     def refuse(error: StoreError | InputError) -> None:
         if strict:
@@ -116,7 +115,7 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
         warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
 
     found = []
-    for number, (folder, run) in enumerate(score_runs(key, folders, opened, iou, refuse)):
+    for number, (folder, run) in enumerate(score_runs(read_truth(store), folders, opened, iou, refuse)):
         # Two bundles may have one run id; here each has a number of its own.
         run.manifest = msgspec.structs.replace(run.manifest, run_id=str(number))
         found.append((bundles[folder], run))

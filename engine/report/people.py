@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, percent_of
-from jrdb_avr.engine.report.scoring import read_answer
+from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.schema.answers import same_answer
 
 HUMAN: Final = "human"

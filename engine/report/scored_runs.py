@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -57,34 +57,32 @@ class QuestionIndex:
             self.labels[name] = _renamed(Labels(tuple(bins), places), bins)
 
 
+@dataclass(eq=False)
 class ScoredRun:
-    """A run with its scores: one row per question of the run, in the order of `queries.questions.in_order`.
+    """A run with its scores: one row per question of the run, in the order of `in_order` of `queries/questions.py`.
 
-    rows: of `ids`, ascending; scores: 0 or 1 for answer, evidence and combined, (n, 3); invalid: 0 or 1; errors: the
-    number of questions that ended in an error or have no prediction. The manifest is without the questions' ids.
+    Attributes:
+        manifest: The run's manifest.
+        rows: Rows of the run's questions in `ids`, ascending (n).
+        scores: 0 or 1 for answer, evidence and combined (n, 3).
+        invalid: 1 if a prediction could not be read, else 0 (n).
+        errors: Number of questions that ended in an error or have no prediction.
+        ids: Ids of all questions of the store.
+        answers: Predicted answers as JSON, None without one (n).
     """
 
-    def __init__(
-        self,
-        manifest: RunManifest,
-        rows: Ints,
-        scores: Digits,
-        invalid: Digits,
-        errors: int,
-        ids: pa.Array,
-        answers: Callable[[], pa.Table],
-    ) -> None:
-        """`ids`: of all questions of the store; `answers`: reads the columns question_id and answer of predictions."""
-        self.manifest, self.n = manifest, len(rows)
-        self.rows, self.scores, self.invalid, self.errors = rows, scores, invalid, errors
-        self.ids, self._answers = ids, answers
+    manifest: RunManifest
+    rows: Ints
+    scores: Digits
+    invalid: Digits
+    errors: int
+    ids: pa.Array
+    answers: list[str | None]
 
-    @cached_property
-    def answers(self) -> list[str | None]:
-        """The answer to each question as a text; None without one. Read when they are first used: few tables need
-        them."""
-        given = dict(zip(*(column.to_pylist() for column in self._answers().itercolumns()), strict=True))
-        return [given.get(name) for name in self.ids.take(pa.array(self.rows)).to_pylist()]
+    @property
+    def n(self) -> int:
+        """Number of questions of the run."""
+        return len(self.rows)
 
 
 def read_index(store: Store) -> QuestionIndex:

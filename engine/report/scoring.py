@@ -1,9 +1,8 @@
 """Scores of predictions.
 
-Every question gets one row: its answer compared under its answer mode, its evidence box compared with the
-target's boxes, and the product of both. Missing, unreadable and failed predictions score 0, and n stays the number of
-questions. Answers are compared by `schema/answers.py`; the overlap of boxes is that of `schema/panorama.py`, here over
-arrays. 25 runs of 2,098 questions take about a second.
+Each question of a run has one row: the score of its answer under its answer mode, the score of its evidence box
+against the target's box, and the product of both. Missing, unreadable and failed predictions score 0, so that n stays
+the number of questions. `schema/answers.py` compares answers. `box_ious` equals `iou` of `schema/panorama.py`.
 """
 
 from __future__ import annotations
@@ -15,85 +14,68 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.schema.answers import ANSWER_TYPES, TIE, Answer, decode_answer, same_answer
+from jrdb_avr.engine.report.truth import FRAME_LIMIT, Truth, frame_key, read_answer, row_numbers
+from jrdb_avr.schema.answers import TIE, same_answer
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
-from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.tables import RUNS
 
 DEFAULT_IOU: Final = 0.5
-MOST_FRAMES: Final = 1 << 24
-"""Above every frame number."""
-
-
-class Truth:
-    """The right answers of some questions, one row each, and the target's boxes sorted by key (row, frame).
-
-    modes, seconds: per question its answer mode, and a second in frames.
-    """
-
-    def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
-        """From the four tables of `questions/`, or their rows and columns that matter.
-
-        Raises StoreError where they do not fit together.
-        """
-        self.ids = questions["question_id"].combine_chunks()
-        answer_row = find_rows(answers["question_id"], self.ids, "answers")
-        sequence_row = find_rows(sequences["sequence"], questions["sequence"], "sequences")
-        self.modes: list[str] = questions["answer_mode"].to_pylist()
-        if not ANSWER_TYPES.keys() >= set(self.modes):
-            raise StoreError("the questions name an unknown answer mode: generate again")
-        texts = answers["answer"].take(pa.array(answer_row)).to_pylist()
-        self.answers = [answer for answer in map(read_answer, self.modes, texts) if answer is not None]
-        if len(self.answers) < len(texts):
-            raise StoreError("an answer of the store cannot be read under its mode: generate again")
-        row = find_rows(self.ids, evidence["question_id"], "questions")
-        self.keys = frame_key(row, evidence["frame"].to_numpy().astype(np.int64))
-        self.boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1)
-        if (self.keys[1:] < self.keys[:-1]).any():  # `generate` writes them sorted; copying a million is expensive.
-            order = np.argsort(self.keys, kind="stable")
-            self.keys, self.boxes = self.keys[order], self.boxes[order]
-        self.seconds: list[int] = np.round(sequences["fps"].to_numpy()[sequence_row]).astype(np.int64).tolist()
+"""Minimum IoU with the target's box at which evidence scores."""
 
 
 def score_predictions(
     truth: Truth, run_id: str, question_ids: Sequence[str], predictions: pa.Table, iou: float = DEFAULT_IOU
 ) -> pa.Table:
-    """The `scores` table of one run: a row for each of its questions, in their order.
+    """Score the predictions of a run.
 
-    `predictions` has the columns of that table. Raises StoreError for a prediction of a question that is not one of the
-    run's, two predictions of one question, or a question that the store lacks; InputError for a threshold outside
-    (0, 1].
+    Args:
+        truth: The truth of at least the run's questions.
+        run_id: The run's id, for the table and for messages.
+        question_ids: The run's questions (n).
+        predictions: Rows of the table `predictions`, in any order.
+        iou: Minimum IoU at which evidence scores, in (0, 1].
+
+    Returns:
+        The table `scores`, one row per question of the run, in the order of `question_ids` (n).
+
+    Raises:
+        StoreError: If the store lacks a question of the run, or predictions do not match the run's questions.
+        InputError: If `iou` is outside (0, 1].
     """
     if not 0.0 < iou <= 1.0:
         raise InputError(f"an IoU threshold lies in (0, 1], not at {iou:g}", field="iou")
     questions = pa.array(question_ids, pa.string())
-    row = question_rows(truth.ids, run_id, question_ids)
-    answered_by = row_numbers(predictions["question_id"], questions)
-    if (answered_by < 0).any():
-        raise stray_prediction(run_id, predictions["question_id"][int(np.argmin(answered_by))].as_py())
-    if len(np.unique(answered_by)) < len(answered_by):
+    rows = find_questions(truth.ids, run_id, question_ids)
+    question_of = row_numbers(predictions["question_id"], questions)
+    if (question_of < 0).any():
+        stray = predictions["question_id"][int(np.argmin(question_of))].as_py()
+        raise StoreError(f"run {run_id} predicts {stray!r}, which is not one of its questions: use a new run id")
+    if len(np.unique(question_of)) < len(question_of):
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
-    # A question without a prediction counts as an error too: its row is null.
+    # A question without a prediction becomes a row of nulls, which counts as an error.
     places = pc.index_in(questions, value_set=predictions["question_id"].combine_chunks())
     table = predictions.take(places)
     judged = is_judged(table["status"])
-    invalid = judged & _flags(pc.equal(table["status"], "invalid"))
-
-    numbers, texts = row.tolist(), table["answer"].to_pylist()
-    answers = [read_answer(truth.modes[i], text) for i, text in zip(numbers, texts, strict=True)]
-    right = [same_answer(own, truth.answers[i], truth.seconds[i]) for i, own in zip(numbers, answers, strict=True)]
+    numbers, texts = rows.tolist(), table["answer"].to_pylist()
+    answers = [read_answer(truth.modes[row], text) for row, text in zip(numbers, texts, strict=True)]
+    right = [
+        same_answer(answer, truth.answers[row], truth.seconds[row])
+        for row, answer in zip(numbers, answers, strict=True)
+    ]
     answer_score = judged & np.array(right, dtype=bool)
-    frame, box, boxed = predicted_boxes(table)
-    present, target = target_boxes(truth, row, frame)
+    frame, box, boxed = read_boxes(table)
+    present, target = find_target_boxes(truth, rows, frame)
     evidence_score = judged & boxed & present & (box_ious(box, target) >= iou - TIE)
-    # A stored answer or box that is none was no method's of this program.
+    # Methods store only valid answers and boxes; imported predictions may hold others.
     unread = [text is not None and answer is None for text, answer in zip(texts, answers, strict=True)]
-    invalid |= judged & (np.array(unread, dtype=bool) | (_flags(pc.is_valid(table["evidence_frame"])) & ~boxed))
+    unread_box = _flags(pc.is_valid(table["evidence_frame"])) & ~boxed
+    invalid = judged & (_flags(pc.equal(table["status"], "invalid")) | np.array(unread, dtype=bool) | unread_box)
     return pa.table(
         {
-            "run_id": pa.array([run_id] * len(row), pa.string()),
+            "run_id": pa.array([run_id] * len(rows), pa.string()),
             "question_id": questions,
             "answer_score": answer_score.astype(np.int8),
             "evidence_score": evidence_score.astype(np.int8),
@@ -104,8 +86,20 @@ def score_predictions(
     )
 
 
-def question_rows(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> Ints:
-    """The row of each question of a run among `ids`. Raises StoreError where one is not there, or listed twice."""
+def find_questions(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> Ints:
+    """Find the questions of a run among the store's.
+
+    Args:
+        ids: Ids of the store's questions.
+        run_id: The run's id, for messages.
+        question_ids: The run's questions (n).
+
+    Returns:
+        The row of each question in `ids` (n).
+
+    Raises:
+        StoreError: If the store lacks a question, or the run lists one twice.
+    """
     rows = row_numbers(pa.array(question_ids, pa.string()), ids)
     if (rows < 0).any():
         missing = question_ids[int(np.argmin(rows))]
@@ -115,76 +109,65 @@ def question_rows(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> In
     return rows
 
 
-def stray_prediction(run_id: str, question_id: str) -> StoreError:
-    """The error of a prediction of a question that is not one of the run's."""
-    return StoreError(f"run {run_id} predicts {question_id!r}, which is not one of its questions: use a new run id")
-
-
 def is_judged(status: pa.ChunkedArray) -> Bools:
-    """Whether a prediction of each status counts: not one that ended in an error."""
+    """Return for each status whether the prediction counts; one that ended in an error does not (n)."""
     return _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
 
 
-def frame_key(row: Ints | int, frame: Ints) -> Ints:
-    """One number for a row and a frame; `Truth.keys` are such numbers, sorted."""
-    return row * MOST_FRAMES + frame
+def read_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
+    """Read the evidence of predictions.
 
+    Args:
+        predictions: Rows of the table `predictions` (n).
 
-def predicted_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
-    """Frames (n), boxes (n, 4) and which of them are present and finite."""
-    box = np.stack([predictions[f"evidence_{key}"].to_numpy().astype(np.float64) for key in "xywh"], axis=1)
+    Returns:
+        Frames (n), boxes in stitched pixels (n, 4), and whether frame and box are present and finite (n).
+    """
+    box = np.stack([predictions[f"evidence_{side}"].to_numpy().astype(np.float64) for side in "xywh"], axis=1)
     frame = pc.fill_null(predictions["evidence_frame"], -1).to_numpy().astype(np.int64)
-    return frame, box, np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < MOST_FRAMES)
+    return frame, box, np.isfinite(box).all(axis=1) & (frame >= 0) & (frame < FRAME_LIMIT)
 
 
-def target_boxes(truth: Truth, row: Ints, frame: Ints) -> tuple[Bools, Floats]:
-    """Whether each question's target has a box in a frame, and its box (n, 4); of no meaning where it has none."""
+def find_target_boxes(truth: Truth, rows: Ints, frame: Ints) -> tuple[Bools, Floats]:
+    """Find the target's box of questions, each at one frame.
+
+    Args:
+        truth: The truth of the questions.
+        rows: Rows of `truth` (n).
+        frame: A frame number for each row (n).
+
+    Returns:
+        Whether the target has a box in the frame (n), and the box; undefined without one (n, 4).
+    """
     if not len(truth.keys):
-        return np.zeros(len(row), dtype=bool), np.zeros((len(row), 4))
-    key = frame_key(row, np.clip(frame, 0, MOST_FRAMES - 1))
-    at = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
-    return truth.keys[at] == key, truth.boxes[at]
+        return np.zeros(len(rows), dtype=bool), np.zeros((len(rows), 4))
+    key = frame_key(truth.targets[rows], np.clip(frame, 0, FRAME_LIMIT - 1))
+    index = np.minimum(np.searchsorted(truth.keys, key), len(truth.keys) - 1)
+    return truth.keys[index] == key, truth.boxes[index]
 
 
-def box_ious(a: Floats, b: Floats) -> Floats:
-    """Seam-aware IoU of boxes (n, 4) as x, y, w, h in stitched pixels, row by row: `iou` over arrays."""
-    ax, ay, aw, ah = a.T
-    bx, by, bw, bh = b.T
+def box_ious(first: Floats, second: Floats) -> Floats:
+    """Compute the IoU of boxes row by row, across the panorama's seam: `iou` of `schema/panorama.py` over arrays.
+
+    Args:
+        first: Boxes as x, y, w, h in stitched pixels (n, 4).
+        second: Boxes in the same form (n, 4).
+
+    Returns:
+        The IoU of each pair, 0 for boxes without an area (n).
+    """
+    ax, ay, aw, ah = first.T
+    bx, by, bw, bh = second.T
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         rows = np.minimum(ay + ah, by + bh) - np.maximum(ay, by)
         turn = np.round((ax + aw / 2 - bx - bw / 2) / WIDTH) * WIDTH
-        columns = np.full(len(a), -np.inf)
+        columns = np.full(len(first), -np.inf)
         for shift in (turn - WIDTH, turn, turn + WIDTH):
             columns = np.maximum(columns, np.minimum(ax + aw, bx + shift + bw) - np.maximum(ax, bx + shift))
         overlap = columns * rows
         share = np.minimum(1.0, overlap / (aw * ah + bw * bh - overlap))
     meets = (aw > 0) & (ah > 0) & (bw > 0) & (bh > 0) & (rows > 0) & (columns > 0)
     return np.where(meets & np.isfinite(share), share, 0.0)
-
-
-# -- columns ------------------------------------------------------------------------------------------------------
-
-
-def read_answer(mode: str, text: str | None) -> Answer | None:
-    """A stored answer; None without one, and for a text that is no answer of the mode."""
-    try:
-        return decode_answer(mode, text or "")
-    except DecodeError:
-        return None
-
-
-def row_numbers(values: Any, among: Any) -> Ints:
-    """The row of each value in `among`, or -1."""
-    rows: Ints = pc.fill_null(pc.index_in(values, value_set=among), -1).to_numpy(zero_copy_only=False).astype(np.int64)
-    return rows
-
-
-def find_rows(among: Any, values: Any, table: str) -> Ints:
-    """The row of each value in a column of a table of `questions/`. Raises StoreError where one is not there."""
-    rows = row_numbers(values, among.combine_chunks() if isinstance(among, pa.ChunkedArray) else among)
-    if (rows < 0).any():
-        raise StoreError(f"the tables of questions/ do not fit together ({table} lacks a row): generate again")
-    return rows
 
 
 def _flags(values: Any) -> Bools:

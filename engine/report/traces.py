@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.run_scores import predictions_path
-from jrdb_avr.engine.report.scoring import Truth, score_predictions
+from jrdb_avr.engine.report.scoring import score_predictions
+from jrdb_avr.engine.report.truth import Truth
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store, read_rows
 from jrdb_avr.schema.beliefs import ALWAYS, Fact
@@ -94,11 +95,12 @@ class Trace(Transcript):
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
         """Gather a question of a run. Raises as `Transcript` does, and StoreError where a private file is missing."""
-        *tables, sequences = store.question_tables("questions", "answers", "sequences")
+        questions, answers, sequences, evidence = store.question_tables("questions", "answers", "sequences", "evidence")
         super().__init__(store, run_id, question_id)
-        tables.append(store.evidence(self.question["sequence"], tables[0]))
-        questions, answers, evidence = (_own(table, question_id) for table in tables)
+        questions, answers = _own(questions, question_id), _own(answers, question_id)
         (self.answer,) = answers.to_pylist()
+        sequence, track = self.question["sequence"], self.answer["target_track"]
+        evidence = evidence.filter((pc.field("sequence") == sequence) & (pc.field("track") == track))
         truth = Truth(questions, sequences, answers, evidence)
         self.scores = score_predictions(truth, run_id, [question_id], self._predictions).to_pylist()[0]
         self.target = {row["frame"]: (row["x"], row["y"], row["w"], row["h"]) for row in evidence.to_pylist()}

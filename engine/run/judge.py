@@ -11,7 +11,6 @@ ends when its standard input closes.
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
 import re
 import subprocess
@@ -30,8 +29,6 @@ from jrdb_avr.schema.method import Prediction, Question
 
 _READY: Final = "ready"
 _UNKNOWN: Final = "unknown"
-_SEQUENCES: Final = 16
-"""Most sequences whose evidence stays in memory; a run answers one sequence after another."""
 _SCORE: Final = re.compile(r"[01]{4}")
 
 
@@ -76,8 +73,8 @@ class Judge(contextlib.ExitStack):
         return cls(Store.of(store))
 
     def score(self, question: Question, prediction: Prediction) -> QuestionScore:
-        """Score a prediction. Raises InputError for a question that has no answer in the store, StoreError where its
-        evidence is missing or unfit, or the process has ended, ValueError for a prediction that no table can hold."""
+        """Score a prediction. Raises InputError for a question that has no answer in the store, StoreError if the
+        process has ended, ValueError for a prediction that no table can hold."""
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
@@ -118,27 +115,21 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
     """Print the scores of each line's prediction, until there are no more."""
     import pyarrow as pa
 
-    from jrdb_avr.engine.report.answer_key import AnswerKey
     from jrdb_avr.engine.report.scoring import score_predictions
+    from jrdb_avr.engine.report.truth import read_truth
     from jrdb_avr.schema.tables import RUNS
 
     try:
-        key = AnswerKey(store)
+        truth = read_truth(store)
     except (AvrError, OSError) as error:
         print(" ".join(str(error).split()), flush=True)
         return
-    truth_of = functools.lru_cache(_SEQUENCES)(lambda place: key.truth(place, place + 1))
+    known = set(truth.ids.to_pylist())
     print(_READY, flush=True)
     for line in lines:
         row = {"run_id": "", **msgspec.json.decode(line)}
-        place = key.place(row["question_id"])
-        if place < 0:
+        if row["question_id"] not in known:
             print(_UNKNOWN, flush=True)
-            continue
-        try:
-            truth = truth_of(place)
-        except (AvrError, OSError) as error:
-            print(" ".join(str(error).split()), flush=True)
             continue
         table = pa.Table.from_pylist([row], RUNS["predictions"])
         scores = score_predictions(truth, "", [row["question_id"]], table)

@@ -59,7 +59,7 @@ REPLAY_CHECKS: Final = {
 }
 """Further checks of `--replay`: name and the statement that is tested."""
 
-_FILES: Final = ("questions", "sequences", "answers", "rejected")
+_FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
 _OTHER_GENERATION: Final = "the files are of different generations: generate again"
 _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 """A stated time in a question's text: its seconds and its frame."""
@@ -138,21 +138,19 @@ def validate(
     if hashes and rules_hash(rules) not in hashes:
         raise StoreError(f"{store.path} holds questions made under other rules: give the --rule options of generate")
     infos = {row["sequence"]: row for row in tables["sequences"].to_pylist()}
-    with_evidence = _check_evidence(store, report, tables["questions"], training)
-    if with_evidence is None:
-        return report
-    _check_ids(report, tables, with_evidence)
+    _check_ids(report, tables)
     records = read_records(store, report)
+    boxes = _read_evidence(tables["evidence"])
+    stray = sorted(boxes.keys() - {(record.sequence, record.target_track) for record in records})
+    report.check("evidence", not stray, f"boxes of {stray[:3]}, whom no question asks about")
     for sequence in sorted({record.sequence for record in records}):
         if not report.check("files", sequence in infos, f"sequences.parquet lacks {sequence}"):
             continue
         annotations = Annotations.read(store, sequence, rules)
         _check_sequence(report, infos[sequence], annotations)
-        boxes: dict[str, list[tuple[int, Box]]] = defaultdict(list)
-        for row in store.evidence(sequence, tables["questions"]).to_pylist():
-            boxes[row["question_id"]].append((row["frame"], Box(row["x"], row["y"], row["w"], row["h"])))
         for record in (record for record in records if record.sequence == sequence):
-            _QuestionCheck(report, record, infos[sequence], annotations, rules).run(boxes[record.question_id])
+            check = _QuestionCheck(report, record, infos[sequence], annotations, rules)
+            check.run(boxes[sequence, record.target_track])
             advance(1)
     _check_selection(report, records, rules)
     # Without ids, files that cannot be read are the only fault.
@@ -224,17 +222,12 @@ def _read(store: Store, path: Path, table_name: str, report: Validation, trainin
     return table if same and not nulls else None
 
 
-def _check_evidence(store: Store, report: Validation, questions: pa.Table, training: bool) -> list[str] | None:
-    """Check the files of evidence, a sequence at a time; returns the ids in each, None where a file is unfit."""
-    sequences, found = questions["sequence"].unique().to_pylist(), []
-    stray = {path.stem for path in store.question_path("evidence").glob("*.parquet")} - set(sequences)
-    report.check("files", not stray, f"evidence of {', '.join(sorted(stray))}, which no question is of")
-    for sequence in sorted(sequences):
-        table = _read(store, store.evidence_path(sequence), "evidence", report, training)
-        if table is None or not report.check("files", _mark(table) == _mark(questions), _OTHER_GENERATION):
-            return None
-        found += table["question_id"].unique().to_pylist()
-    return found
+def _read_evidence(evidence: pa.Table) -> dict[tuple[str, int], list[tuple[int, Box]]]:
+    """The boxes of each person, by sequence and track, as pairs of frame and box."""
+    boxes: dict[tuple[str, int], list[tuple[int, Box]]] = defaultdict(list)
+    for row in evidence.to_pylist():
+        boxes[row["sequence"], row["track"]].append((row["frame"], Box(row["x"], row["y"], row["w"], row["h"])))
+    return boxes
 
 
 def _mark(table: pa.Table) -> bytes | None:
@@ -247,18 +240,16 @@ def _columns(schema: pa.Schema) -> str:
     return ", ".join(f"{field.name} {field.type}" for field in schema)
 
 
-def _check_ids(report: Validation, tables: Mapping[str, pa.Table], with_evidence: Iterable[str]) -> None:
+def _check_ids(report: Validation, tables: Mapping[str, pa.Table]) -> None:
     for row in tables["questions"].to_pylist():
         name = row.pop("question_id")
         report.check("ids", question_id(**row) == name, f"{name}: the id of other columns")
     questions, answers = (Counter(tables[name]["question_id"].to_pylist()) for name in ("questions", "answers"))
-    evidence = Counter(with_evidence)
-    for name in sorted(questions | answers | evidence):
+    for name in sorted(questions | answers):
         report.check(
             "ids",
-            questions[name] == answers[name] == evidence[name] == 1,
-            f"{name}: {questions[name]} times in questions, {answers[name]} in answers, "
-            f"{'' if name in evidence else 'not '}in evidence",
+            questions[name] == answers[name] == 1,
+            f"{name}: {questions[name]} times in questions, {answers[name]} in answers",
         )
 
 

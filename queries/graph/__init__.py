@@ -1,0 +1,1 @@
+"""Sessions on the graph engine, and the guards against its faults."""

@@ -1,7 +1,7 @@
-"""The engine's databases that this process has open: one per path, shared by all its graphs.
+"""Databases of the graph engine that this process has open: one per path, shared by all sessions.
 
-The engine's own lock is a POSIX one, which a second opening of the file in the same process silently drops. So each
-database is opened once and shared, an `flock` on `<path>.lock` excludes other processes, and nothing else opens the
+The engine holds a POSIX lock, which the kernel drops if the process opens and closes the file a second time. So each
+database is opened once and shared, an `flock` on `<path>.lock` excludes other processes, and no other code opens the
 database file while it is in use.
 """
 
@@ -29,14 +29,14 @@ from jrdb_avr.schema.catalog import graph_tables
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError, did_you_mean
 
 _MEMORY_BYTES: Final = 1 << 30
-"""Address space of an in-memory database; the engine's default of 8 TiB allows only a few in a process."""
+"""Address space of an in-memory database, in bytes. The engine's default of 8 TiB allows only a few per process."""
 
 _registry: dict[Path | None, SharedDatabase] = {}
 _registry_lock = threading.Lock()
 
 
 def engine() -> Any:
-    """The engine's module. Raises StoreError where it is not installed."""
+    """Import and return the module of the engine. Raises StoreError if it is not installed."""
     if ENGINE not in ENGINES.values():
         raise StoreError(f"JRDB_AVR_ENGINE is {ENGINE}: give {' or '.join(ENGINES.values())}")
     try:
@@ -47,7 +47,7 @@ def engine() -> Any:
 
 @dataclass
 class SharedDatabase:
-    """A database with its users, its writer lock, the lock of its file if it has one, and the plans of statements."""
+    """Database with its number of users, its writer lock, the lock of its file if any, and its plans of statements."""
 
     database: Any
     path: Path | None = None
@@ -58,7 +58,7 @@ class SharedDatabase:
     plans: dict[str, Any] = field(default_factory=dict)
 
     def release(self) -> None:
-        """Close the database with its last user."""
+        """Release one user, and close the database after the last one."""
         with _registry_lock:
             self.users -= 1
             if self.users == 0:
@@ -69,11 +69,21 @@ class SharedDatabase:
 
 
 def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
-    """The database of the graph file at `path`, a resolved one; opened by its first user. Raises as `Graph.open`."""
+    """Return the database of a graph file, and open it for its first user.
+
+    Args:
+        path: Resolved path of the graph file.
+        read_only: Whether the database is only read.
+        buffer_bytes: Maximum size of the engine's page cache.
+
+    Raises:
+        StoreError: The file is missing, damaged or of another version.
+        LockedError: The file is locked by another process, or open for reading in this process.
+    """
     with _registry_lock:
         shared = _registry.get(path)
         if shared is None:
-            shared = _registry[path] = _opened(path, read_only, buffer_bytes)
+            shared = _registry[path] = _open_database(path, read_only, buffer_bytes)
         elif shared.read_only and not read_only:
             raise LockedError(f"{path} is open for reading in this process: close it first", holder="this process")
         else:
@@ -81,23 +91,23 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
         return shared
 
 
-def memory_database(buffer_bytes: int) -> SharedDatabase:
-    """A new empty database in memory, of one thread."""
+def create_memory_database(buffer_bytes: int) -> SharedDatabase:
+    """Create an empty database in memory with one thread."""
     return SharedDatabase(
         engine().Database(":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=1)
     )
 
 
 def check_unused(path: Path) -> None:
-    """Raise LockedError where this process has the graph file at `path` open."""
+    """Raise LockedError if this process has the graph file open."""
     with _registry_lock:
         if path in _registry:
             raise LockedError(f"{path} is open in this process: close it first", holder="this process")
 
 
-def _opened(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
+def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
     if read_only and path.with_name(path.name + ".shadow").exists():
-        # A killed writer left a checkpoint half done; only an opening for writing can finish it.
+        # A killed writer left an unfinished checkpoint. Only a database that is open for writing can finish it.
         with contextlib.suppress(StoreError), lock_graph(path, shared=False):
             _open_file(path, False, buffer_bytes).close()
     if not read_only:
@@ -111,34 +121,43 @@ def _opened(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
 
 
 def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
-    # Before the database is open here, as closing the file would drop the engine's lock on it.
+    # This must precede the opening of the database, because closing the file would drop the engine's lock.
     check_fingerprint(path)
     end = time.monotonic() + ENDING_S
     while True:
         try:
-            # One thread: of ORDER BY, several threads now and then hand out their parts one after the other.
+            # One thread only: with several threads, ORDER BY sometimes returns sorted parts one after another.
             return engine().Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
-                raise StoreError(f"cannot open {path} ({shortened(str(error))}): {rebuild_hint(path)}") from None
-        # A killed process releases the lock of the side file a moment before the engine's.
+                raise StoreError(f"cannot open {path} ({shorten(str(error))}): {rebuild_hint(path)}") from None
+        # A killed process releases the lock of the side file shortly before the lock of the engine.
         if time.monotonic() > end:
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process")
         time.sleep(0.02)
 
 
-def translated(error: RuntimeError, text: str, timeout_s: float | None, path: Path | None) -> QueryError | StoreError:
-    """An error of the engine on a statement as this program's."""
+def translate_error(
+    error: RuntimeError, text: str, timeout_s: float | None, path: Path | None
+) -> QueryError | StoreError:
+    """Return the error of this program for an error of the engine.
+
+    Args:
+        error: Error that the engine raised.
+        text: Statement that failed.
+        timeout_s: Timeout of the statement, in seconds.
+        path: Graph file, or None in memory.
+    """
     message = " ".join(str(error).split())
     if "Interrupted" in message:
-        return QueryError(f"stopped after {timeout_s:g} s: {shortened(text)}" if timeout_s else "interrupted")
+        return QueryError(f"stopped after {timeout_s:g} s: {shorten(text)}" if timeout_s else "interrupted")
     if "past the end of the file" in message or "Cannot read from file" in message:
-        where = f"{path} is cut short" if path else "the graph file is cut short"
-        return StoreError(f"{where}: {rebuild_hint(path)}" if path else where)
+        damage = f"{path} is cut short" if path else "the graph file is cut short"
+        return StoreError(f"{damage}: {rebuild_hint(path)}" if path else damage)
     if "Buffer manager exception" in message:
-        return QueryError(f"needs more memory than its limit: narrow it (by sequence): {shortened(text)}")
+        return QueryError(f"needs more memory than its limit: narrow it (by sequence): {shorten(text)}")
     if "No space left" in message or "File too large" in message or "Cannot write to file" in message:
-        return StoreError(f"cannot write the graph: {shortened(message)}; free some space and load again")
+        return StoreError(f"cannot write the graph: {shorten(message)}; free some space and load again")
     if unknown := re.search(r"Table (\w+) does not exist", message):
         return QueryError(
             f"no table {unknown[1]!r}{did_you_mean(unknown[1], (table.name for table in graph_tables()))}"
@@ -146,11 +165,11 @@ def translated(error: RuntimeError, text: str, timeout_s: float | None, path: Pa
     if unknown := re.search(r"Cannot find property (\w+) for (\w+)", message):
         columns = {name for table in graph_tables() for name in table.columns}
         return QueryError(f"{unknown[2]} has no property {unknown[1]!r}{did_you_mean(unknown[1], columns)}")
-    # The parser lists everything it would have taken instead, and repeats the statement.
-    return QueryError(shortened(re.sub(r" expecting \{.*", "", message), 300))
+    # The parser lists all tokens that it expected, and repeats the statement.
+    return QueryError(shorten(re.sub(r" expecting \{.*", "", message), 300))
 
 
-def shortened(text: str, limit: int = 120) -> str:
-    """A text in one line of at most `limit` characters."""
+def shorten(text: str, limit: int = 120) -> str:
+    """Return a text as one line of at most `limit` characters."""
     plain = " ".join(text.split())
     return plain if len(plain) <= limit else plain[: limit - 3] + "..."

@@ -1,11 +1,11 @@
-"""The graph file: its fingerprint beside it, its lock, and its place on the disk.
+"""The graph file with its side files: the fingerprint and the lock.
 
 The engine has no page checksums and opens a file that was cut short or swapped without an error. The fingerprint,
-`<graph>.json`, is taken when the file is built and tells whether it is whole and has this program's tables. Its
-checksum, which takes a read of the whole file, is what `load --verify` compares. It is no part of the manifest, because
-two builds of the same scene differ in their bytes.
+`<graph>.json`, is written when the file is built. It shows whether the file is whole and has this program's tables.
+`load --verify` compares its hash with the file. The hash is not in the manifest, because two builds of the same scene
+differ in their bytes, and manifests of equal stores are equal.
 
-The lock is a side file, `<graph>.lock`: one writer, or any number of readers.
+The lock is on a side file, `<graph>.lock`, and admits one writer or any number of readers.
 """
 
 from __future__ import annotations
@@ -15,79 +15,78 @@ import fcntl
 import os
 import shutil
 import time
-import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Final
 
 import msgspec
 
+from jrdb_avr.queries.files import file_hash
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
 ENGINES: Final = {b"KUZU": "kuzu", b"LBUG": "ladybug"}
-"""The engines by the first bytes of their files."""
+"""Module names of the engines by the first four bytes of their files."""
 
 ENGINE: Final = os.environ.get("JRDB_AVR_ENGINE") or "kuzu"
-"""The engine of this process: kuzu, or ladybug, its fork, to judge a release of it by (docs/graph.md)."""
+"""Module name of this process's engine. `ladybug`, a fork of `kuzu`, is for tests of its releases (docs/graph.md)."""
 
 STORE_GRAPH: Final = "graph.kuzu"
-"""The name of a store's graph file."""
+"""Name of a store's graph file."""
 
 PAGE: Final = 4096
+"""Size of the engine's pages, in bytes."""
 
 ENDING_S: Final = 5.0
-"""Seconds to wait for a lock before it counts as held: a process that was just killed keeps it for a moment."""
+"""Maximum time to wait for the lock of a process that was just killed, in seconds."""
 
 _LEAST_FREE: Final = 32 << 20
-"""Bytes that must be free on the disk before a graph is written: where the engine runs out of them in the middle of a
-transaction or a checkpoint, it may abort the whole process."""
+"""Minimum free space before a graph is written, in bytes. The engine may abort the process if the disk is full."""
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
-_CHUNK: Final = 1 << 20
-
 
 class Fingerprint(msgspec.Struct, frozen=True):
-    """A graph file as built: tables' version, size in bytes, and the CRC-32 of everything after the first page.
-
-    The first page only says where the catalogue lies, and the engine rewrites it when the file is opened for writing.
-    """
+    """A graph file as built: version of its tables, size in bytes, sha256, and rows per table."""
 
     storage_version: int
     size: int
-    crc32: int
+    sha256: str
+    rows: dict[str, int]
 
 
 def fingerprint_path(graph: Path) -> Path:
-    """The place of a graph file's fingerprint."""
+    """Return the path of a graph file's fingerprint."""
     return graph.with_name(graph.name + ".json")
 
 
 def building_path(graph: Path) -> Path:
-    """The place where a graph file is built before it is renamed."""
+    """Return the path of the temporary file in which a graph is built."""
     return graph.with_name(f".{graph.name}.building")
 
 
-def fingerprint_of(file: Path) -> Fingerprint:
-    """The fingerprint of a finished graph file. Raises OSError."""
-    with file.open("rb") as opened:
-        opened.seek(PAGE)
-        checksum = 0
-        while chunk := opened.read(_CHUNK):
-            checksum = zlib.crc32(chunk, checksum)
-        return Fingerprint(STORAGE_VERSION, opened.tell(), checksum)
+def fingerprint_of(file: Path, rows: Mapping[str, int]) -> Fingerprint:
+    """Return the fingerprint of a finished graph file with its rows per table. Raises OSError."""
+    return Fingerprint(STORAGE_VERSION, file.stat().st_size, file_hash(file), dict(rows))
+
+
+def is_as_built(graph: Path) -> bool:
+    """Return whether a graph file has the hash in its fingerprint. Raises as `check_fingerprint`."""
+    return check_fingerprint(graph).sha256 == file_hash(graph)
 
 
 def check_fingerprint(graph: Path) -> Fingerprint:
-    """The stored fingerprint of the graph file at `graph`, whose first bytes and size it fits.
+    """Return the stored fingerprint of a graph file after a check of the file's first bytes and size.
 
-    Only to be called while this process has no database open there: closing a file drops the engine's lock on it.
-    Raises StoreError with the command to rebuild where the graph or its fingerprint is missing, cut short or of other
-    tables.
+    Do not call this while this process has the database open, because closing the file drops the engine's lock.
+
+    Raises:
+        StoreError: The graph or its fingerprint is missing, cut short or of another version; the message gives the
+            command to rebuild.
     """
     rebuild = rebuild_hint(graph)
     with contextlib.suppress(OSError):
-        _follow(graph)
+        _rename_fingerprint(graph)
     try:
         size = graph.stat().st_size
         with graph.open("rb") as file:
@@ -107,30 +106,41 @@ def check_fingerprint(graph: Path) -> Fingerprint:
     if engine not in (None, ENGINE):
         raise StoreError(f"{graph} is a file of {engine}, not of {ENGINE}: set JRDB_AVR_ENGINE={engine}, or {rebuild}")
     if engine is None or size < built.size:
-        raise StoreError(f"{graph} is no whole graph file: {rebuild}")
+        raise StoreError(f"{graph} is not a complete graph file: {rebuild}")
     return built
 
 
 def rebuild_hint(graph: Path) -> str:
-    """How to make a graph file anew: by one command for a store's own, by the next run for a file of world models."""
+    """Return how to rebuild a graph file: by a command in a store, or by the next run for a file of world models."""
     if graph.name != STORE_GRAPH:
-        return "give another file, or take this one away: the next run makes it anew"
+        return "give another file, or remove this one: the next run makes a new one"
     return f"run 'jrdb-avr load --rebuild --store {graph.parent}'"
 
 
 def lock_graph(path: Path, *, shared: bool) -> IO[str]:
-    """Take the side-file lock of a graph, until the returned file is closed.
+    """Lock a graph until the returned file is closed.
 
-    Raises LockedError naming the holder. Takes no lock for reading in a folder where nobody can write.
+    Reading needs no lock in a folder that cannot be written.
+
+    Args:
+        path: Graph file.
+        shared: True to read, False to write.
+
+    Returns:
+        The open lock file.
+
+    Raises:
+        LockedError: Another process holds the lock; the message names it.
+        StoreError: The lock file cannot be opened.
     """
-    place = path.with_name(path.name + ".lock")
+    lock = path.with_name(path.name + ".lock")
     try:
-        file = place.open("a+")
+        file = lock.open("a+")
     except OSError as error:
         if not (shared and path.exists()):
             raise StoreError(f"cannot use {path}: {error.strerror}; check the --store folder") from None
         try:
-            file = place.open("r")
+            file = lock.open("r")
         except OSError:
             return Path(os.devnull).open()
     end = time.monotonic() + ENDING_S
@@ -152,8 +162,10 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
 
 
 def _holder(file: IO[str]) -> tuple[str, bool]:
-    """The holder of the lock, by the kernel's table where there is one, else by the last writer's note; and whether
-    that process is about to end. A holder that the kernel's table no longer lists has released the lock meanwhile.
+    """Return the holder of the lock, and whether that process is about to end.
+
+    The holder is taken from the kernel's table of locks, or from the file if there is no table. If the table does not
+    list a holder, it has released the lock meanwhile.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -163,69 +175,71 @@ def _holder(file: IO[str]) -> tuple[str, bool]:
         for line in locks.splitlines():
             fields = line.split()
             if "FLOCK" in fields and len(fields) > 5 and fields[5].rpartition(":")[2] == inode and fields[4] != "-1":
-                # A process that is about to end has no command any more.
+                # A process that is about to end has no command line.
                 command = Path("/proc", fields[4], "cmdline").read_bytes().decode(errors="replace").rstrip("\0")
                 return f"process {fields[4]} ({command.replace(chr(0), ' ')[:120]})", not command
     file.seek(0)
     return file.read(100).strip() or "another process", ends
 
 
-def make_parent(place: Path) -> None:
-    """Make the folder of a graph file. Raises StoreError."""
+def make_parent(graph: Path) -> None:
+    """Make the folder of a graph file. Raises StoreError if the disk refuses."""
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
+        graph.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(f"cannot write to {place.parent}: {error.strerror}; choose another --store") from None
+        raise StoreError(f"cannot write to {graph.parent}: {error.strerror}; choose another --store") from None
 
 
-def check_room(place: Path) -> None:
-    """Raise StoreError where the disk is nearly full."""
+def check_room(graph: Path) -> None:
+    """Raise StoreError if the disk of a graph file is nearly full."""
     with contextlib.suppress(OSError):
-        if shutil.disk_usage(place.parent).free < _LEAST_FREE:
+        if shutil.disk_usage(graph.parent).free < _LEAST_FREE:
             raise StoreError(
-                f"cannot write {place}: less than {_LEAST_FREE >> 20} MB are free on its disk; "
+                f"cannot write {graph}: less than {_LEAST_FREE >> 20} MB are free on its disk; "
                 "free some space and run it again"
             )
 
 
-def publish(temporary: Path, place: Path) -> None:
-    """Rename a finished graph file to its place, with its fingerprint. Raises StoreError where the disk refuses."""
+def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
+    """Rename a finished graph file with these rows per table, and write its fingerprint.
+
+    Raises StoreError if the disk refuses.
+    """
     try:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
-        # The old log goes first: beside the new file it would be replayed into it.
+        # Remove the old log first, because the engine would replay it into the new file.
         for suffix in _SIDE_FILES:
-            place.with_name(place.name + suffix).unlink(missing_ok=True)
-        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary)))
-        temporary.replace(place)
-        _follow(place)
+            graph.with_name(graph.name + suffix).unlink(missing_ok=True)
+        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary, rows)))
+        temporary.replace(graph)
+        _rename_fingerprint(graph)
     except OSError as error:
-        raise StoreError(f"cannot write {place}: {error.strerror}; free some space and run the command again") from None
+        raise StoreError(f"cannot write {graph}: {error.strerror}; free some space and run the command again") from None
 
 
-def _follow(place: Path) -> None:
-    """Rename the fingerprint after its graph, whoever is killed in between."""
-    temporary = building_path(place)
+def _rename_fingerprint(graph: Path) -> None:
+    """Rename the fingerprint of a graph that was renamed, also after a process was killed between the two."""
+    temporary = building_path(graph)
     if not temporary.exists():
         with contextlib.suppress(FileNotFoundError):
-            fingerprint_path(temporary).replace(fingerprint_path(place))
+            fingerprint_path(temporary).replace(fingerprint_path(graph))
 
 
-def copy_files(place: Path, copy: Path) -> None:
-    """Copy a graph file with what its last writer left in its log. Raises StoreError where it is no whole graph or the
-    disk refuses."""
-    check_fingerprint(place)
+def copy_files(graph: Path, copy: Path) -> None:
+    """Copy a graph file with its log. Raises StoreError if the file is damaged or the disk refuses."""
+    check_fingerprint(graph)
     try:
         for suffix in ("", *_SIDE_FILES):
-            if (file := place.with_name(place.name + suffix)).exists():
+            if (file := graph.with_name(graph.name + suffix)).exists():
                 shutil.copyfile(file, copy.with_name(copy.name + suffix))
     except OSError as error:
         raise StoreError(f"cannot write {copy}: {error.strerror}; free some space") from None
 
 
-def remove_files(path: Path) -> None:
-    """Remove a graph file with all that lies beside it but its lock."""
-    # A fingerprint without its graph would be taken for one that has yet to follow.
-    for place in (fingerprint_path(path), path, *(path.with_name(path.name + suffix) for suffix in _SIDE_FILES)):
+def remove_files(graph: Path) -> None:
+    """Remove a graph file and its side files except the lock."""
+    # Remove the fingerprint first, because one without a graph looks like one that is still to be renamed.
+    for path in (fingerprint_path(graph), graph, *(graph.with_name(graph.name + suffix) for suffix in _SIDE_FILES)):
         with contextlib.suppress(OSError):
-            place.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)

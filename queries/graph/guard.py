@@ -1,10 +1,13 @@
-"""Ad-hoc Cypher: reading only, in a process of its own.
+"""Ad-hoc Cypher statements that only read, in a child process.
 
-The engine opened read-only still reads and writes files on request (LOAD FROM, COPY TO, EXPORT, ATTACH), and does not
-report the kind of a statement. So a statement passes three checks: its words (no clause that writes, loads, attaches,
-installs, calls or controls transactions, no second statement), its plan (no table function, no write, no INTERSECT),
-and a database opened read-only. It runs in a child process, because some statements crash the engine and
-others run on past its own timeout.
+A read-only database still reads and writes files on request (LOAD FROM, COPY TO, EXPORT, ATTACH), and the engine does
+not report the kind of a statement. So a statement passes three checks:
+
+- Keywords: no clause that writes, loads, attaches, installs, calls or controls transactions, and no second statement.
+- Plan: no table function, no write, no INTERSECT.
+- Database: open for reading only.
+
+The child process is necessary because some statements crash the engine and others ignore its timeout.
 """
 
 from __future__ import annotations
@@ -31,10 +34,10 @@ from jrdb_avr.schema.errors import QueryError, StoreError
 _TIMEOUT_S: Final = 60.0
 _BUFFER_BYTES: Final = 256 << 20
 MEMORY_BYTES: Final = 2 << 30
-"""Limit of the child's memory in all: lists and results lie outside of the engine's buffer."""
+"""Maximum memory of the child process, in bytes. The engine's buffer does not include lists and results."""
 
 _ROWS: Final = "DELETE|DETACH|SET"
-"""Keywords that change rows only, as CREATE does before a pattern; before anything else it makes tables."""
+"""Keywords that change only rows. CREATE changes rows if a pattern follows, and otherwise makes tables."""
 
 _REFUSED: Final = (
     "ALTER|ANALYZE|ATTACH|BEGIN|CALL|CHECKPOINT|COMMENT|COMMIT|COPY|DROP|EXPLAIN|EXPORT|EXTENSION|FORCE|FOREACH|IMPORT"
@@ -42,19 +45,27 @@ _REFUSED: Final = (
 )
 
 
-def _keywords(words: str) -> re.Pattern[str]:
-    # Digits may stand right before a keyword ("= 1SET n.x = 2"), letters and the underscore may not.
-    return re.compile(rf"(?<![A-Za-z_$])(?:{words})(?![A-Za-z0-9_])", re.IGNORECASE | re.ASCII)
+def _match_keywords(keywords: str) -> re.Pattern[str]:
+    # A digit may directly precede a keyword ("= 1SET n.x = 2"); a letter or an underscore may not.
+    return re.compile(rf"(?<![A-Za-z_$])(?:{keywords})(?![A-Za-z0-9_])", re.IGNORECASE | re.ASCII)
 
 
-_REFUSED_WRITING = _keywords(rf"{_REFUSED}|CREATE\b(?!\s*\()")
-_REFUSED_READING = _keywords(f"{_REFUSED}|CREATE|{_ROWS}")
+_REFUSED_WRITING = _match_keywords(rf"{_REFUSED}|CREATE\b(?!\s*\()")
+_REFUSED_READING = _match_keywords(f"{_REFUSED}|CREATE|{_ROWS}")
 _QUANTIFIER = re.compile(r"(?<![A-Za-z_])(?:all|any|none|single)\s*\(", re.IGNORECASE | re.ASCII)
 
 
 def check_cypher(cypher: str, *, writes: bool = False) -> None:
-    """Refuse a statement by its words; `writes`: it may make, change and delete nodes and edges. Raises QueryError."""
-    # Where quoting is read differently than the engine reads it, a keyword could hide: escapes go by parameter.
+    """Check the keywords of a statement.
+
+    Args:
+        cypher: Statement.
+        writes: Whether the statement may make, change and delete nodes and edges.
+
+    Raises:
+        QueryError: The statement is refused.
+    """
+    # If this function and the engine parse a quoted text differently, a keyword could hide in it. So refuse escapes.
     if "\\" in cypher or "\0" in cypher or "\r" in cypher.replace("\r\n", "\n"):
         raise QueryError("a backslash or a bare carriage return is not allowed: pass the text as a parameter ($name)")
     if ";" in cypher.strip().removesuffix(";"):
@@ -62,26 +73,38 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
     bare = strip_literals(cypher)
     if any(quote in bare for quote in "'\"`") or "/*" in bare:
         raise QueryError("a quote or comment is not closed")
-    if found := (_REFUSED_WRITING if writes else _REFUSED_READING).search(bare):
+    if match := (_REFUSED_WRITING if writes else _REFUSED_READING).search(bare):
         allowed = "this changes rows only" if writes else "this reads the graph only (MATCH ... RETURN ...)"
-        raise QueryError(f"{found[0].upper()} is not allowed: {allowed}")
-    if found := _QUANTIFIER.search(bare):
-        name = found[0].rstrip("( \t\n")
+        raise QueryError(f"{match[0].upper()} is not allowed: {allowed}")
+    if match := _QUANTIFIER.search(bare):
+        name = match[0].rstrip("( \t\n")
         raise QueryError(f"{name}(...) crashes the engine on long lists: write size(list_filter(list, x -> ...)) = 0")
 
 
 def query_graph(
     path: Path, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = _TIMEOUT_S
 ) -> pa.Table:
-    """Run one reading statement on the graph file at `path`; rows without ORDER BY come sorted by their columns.
+    """Run one reading statement on a graph file in a child process.
 
-    Raises QueryError (refused, failed, too slow, crashed), StoreError and LockedError (no graph to read).
+    Args:
+        path: Graph file.
+        cypher: Statement.
+        params: Values of parameters.
+        timeout_s: Seconds after which the statement is stopped.
+
+    Returns:
+        The rows, sorted by all columns if the statement has no ORDER BY.
+
+    Raises:
+        QueryError: The statement is refused, fails, takes too long or crashes the engine.
+        StoreError: The graph is missing or damaged.
+        LockedError: Another process writes the graph.
     """
     check_cypher(cypher)
     values = bind(cypher, params or {})[1]
     request = {"path": str(path.resolve()), "cypher": cypher, "params": values, "timeout_s": timeout_s}
     try:
-        # By json, which unlike msgspec writes and reads NaN and infinity.
+        # Unlike msgspec, json writes and reads NaN and infinity.
         payload = json.dumps(request, ensure_ascii=False).encode()
     except (TypeError, UnicodeEncodeError):
         raise QueryError("parameters are numbers, UTF-8 text, and lists and dicts of these") from None
@@ -94,7 +117,7 @@ def query_graph(
             with pa.ipc.open_stream(done.stdout) as reader:
                 return reader.read_all()
         except pa.ArrowException:
-            # The engine gives the keys of maps a type that Arrow does not take back.
+            # The engine gives the keys of maps a type that Arrow cannot read back.
             raise QueryError("the result holds a map: return map_keys(...) and map_values(...) of it") from None
     try:
         kind, message = msgspec.json.decode(done.stderr.splitlines()[-1], type=tuple[str, str])
@@ -114,9 +137,9 @@ def run_child(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[b
 
 
 def serve() -> None:
-    """The child: one request on stdin, an Arrow stream on stdout or an error as JSON on stderr."""
+    """Serve one request in the child: read it from stdin, write an Arrow stream to stdout or an error to stderr."""
     request = json.loads(sys.stdin.buffer.read())
-    threading.Thread(target=end_beyond_memory, args=(_too_much,), daemon=True).start()
+    threading.Thread(target=end_beyond_memory, args=(_report_memory,), daemon=True).start()
     try:
         table = _read(**request)
     except (QueryError, StoreError) as error:
@@ -132,16 +155,16 @@ def _report(error: Exception) -> None:
 
 
 def end_beyond_memory(report: Callable[[], None]) -> None:
-    """Watch this process, where the kernel reports its memory (Linux); beyond the limit, call `report` and end it."""
-    place = Path("/proc/self/statm")
-    while place.exists():
-        if int(place.read_text().split()[1]) * resource.getpagesize() > MEMORY_BYTES:
+    """End this process after a call of `report` if it exceeds the limit of memory (on Linux only)."""
+    statm = Path("/proc/self/statm")
+    while statm.exists():
+        if int(statm.read_text().split()[1]) * resource.getpagesize() > MEMORY_BYTES:
             report()
             os._exit(1)
         time.sleep(0.02)
 
 
-def _too_much() -> None:
+def _report_memory() -> None:
     _report(QueryError(f"stopped at {MEMORY_BYTES >> 30} GB of memory: narrow the statement"))
 
 
@@ -154,11 +177,11 @@ def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> p
         if plan.functions or plan.writes:
             raise QueryError("this reads or writes something else than the graph")
         table = graph.query(cypher, params, ordered=False, timeout_s=timeout_s)
-    return table if plan.ordered else _sorted(table)
+    return table if plan.ordered else _sort(table)
 
 
-def _sorted(table: pa.Table) -> pa.Table:
-    """Rows sorted by every column that can be compared, left to right: the engine's order is not repeatable."""
+def _sort(table: pa.Table) -> pa.Table:
+    """Sort rows by all columns that can be compared, because the engine's order is not repeatable."""
     keys = [
         (name, "ascending")
         for name, kind in zip(table.column_names, table.schema.types, strict=True)

@@ -1,16 +1,16 @@
-"""The one handle on the graph: plan guard, COPY, bound parameters, Arrow out.
+"""Sessions on the graph, the only access to the engine for other rooms.
 
-Kùzu needs care that every caller would otherwise have to remember:
+A `Graph` handles these properties of Kùzu for all callers:
 
-- *One database per path per process, one writing process or many reading ones* (`database.py`).
-- *Some statements are answered wrongly without an error* (`wrong_answers.py`): every distinct statement that matches a
-  pattern is explained once, and refused if it is one of them.
-- *Row order differs between runs*: a read must be ordered, or return a single row, or pass `ordered=False`.
-- *Small integers are bound as INT8*, a list by its first rows, an empty list not at all, and a missing parameter is
-  NULL: parameters are bound here under 64-bit types, and their names must be the statement's.
-- *One write transaction at a time*: writers of one database wait for each other.
+- *One database per path and process, and one writing process or many reading ones* (`database.py`).
+- *Some statements are answered wrongly without an error* (`wrong_answers.py`). The plan of each distinct statement with
+  a pattern is checked once, and such statements are refused.
+- *The order of rows differs between runs*. A read must have an ORDER BY, return a single row, or pass `ordered=False`.
+- *Parameters get wrong types*: small integers INT8, lists the type of their first items, empty lists none, and a
+  missing parameter is NULL. They are bound with 64-bit types here, and their names must be those of the statement.
+- *One write transaction at a time*. Writers of one database wait for each other.
 
-A `Graph` may be used from several threads, which then wait for each other; open another one for reads side by side.
+Threads that share a `Graph` wait for each other; open several for parallel reads.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from jrdb_avr.queries.graph.database import (
     SharedDatabase,
     acquire_database,
     check_unused,
+    create_memory_database,
     engine,
-    memory_database,
-    shortened,
-    translated,
+    shorten,
+    translate_error,
 )
 from jrdb_avr.queries.graph.file import (
     building_path,
@@ -49,25 +49,25 @@ from jrdb_avr.queries.workers import Executor
 from jrdb_avr.schema.errors import QueryError, StoreError
 
 BUFFER_BYTES: Final = 512 << 20
-"""Hard limit of the engine's page cache; 256 MB held every query measured at full size."""
+"""Maximum size of the engine's page cache, in bytes. 256 MB sufficed for every query measured on all of JRDB."""
 
 _BUILD_BYTES: Final = 800 << 20
-"""The same while a graph is built: COPY holds every row of a batch, in both directions of an edge."""
+"""Maximum size of the page cache while a graph is built: COPY holds a batch of edges twice, once per direction."""
 
 _ONE_CHUNK: Final = 100_000
-"""Rows up to which a result is one chunk of its own size; the engine's own are of ten million cells, full or not."""
+"""Maximum number of rows that are fetched as one chunk. The engine allocates ten million cells per chunk by default."""
 
 _PREPARED: Final = 256
-"""Statements that a graph keeps prepared at a time: parsed, that is; the engine plans them at each use. Also plannings
-before a connection is given up for a new one: the engine holds every statement with parameters, half a megabyte
-each and more, until its connection ends."""
+"""Maximum number of a session's prepared statements, and of statements with parameters on one connection.
+
+The engine keeps every statement with parameters, half a megabyte or more, until its connection ends."""
 
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
 
 
 class Graph:
-    """A session on a graph, made by `Graph.open` or `Graph.memory`; a context manager, closed after use."""
+    """Session on a graph, made by `Graph.open` or `Graph.memory`; a context manager."""
 
     def __init__(self, shared: SharedDatabase, read_only: bool = False, prepares: bool = False) -> None:
         self.path = shared.path
@@ -88,28 +88,34 @@ class Graph:
     def open(
         cls, path: str | Path, *, read_only: bool = False, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False
     ) -> Graph:
-        """Open the graph file at `path`, made by `build_graph`.
+        """Open a graph file.
 
-        prepares: statements with parameters are parsed once for many uses, which takes a third off the
-        time of small ones.
-        Raises StoreError where there is none, or one that is cut short or of another version, and LockedError naming
-        the holder where another process writes it (or, for writing, reads it).
+        Args:
+            path: Graph file, made by `build_graph`.
+            read_only: Whether the session only reads.
+            buffer_bytes: Maximum size of the page cache.
+            prepares: Whether statements with parameters are parsed once for many uses, which saves a third of the time
+                of small ones.
+
+        Raises:
+            StoreError: The file is missing, damaged or of another version.
+            LockedError: Another process writes the file, or reads it if this session writes.
         """
         shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes)
         return cls(shared, read_only, prepares)
 
     @classmethod
     def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False) -> Graph:
-        """A new empty graph in memory, for a worker's own sequence; prepares: as of `open`."""
-        return cls(memory_database(buffer_bytes), prepares=prepares)
+        """Make an empty graph in memory; the arguments are those of `open`."""
+        return cls(create_memory_database(buffer_bytes), prepares=prepares)
 
     def close(self) -> None:
-        """Close the graph; its last user in this process closes the file. Closing twice is harmless."""
+        """Close the session; the last session of this process closes the file. A second call does nothing."""
         with self._lock:
             if self._closed:
                 return
             if self._failed:
-                # A full disk: the engine may never come back from trying the checkpoint, and its log holds all.
+                # On a full disk the engine may hang in its checkpoint. Its log has all data.
                 with contextlib.suppress(RuntimeError):
                     self._connection.execute("CALL force_checkpoint_on_close=false")
             self._closed = True
@@ -133,11 +139,16 @@ class Graph:
         ordered: bool = True,
         timeout_s: float | None = None,
     ) -> pa.Table:
-        """Run one reading statement; `$name` in it are bound to `params`.
+        """Run one reading statement.
 
-        Many rows of input are best passed as one Arrow table: `LOAD FROM $rows WITH ...`. A result of several rows
-        needs an ORDER BY, unless `ordered=False` allows any order. Raises QueryError where the
-        statement is refused (its plan would lose rows, it writes, its order is open), fails, or takes too long.
+        Args:
+            cypher: Statement; `$name` is the value of `name` in `params`.
+            params: Values of parameters. Pass many rows as one Arrow table: `LOAD FROM $rows WITH ...`.
+            ordered: Whether a result of several rows needs an ORDER BY.
+            timeout_s: Seconds after which the statement is stopped.
+
+        Raises:
+            QueryError: The statement is refused (it would lose rows, writes, or has no order), fails or takes too long.
         """
         text, values = bind(cypher, params or {})
         with self._lock:
@@ -145,10 +156,7 @@ class Graph:
             return self._run(text, values, timeout_s)
 
     def prepare(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> None:
-        """Check and parse a reading statement before its first use, which then takes as long as any other.
-
-        Raises QueryError where it is refused.
-        """
+        """Check and parse a reading statement before its first use. Raises QueryError if it is refused."""
         text, values = bind(cypher, params)
         with self._lock:
             self._check_read(text, values, ordered)
@@ -158,16 +166,25 @@ class Graph:
         plan = self._plan(text, values)
         refuse_wrong_answers(plan, text, lambda probe: self._complaint(probe, values))
         if plan.writes:
-            raise QueryError(f"this statement writes, use execute(): {shortened(text)}")
+            raise QueryError(f"this statement writes, use execute(): {shorten(text)}")
         if ordered and not plan.ordered:
-            raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shortened(text)}")
+            raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shorten(text)}")
 
     def tables(self) -> set[str]:
-        """The names of the graph's tables."""
+        """Return the names of the graph's tables."""
         return set(self.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
 
+    def row_counts(self) -> dict[str, int]:
+        """Return the rows of each table."""
+        counts = {}
+        tables = self.query("CALL show_tables() RETURN name, type", ordered=False).to_pylist()
+        for name, kind in sorted((table["name"], table["type"]) for table in tables):
+            pattern = f"(n:`{name}`)" if kind == "NODE" else f"()-[r:`{name}`]->()"
+            counts[name] = int(self.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py())
+        return counts
+
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
-        """The engine's plan of a statement. Raises QueryError where it cannot be planned."""
+        """Return the engine's plan of a statement. Raises QueryError if it cannot be planned."""
         text, values = bind(cypher, params or {})
         with self._lock:
             return self._plan(text, values)
@@ -175,7 +192,7 @@ class Graph:
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
-        """Run one statement that may write, alone or inside `transaction()`. Raises QueryError, StoreError."""
+        """Run a statement that may write, also inside `transaction()`. Raises QueryError or StoreError if it fails."""
         text, values = bind(cypher, params or {})
         with self._writing():
             bare = strip_literals(text)
@@ -187,18 +204,26 @@ class Graph:
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
-        """Append rows to a table of the graph; columns in the table's order, for edges the two keys first."""
-        # The engine looks for pandas by importlib.util, and fails where nobody has imported it yet.
+        """Append rows to a table of the graph. Edges begin with their two keys; columns have the order of the table."""
+        # The engine uses importlib.util without an import of it.
         import importlib.util  # noqa: F401
 
-        # Of a column in chunks the engine reads the rows of small ones only in part, silently.
+        # The engine silently loses rows of columns with small chunks.
         self._copy(table, "$rows", {"rows": rows.combine_chunks()})
 
     def copy_files(self, table: str, folder: Path, names: Sequence[str], ends: Sequence[str] = ()) -> None:
-        """As `copy`, from Parquet files of a folder. `ends`: the tables of nodes that edges start and end at.
+        """Append rows of Parquet files to a table of the graph.
 
-        The engine reads a path as a pattern, so the names must be plain and the process changes to the folder
-        meanwhile, whose own name is then no matter.
+        The engine reads a path as a pattern. So names must be plain, and the process changes to the folder meanwhile.
+
+        Args:
+            table: Table of the graph.
+            folder: Folder of the files.
+            names: Names of the files.
+            ends: Node tables at the start and the end of edges, for a table with several pairs.
+
+        Raises:
+            QueryError: A name is not plain, or the rows do not fit the table.
         """
         if any(not re.fullmatch(r"[A-Za-z0-9._-]+", name) for name in names):
             raise QueryError("a file to copy from needs a plain name")
@@ -209,21 +234,21 @@ class Graph:
 
     def _copy(self, table: str, source: str, values: Mapping[str, Any]) -> None:
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", table):
-            raise QueryError(f"{table!r} is no name of a table")
+            raise QueryError(f"{table!r} is not the name of a table")
         with self._writing():
             self._shared.plans.clear()
             self._run(f"COPY `{table}` FROM {source}", values, None)
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
-        """One write transaction round the statements inside; an error rolls all of them back."""
+        """Run the statements of a `with` block in one write transaction, which an error rolls back."""
         with self._writing():
             self._run("BEGIN TRANSACTION", {}, None)
             self._in_transaction = True
             try:
                 yield
             except BaseException:
-                # The engine has already rolled back if one of its own statements failed.
+                # If a statement failed, the engine has already rolled back.
                 with contextlib.suppress(QueryError, StoreError):
                     self._run("ROLLBACK", {}, None)
                 raise
@@ -251,7 +276,7 @@ class Graph:
         return plan
 
     def _complaint(self, text: str, values: Mapping[str, Any]) -> str:
-        """What the engine says against a statement; on a connection of its own, as an error ends a transaction."""
+        """Return the engine's error message for a statement. An error ends a transaction, so use a new connection."""
         with engine().Connection(self._shared.database) as connection:
             try:
                 connection.execute(f"EXPLAIN {text}", dict(values))
@@ -260,7 +285,7 @@ class Graph:
         return ""
 
     def _renew(self) -> None:
-        """Replace a connection that holds many planned statements; not within a transaction, which belongs to it."""
+        """Replace a connection that keeps many statements, except inside a transaction."""
         if self._planned >= _PREPARED and not self._in_transaction:
             self._prepared.clear()
             self._connection.close()
@@ -268,8 +293,9 @@ class Graph:
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
-        """The statement for the engine: prepared, or as text. With rows as a parameter it is never prepared, as the
-        engine would use those of the first time again.
+        """Return the prepared statement, or the text.
+
+        A statement with rows as a parameter is not prepared, because the engine would reuse the rows of its first use.
         """
         rows = any(isinstance(value, pa.Table) for value in values.values())
         if not (self._prepares and values) or rows or text.startswith("EXPLAIN"):
@@ -292,12 +318,12 @@ class Graph:
             self._connection.set_query_timeout(0 if timeout_s is None else max(1, round(timeout_s * 1000)))
             result = self._connection.execute(self._statement(text, values), dict(values))
             if isinstance(result, list):
-                # The rest must go first: the engine crashes when only the last result stays.
+                # Close all results, because the engine crashes if only the last result remains.
                 for part in result:
                     part.close()
-                raise QueryError(f"one statement at a time: {shortened(text)}")
+                raise QueryError(f"one statement at a time: {shorten(text)}")
             try:
-                # Statements of control (CHECKPOINT, BEGIN) have no columns at all.
+                # Statements such as CHECKPOINT and BEGIN have no columns.
                 if not result.get_column_names():
                     return pa.table({})
                 rows = result.get_num_tuples()
@@ -305,15 +331,17 @@ class Graph:
             finally:
                 result.close()
         except RuntimeError as error:
-            failure = translated(error, text, timeout_s, self.path)
+            failure = translate_error(error, text, timeout_s, self.path)
             self._failed |= isinstance(failure, StoreError)
             raise failure from None
 
 
 @contextlib.contextmanager
 def worker_graph(path: Path) -> Iterator[Graph]:
-    """A session for reading, which a worker process leaves open for its next item: opening and planning take longer
-    than most statements, which are parsed once for all items. Raises as `Graph.open`."""
+    """Yield a session for reading with prepared statements, which a worker process keeps open for its next sequence.
+
+    Opening a graph and planning take longer than most statements. Raises StoreError or LockedError as `Graph.open`.
+    """
     with contextlib.ExitStack() as closing:
         graph = _left_open.get(path)
         if graph is None:
@@ -329,41 +357,52 @@ _left_open: dict[Path, Graph] = {}
 
 
 def held_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
-    """A graph held open while this process works on all sequences itself, so that it is opened and a statement planned
-    once; nothing while others do, as to open it takes 150 MB. Raises as `Graph.open`."""
+    """Return a context that keeps a graph open if `workers` is 1, so that it is opened once for all sequences.
+
+    With several workers the context is empty, because an open graph takes 150 MB. Raises StoreError or LockedError as
+    `Graph.open`.
+    """
     return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()
 
 
 @contextlib.contextmanager
 def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
-    """Build a graph beside `path` and rename it in when the block ends well; otherwise the old one stays.
+    """Yield a session on a new graph file, and rename the file to `path` when the block ends.
 
-    extend: whether it begins as a copy of the old one. Holds the graph's lock throughout. Raises LockedError where
-    anybody has the graph open, StoreError where the disk refuses.
+    If the block raises, the old file stays. The lock of the graph is held meanwhile.
+
+    Args:
+        path: Graph file to make or replace.
+        extend: Whether the new file begins as a copy of the old one.
+
+    Raises:
+        LockedError: A session has the graph open, here or in another process.
+        StoreError: The disk refuses.
     """
-    place = Path(path).resolve()
-    check_unused(place)
-    make_parent(place)
-    check_room(place)
-    with lock_graph(place, shared=False), contextlib.ExitStack() as cleanup:
-        temporary = building_path(place)
-        # What a killed builder left behind; the lock proves that it is gone.
+    target = Path(path).resolve()
+    check_unused(target)
+    make_parent(target)
+    check_room(target)
+    with lock_graph(target, shared=False), contextlib.ExitStack() as cleanup:
+        temporary = building_path(target)
+        # Remove the files of a killed process, which no longer holds the lock.
         remove_files(temporary)
         cleanup.callback(remove_files, temporary)
         if extend:
-            copy_files(place, temporary)
+            copy_files(target, temporary)
         try:
             database = engine().Database(str(temporary), buffer_pool_size=_BUILD_BYTES)
         except RuntimeError as error:
-            raise translated(error, "", None, place) from None
+            raise translate_error(error, "", None, target) from None
         with Graph(SharedDatabase(database)) as graph:
             yield graph
             graph.execute("CHECKPOINT")
-        publish(temporary, place)
+            rows = graph.row_counts()
+        publish(temporary, target, rows)
 
 
 def remove_graph(path: str | Path) -> None:
-    """Remove a graph, if there is one. Raises LockedError where it is open anywhere, StoreError as `lock_graph`."""
-    place = Path(path).resolve()
-    with lock_graph(place, shared=False):
-        remove_files(place)
+    """Remove a graph if it exists. Raises LockedError if a session has it open."""
+    target = Path(path).resolve()
+    with lock_graph(target, shared=False):
+        remove_files(target)

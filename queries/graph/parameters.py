@@ -1,8 +1,8 @@
-"""Parameters of Cypher statements, bound under types that hold them.
+"""Typed parameters of Cypher statements.
 
-The engine takes a parameter's type from its value: 5 becomes INT8, a list takes the type of its items, an empty
-list has none. So `$name` is rewritten to `CAST($name AS INT64)` and the like, from the Python value. Text inside
-quotes, backticks and comments is left alone.
+The engine infers the type of a parameter from its value: 5 becomes INT8, a list takes the type of its items, and an
+empty list has no type. So `$name` is rewritten to `CAST($name AS INT64)` or another type of the Python value. Quoted
+texts, quoted names and comments stay as they are.
 """
 
 from __future__ import annotations
@@ -27,11 +27,15 @@ _FIELD: Final = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 
 
 def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """The statement with typed parameters, and the values to bind.
+    """Return a statement with typed parameters, and the values to bind.
 
-    Values may be None, bool, int (64 bits), float, str, lists and dicts of these, numpy scalars, and Arrow tables (for
-    `LOAD FROM $name`). A final semicolon is taken off. Raises QueryError where there are two statements, the names
-    passed are not those of the statement, or a value cannot be bound.
+    Args:
+        cypher: Statement; a final semicolon is removed.
+        params: Values by name: None, bool, int (64 bits), float, str, lists and dicts of these, numpy scalars, and
+            Arrow tables (for `LOAD FROM $name`).
+
+    Raises:
+        QueryError: There are two statements, the names are not those of the statement, or a value cannot be bound.
     """
     values = {name: _plain(name, value) for name, value in params.items()}
     kinds = [(n, _type(n, value) if isinstance(value, int | list | dict) else None) for n, value in values.items()]
@@ -40,7 +44,7 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 
 @lru_cache(1024)
 def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
-    """The statement with parameters of these names and types, None for those that need none."""
+    """Return the statement with a CAST round each parameter that has a type in `kinds`."""
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):
         raise QueryError("one statement at a time: there is a ';' inside")
@@ -52,7 +56,7 @@ def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
         if name is None:
             return match[0]
         used.add(name)
-        # LIMIT and SKIP take a bare parameter only, and convert it themselves.
+        # LIMIT and SKIP accept only a bare parameter, and convert it themselves.
         kind = None if match["count"] else types.get(name)
         return f"CAST(${name} AS {kind})" if kind else match[0]
 
@@ -65,18 +69,18 @@ def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
 
 
 def parameters(cypher: str) -> list[str]:
-    """Names of the parameters of a statement, sorted."""
+    """Return the names of a statement's parameters, sorted."""
     return sorted({match["name"] for match in _TOKEN.finditer(cypher) if match["name"]})
 
 
 @lru_cache(1024)
 def strip_literals(cypher: str) -> str:
-    """The statement with every quoted text, quoted name and comment replaced by as many spaces."""
+    """Return the statement with each quoted text, quoted name and comment replaced by spaces of the same length."""
     return _TOKEN.sub(lambda match: match[0] if match["name"] else " " * len(match[0]), cypher)
 
 
 def scalar(value: Any) -> Any:
-    """A numpy scalar, such as a cell of a data frame, as Python's own number or text; anything else as it is."""
+    """Convert a numpy scalar, such as a cell of a data frame, to a Python value; return any other value as it is."""
     return value.item() if hasattr(value, "dtype") and getattr(value, "ndim", 1) == 0 else value
 
 
@@ -91,13 +95,13 @@ def _plain(name: str, value: Any) -> Any:
         return [_plain(name, item) for item in value]
     if isinstance(value, dict):
         return {key: _plain(name, item) for key, item in value.items()}
-    if value is not (number := scalar(value)):
-        return _plain(name, number)
+    if value is not (converted := scalar(value)):
+        return _plain(name, converted)
     raise QueryError(f"${name}: a {type(value).__name__} cannot be bound")
 
 
 def _type(name: str, value: Any) -> str | None:
-    """The engine's type of a plain value; None where it is unknown (None, an empty list's items)."""
+    """Return the engine's type of a plain value, or None if it is unknown (None, or the items of an empty list)."""
     if kind := next((kind for scalars, kind in _SCALARS.items() if isinstance(value, scalars)), None):
         return kind
     match value:

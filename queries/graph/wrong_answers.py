@@ -1,13 +1,14 @@
-"""Statements that the engine is known to answer wrongly, recognized by their plan and their words.
+"""Checks for statements that the engine is known to answer wrongly, by their plan and their keywords.
 
-Each was found by comparison with brute force; a test fails when a later engine answers rightly.
+Each fault was detected by comparison with brute force. A test fails if a later engine answers correctly.
 
-- *Cyclic patterns lose parallel edges* where the plan holds INTERSECT: 2 rows for a true 4.
-- *A bare boolean after WHEN takes the wrong branch*: in `CASE WHEN x.flag THEN`, but also where the condition is an
-  alias, a cast to BOOL or another CASE. `x.flag = true` is right, and so is the simple form, `CASE x.flag WHEN true`.
-- *In a grouped RETURN or WITH, what is aggregated after a DISTINCT aggregate is nothing*: `count(DISTINCT a), count(*)`
-  gives 0 for the second, `collect` crashes. The other order is right, and so is either where nothing is grouped.
-- *A text before a number in ORDER BY* misplaces rows, from some 5,000 on. Numbers before texts are right.
+- *Cyclic patterns lose parallel edges* if the plan has INTERSECT: 2 rows for a true 4.
+- *A bare boolean after WHEN takes the wrong branch*: `CASE WHEN x.flag THEN`, also if the condition is an alias, a cast
+  to BOOL or another CASE. `x.flag = true` and the simple form `CASE x.flag WHEN true` are correct.
+- *Aggregates after a DISTINCT aggregate are empty* in a grouped RETURN or WITH: the second value of
+  `count(DISTINCT a), count(*)` is 0, and `collect` crashes. The other order is correct, and so are ungrouped results.
+- *A text before a number in ORDER BY* misplaces rows if there are more than about 5,000. Numbers before texts are
+  correct.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _ORDER = re.compile(
     r"|(?:WHERE|OPTIONAL|MATCH|UNWIND|(?<!STARTS )(?<!ENDS )WITH|RETURN|UNION)\b)|$)",
     re.IGNORECASE | re.DOTALL,
 )
-_WAY = re.compile(r"(?<![\w.$])(?:ASC|DESC)(?:ENDING)?(?=\s*(?:,|$))", re.IGNORECASE)
+_DIRECTION = re.compile(r"(?<![\w.$])(?:ASC|DESC)(?:ENDING)?(?=\s*(?:,|$))", re.IGNORECASE)
 _KINDS = re.compile(r"Actual:\s*\((.*?),[^,]*\)\s*Expected", re.DOTALL)
 _PROJECTION = re.compile(r"(?<![\w.])(?:RETURN|(?<!STARTS )(?<!ENDS )WITH)\b", re.IGNORECASE)
 _AFTER_DISTINCT = re.compile(
@@ -42,20 +43,20 @@ _AFTER_DISTINCT = re.compile(
 
 
 class QueryPlan:
-    """The engine's plan of one statement."""
+    """Plan of a statement, made by the engine."""
 
     def __init__(self, text: str) -> None:
-        # A plan is drawn as a tree of boxes: of a long statement's, megabytes are blanks and lines.
+        # A plan is drawn as a tree of boxes. For a long statement, megabytes of it are blanks and lines.
         self.text = " ".join(text.replace("─", "").split())
         self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(self.text))
-        # Table functions but the one behind RETURN without MATCH and UNWIND of a list, which reads nothing.
+        # Exclude the table function of UNWIND and of RETURN without MATCH, because it reads no data.
         self.functions = set(re.findall(r"Function: (\w+)", self.text)) - {"READ_FTABLE"}
-        # Until it is checked with its statement.
+        # True after `refuse_wrong_answers` has accepted the statement.
         self.sound = False
 
     @property
     def writes(self) -> bool:
-        """Whether the statement changes nodes, edges or tables, or moves data in or out."""
+        """Whether the statement changes nodes, edges or tables, or imports or exports data."""
         return any(
             name in ("SET_PROPERTY", "DELETE", "INSERT", "MERGE", "CREATE_TABLE", "DROP", "ALTER")
             or name.startswith(("COPY", "INDEX_", "EXPORT", "IMPORT", "BATCH_INSERT"))
@@ -64,28 +65,33 @@ class QueryPlan:
 
     @property
     def ordered(self) -> bool:
-        """Whether the rows come in a stated order, or there is only one."""
+        """Whether the statement orders its rows, or returns a single row."""
         for name in self.operators:
             if name in _KEEP_ORDER:
                 continue
             if name == "AGGREGATE_SCAN":
                 box = self.text.split("AGGREGATE_SCAN[", 1)[1].split("└", 1)[0]
                 return "Group By:" not in box
-            # Ladybug reads the number of edges off the table.
+            # COUNT_REL_TABLE is an operator of ladybug, which reads the number of edges from the table.
             return name in ("ORDER_BY_SCAN", "TOP_K_SCAN", "COUNT_REL_TABLE")
         return False
 
     @property
     def groups(self) -> bool:
-        """Whether rows are grouped anywhere in it."""
+        """Whether any part of the statement groups rows."""
         return "Group By:" in self.text
 
 
 def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], str]) -> None:
-    """Raise QueryError, with the form to write instead, for a statement that the engine is known to answer wrongly.
+    """Check a statement once for faults of the engine.
 
-    `plan` is the engine's plan of the statement `text`; one that was found sound is not checked again. complaint: what
-    the engine says against a statement.
+    Args:
+        plan: Plan of the statement; its `sound` is set if the statement passes.
+        text: Statement.
+        complaint: Function that returns the engine's error message for a statement.
+
+    Raises:
+        QueryError: The engine is known to answer the statement wrongly; the message gives the form to write instead.
     """
     if plan.sound:
         return
@@ -102,7 +108,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
     if plan.groups and any(_AFTER_DISTINCT.search(part) for part in _projections(bare)):
         raise QueryError("the engine loses rows of what is counted after a count(DISTINCT ...): put the DISTINCT last")
     for probe in _order_probes(text):
-        kinds = [kind.strip() for found in _KINDS.findall(complaint(probe)) for kind in found.split(",")]
+        kinds = [kind.strip() for types in _KINDS.findall(complaint(probe)) for kind in types.split(",")]
         if not kinds:
             raise QueryError("the types of the keys of ORDER BY are not clear: order by columns that are returned")
         if "STRING" in kinds and any(kind != "STRING" for kind in kinds[kinds.index("STRING") :]):
@@ -111,38 +117,40 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
 
 
 def _conditions(text: str) -> Iterator[str]:
-    """The conditions of each searched CASE, without parentheses; names in backticks are gone already."""
+    """Yield the conditions of each searched CASE, without parentheses, from a text without quoted names."""
     searched: list[bool] = []
     begun: list[int] = []
-    for found in _CASE.finditer(text):
-        word = found[1].upper()
+    for match in _CASE.finditer(text):
+        word = match[1].upper()
         if word == "CASE":
-            searched.append(bool(re.match(r" ?WHEN\b", text[found.end() :], re.IGNORECASE)))
-            begun.append(found.end())
+            searched.append(bool(re.match(r" ?WHEN\b", text[match.end() :], re.IGNORECASE)))
+            begun.append(match.end())
         elif not searched:
             continue
         elif word == "WHEN":
-            begun[-1] = found.end()
+            begun[-1] = match.end()
         elif word == "THEN" and searched[-1]:
-            yield " ".join(re.sub("[()]", " ", text[begun[-1] : found.start()]).split())
+            yield " ".join(re.sub("[()]", " ", text[begun[-1] : match.start()]).split())
         elif word == "END":
             searched.pop()
             begun.pop()
 
 
 def _order_probes(text: str) -> Iterator[str]:
-    """The statement once per ORDER BY of several keys, with a function of them that no one has: the engine's complaint
-    names their types."""
+    """Yield the statement once per ORDER BY of several keys, with a call of an undefined overload on these keys.
+
+    The engine's error message names the types of the keys.
+    """
     for order in _ORDER.finditer(strip_literals(text)):
         if "," in order[1]:
-            keys = _WAY.sub("", text[order.start(1) : order.end(1)])
+            keys = _DIRECTION.sub("", text[order.start(1) : order.end(1)])
             yield f"{text[: order.start(1)]} lower({keys}, '') {text[order.end(1) :]}"
 
 
 def _projections(text: str) -> list[str]:
-    """What follows each RETURN and WITH, without subqueries, whose aggregates are their own."""
+    """Return the text after each RETURN and WITH, without subqueries, because their aggregates are separate."""
     before = ""
     while before != text:
         before = text
-        text = _SUBQUERY.sub(lambda found: " " if found[1] else f"[{found[2]}]", text)
+        text = _SUBQUERY.sub(lambda match: " " if match[1] else f"[{match[2]}]", text)
     return _PROJECTION.split(text)[1:]

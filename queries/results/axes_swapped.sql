@@ -1,5 +1,5 @@
--- Boxes right as they were read, and if their axes were swapped: a diagnosis of the model's box convention, no score.
--- Of the boxes that stand as evidence and were read in a picture of known place; IoU of at least 0.5, over the seam.
+-- Evidence boxes that are right as they were read, and with swapped axes: a diagnosis of the box convention, no score.
+-- Only boxes that were read in a picture of known position count. Right is an IoU of at least 0.5, also over the seam.
 WITH solved AS (
     SELECT run_id, question_id, step, CASE WHEN json_valid(request) THEN request::JSON END AS shown,
            CASE WHEN json_valid(response) THEN response::JSON END AS told
@@ -22,11 +22,16 @@ WITH solved AS (
     SELECT run_id, question_id, frame, TRUE,
            start + box[2] / height * width, box[1] / width * height, box[4] / height * width, box[3] / width * height
     FROM placed
+), target AS (
+    SELECT question_id, e.frame, e.x, e.y, e.w, e.h
+    FROM questions q
+    JOIN answers a USING (question_id)
+    JOIN evidence e ON e.sequence = q.sequence AND e.track = a.target_track
 ), shifted AS (
     SELECT r.*, e.y AS ey, e.w AS ew, e.h AS eh,
            e.x + 3760 * round((r.x + r.w / 2 - e.x - e.w / 2) / 3760) AS ex
     FROM readings r
-    LEFT JOIN evidence e USING (question_id, frame)
+    LEFT JOIN target e USING (question_id, frame)
 ), overlapping AS (
     SELECT *, greatest(least(x + w, ex + ew) - greatest(x, ex), 0)
               * greatest(least(y + h, ey + eh) - greatest(y, ey), 0) AS both_px

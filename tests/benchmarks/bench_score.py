@@ -16,8 +16,8 @@ from pathlib import Path
 
 import many_runs
 
-from jrdb_avr.engine.report.answer_key import AnswerKey
-from jrdb_avr.engine.report.run_scores import score_runs, submission
+from jrdb_avr.engine.report.run_scores import read_submission, score_runs
+from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
 
@@ -53,8 +53,7 @@ def main() -> None:
             peaks[fold] = [peak(stage, "--store", store) for stage in ("score", "report")]
         store = write(f"{folder}/many", many_runs.RUN_COUNT)
         start, started = time.perf_counter(), time.process_time()
-        key = AnswerKey(store)
-        runs = score_runs(key, run_ids(store), lambda name: submission(store, name), 0.5, refuse)
+        runs = score_runs(read_truth(store), run_ids(store), lambda name: read_submission(store, name), 0.5, refuse)
         took, busy = time.perf_counter() - start, time.process_time() - started
     assert len(runs) == many_runs.RUN_COUNT
     count = many_runs.QUESTION_COUNT

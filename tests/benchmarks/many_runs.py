@@ -9,11 +9,10 @@ import json
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from jrdb_avr.queries.questions import in_order
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
-from jrdb_avr.queries.store import Store, write_table
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.panorama import crop_left
 from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
 from jrdb_avr.schema.templates import FAMILIES
@@ -71,13 +70,15 @@ def made_up_questions(rng):
     answers = {
         "question_id": ids,
         "answer": [answer(mode, rng) for mode in modes],
+        "target_track": np.arange(QUESTION_COUNT) // SEQUENCES,
         "distractors": ['["time.shift +3 s","action without e1",null,"swapped"]'] * QUESTION_COUNT,
         "hops": rng.integers(0, 4, QUESTION_COUNT),
         "time_gap_s": rng.uniform(0, 50, QUESTION_COUNT),
         "separation_deg": rng.uniform(0, 180, QUESTION_COUNT),
     }
     evidence = {
-        "question_id": np.repeat(ids, EVIDENCE_FRAMES),
+        "sequence": np.repeat(questions["sequence"], EVIDENCE_FRAMES),
+        "track": np.repeat(answers["target_track"], EVIDENCE_FRAMES),
         "frame": np.tile(np.arange(EVIDENCE_FRAMES), QUESTION_COUNT),
         **{key: rng.uniform(10, 400, boxes) for key in "xywh"},
     }
@@ -147,14 +148,8 @@ def write_runs(path, runs=RUN_COUNT):
     """A store with the questions, everybody's boxes and the runs."""
     rng, store = np.random.default_rng(1), Store(path)
     tables = made_up_questions(rng)
-    evidence = tables.pop("evidence")
     for name, table in tables.items():
         store.write_questions(name, table, {})
-    owner = evidence["question_id"].combine_chunks()
-    for sequence in tables["sequences"]["sequence"].to_pylist():
-        own = tables["questions"].filter(pc.field("sequence") == sequence)["question_id"].combine_chunks()
-        own = evidence.filter(pc.is_in(owner, value_set=own))
-        write_table(store.evidence_path(sequence), own, QUESTIONS["evidence"])
     for sequence in tables["sequences"]["sequence"].to_pylist():
         store.write_interval("sightings", sequence, made_up_sightings(sequence, rng))
     questions = in_order(tables["questions"])

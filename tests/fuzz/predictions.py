@@ -17,10 +17,10 @@ import msgspec
 from mutate import mutate
 from sample_store import sample_store
 
-from jrdb_avr.engine.report.answer_key import AnswerKey
 from jrdb_avr.engine.report.bundle import bundle_submission, read_bundle, write_bundle
 from jrdb_avr.engine.report.prediction_lines import parse_lines, write_lines
-from jrdb_avr.engine.report.run_scores import score_runs, scores_table
+from jrdb_avr.engine.report.run_scores import make_scores_table, score_runs
+from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.engine.run.imported import import_predictions
 from jrdb_avr.schema.errors import AvrError, InputError
 
@@ -35,7 +35,7 @@ def _clean(folder):
         write_bundle(store, "r", bundle)
     return (
         store,
-        AnswerKey(store),
+        read_truth(store),
         (bundle / "predictions.jsonl").read_bytes().splitlines(),
         (bundle / "run.json").read_bytes(),
     )
@@ -62,7 +62,7 @@ def prepare(folder):
 def run_case(seed, number, folder, save):
     """Some files of predictions and bundles; how many lines they had."""
     rng = Random(f"{seed} predictions {number}")
-    store, key, lines, manifest = _clean(str(folder))
+    store, truth, lines, manifest = _clean(str(folder))
     count = 0
     for n in range(PER_CASE):
         rows = [
@@ -78,7 +78,7 @@ def run_case(seed, number, folder, save):
             if n % 2:
                 _import(store, folder, data)
             else:
-                _score(store, key, folder, data, run)
+                _score(store, truth, folder, data, run)
         except AvrError as error:
             assert str(error) and "\n" not in str(error), error
         except Exception:
@@ -106,7 +106,7 @@ def _refuse(error):
     raise error
 
 
-def _score(store, key, folder, data, run):
+def _score(store, truth, folder, data, run):
     place = Path(folder) / "own"
     place.mkdir(exist_ok=True)
     sums = "".join(
@@ -115,8 +115,8 @@ def _score(store, key, folder, data, run):
     )
     for name, text in (("run.json", run), ("predictions.jsonl", data), ("SHA256SUMS", sums.encode())):
         (place / name).write_bytes(text)
-    ((_, scored),) = score_runs(key, [place], lambda own: bundle_submission(store, key, read_bundle(own)), 0.5, _refuse)
-    scores = scores_table(scored)
+    ((_, scored),) = score_runs(truth, [place], lambda own: bundle_submission(store, read_bundle(own)), 0.5, _refuse)
+    scores = make_scores_table(scored)
     for row in scores.select(["answer_score", "evidence_score", "combined_score"]).to_pylist():
         assert set(row.values()) <= {0, 1}, row
         assert row["combined_score"] == min(row["answer_score"], row["evidence_score"]), row

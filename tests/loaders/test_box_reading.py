@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 from known_runs import table
 
-from jrdb_avr.queries.store import Store, write_table
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 RING = 3760
@@ -31,7 +31,7 @@ def world(tmp_path_factory):
     evidence, predictions, steps, expected = [], [], [], Counter()
     for i in range(60):
         gold = (generator.uniform(-50, RING), generator.uniform(0, 150), generator.uniform(30, 90), 200.0)
-        evidence.append({"question_id": f"q{i}", "frame": 7, **dict(zip("xywh", gold, strict=True))})
+        evidence.append({"sequence": "s", "track": i, "frame": 7, **dict(zip("xywh", gold, strict=True))})
         for run_id in ("a", "b"):
             width = generator.choice([480, RING])
             left = 0 if width == RING else (gold[0] - generator.uniform(0, 380)) % RING // 1
@@ -63,7 +63,10 @@ def world(tmp_path_factory):
             expected[run_id, "boxes"] += 1
             expected[run_id, "read"] += frame == 7 and overlap(stitched, gold) >= 0.5
             expected[run_id, "swapped"] += frame == 7 and overlap(swapped, gold) >= 0.5
-    write_table(store.evidence_path("s"), table(evidence, QUESTIONS["evidence"]), QUESTIONS["evidence"])
+    asked = [{"question_id": f"q{i}", "sequence": "s", "target_track": i} for i in range(60)]
+    for name, rows in (("questions", asked), ("answers", asked), ("evidence", evidence)):
+        known = [{key: value for key, value in row.items() if key in QUESTIONS[name].names} for row in rows]
+        store.write_questions(name, table(known, QUESTIONS[name]), {})
     for run_id in ("a", "b"):
         for name, rows in (("predictions", predictions), ("steps", steps)):
             own = [row for row in rows if row["run_id"] == run_id]

@@ -128,7 +128,7 @@ def test_rebuild_under_other_rules_and_back(tmp_path, world, loaded_world):
     with without_graph():
         loading.rebuild(store, LoadRules(gap_frames=0), 1)
     assert store.manifest().load_rules == LoadRules(gap_frames=0)
-    assert not any(any(store.interval("actions", name)["gap"].to_pylist()) for name in world)
+    assert not any(any(store.interval("possible_actions", name)["gap"].to_pylist()) for name in world)
     loading.rebuild(store, LoadRules(), 1)
     assert files(store) == before
 

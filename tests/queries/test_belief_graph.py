@@ -200,7 +200,7 @@ def test_tables_that_cannot_all_be_made_are_not_made(scene, monkeypatch):
 def test_a_file_that_is_no_graph_is_refused(tmp_path):
     path = tmp_path / "world.kuzu"
     path.write_text("no graph")
-    with pytest.raises(StoreError, match="give another file, or take this one away"):
+    with pytest.raises(StoreError, match="give another file, or remove this one"):
         WorldGraph.open(path)
     assert path.read_text() == "no graph"
 

@@ -9,7 +9,7 @@ import pytest
 from known_runs import Benchmark, table
 
 from jrdb_avr.engine.report.comparison import report
-from jrdb_avr.engine.report.scoring import Truth
+from jrdb_avr.engine.report.truth import Truth
 from jrdb_avr.queries.runs import questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import INTERVALS, RUNS
@@ -64,11 +64,13 @@ def test_causes_are_those_of_pixels(tmp_path):
         for frame, box in boxes.items():
             people[SEQUENCES[number % 2]][frame].append(box)
     rows = [
-        {"question_id": name, "frame": frame, **dict(zip("xywh", box, strict=True))}
-        for name, boxes in targets.items()
+        {"sequence": SEQUENCES[number % 2], "track": number, "frame": frame, **dict(zip("xywh", box, strict=True))}
+        for number, boxes in enumerate(targets.values())
         for frame, box in boxes.items()
     ]
     benchmark.tables["evidence"] = table(rows, benchmark.tables["evidence"].schema)
+    answers = [row | {"target_track": n} for n, row in enumerate(benchmark.tables["answers"].to_pylist())]
+    benchmark.tables["answers"] = table(answers, benchmark.tables["answers"].schema)
     benchmark.truth = Truth(*benchmark.tables.values())
     benchmark.write(store)
     for sequence, frames in people.items():

@@ -4,7 +4,6 @@ import json
 
 import pyarrow as pa
 from asked_world import POSES, QUESTIONS_ASKED
-from evidence_files import write_evidence
 
 from jrdb_avr.schema.answers import Choice, Evidence
 from jrdb_avr.schema.method import Prediction
@@ -25,7 +24,7 @@ def box_at(frame):
 
 def write_answers(store):
     """Answers under which every second question's mark is right, and evidence where the person stands."""
-    answers, evidence = [], []
+    answers, evidence = [], {}
     for i, q in enumerate(QUESTIONS_ASKED):
         frame = asked_frame(q)
         answer = json.dumps({"choice": shown_at(frame) if i % 2 else shown_at(frame) % 4 + 1})
@@ -33,11 +32,11 @@ def write_answers(store):
         numbers = {"target_track": 1, "hops": 1, "time_gap_s": 1.0, "separation_deg": 1.0, "people_in_scene": 2}
         answers.append({"question_id": q.question_id, "answer": answer, **texts, **numbers})
         box = dict(zip("xywh", box_at(frame), strict=True))
-        evidence.append({"question_id": q.question_id, "frame": frame, **box})
+        evidence[q.sequence, frame] = {"sequence": q.sequence, "track": 1, "frame": frame, **box}
     store.write_questions("answers", pa.Table.from_pylist(answers, QUESTIONS["answers"]), {})
     rows = store.questions("questions").filter(pa.compute.field("sequence") != "unseen")
     store.write_questions("questions", rows, {})
-    write_evidence(store, pa.Table.from_pylist(evidence, QUESTIONS["evidence"]))
+    store.write_questions("evidence", pa.Table.from_pylist([*evidence.values()], QUESTIONS["evidence"]), {})
 
 
 class Reader:

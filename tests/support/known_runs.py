@@ -2,10 +2,10 @@
 
 import numpy as np
 import pyarrow as pa
-from evidence_files import write_evidence
 
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun
-from jrdb_avr.engine.report.scoring import Truth, is_judged, row_numbers, score_predictions
+from jrdb_avr.engine.report.scoring import is_judged, score_predictions
+from jrdb_avr.engine.report.truth import Truth, row_numbers
 from jrdb_avr.queries.questions import in_order
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import Choice, encode_answer
@@ -47,12 +47,17 @@ class Benchmark:
         )
         sequences = [{"sequence": s, "fps": 15.0, "frame_count": 100} for s in sorted({s for _, s, _ in asked})]
         answers = [
-            {"question_id": q, "answer": '{"choice":1}', "distractors": '[null,"time.shift +3 s","x without y",null]'}
+            {
+                "question_id": q,
+                "answer": '{"choice":1}',
+                "target_track": 1,
+                "distractors": '[null,"time.shift +3 s","x without y",null]',
+            }
             for q in self.ids
         ]
         evidence = [
-            {"question_id": q, "frame": frame, **dict(zip("xywh", BOX, strict=True))}
-            for q in self.ids
+            {"sequence": row["sequence"], "track": 1, "frame": frame, **dict(zip("xywh", BOX, strict=True))}
+            for row in sequences
             for frame in (7, 8)
         ]
         self.tables = {
@@ -66,9 +71,8 @@ class Benchmark:
 
     def write(self, store):
         """Write the tables into a store."""
-        for name in ("questions", "sequences", "answers"):
-            store.write_questions(name, self.tables[name], {})
-        write_evidence(store, self.tables["evidence"])
+        for name, rows in self.tables.items():
+            store.write_questions(name, rows, {})
 
     def ordered(self, rows):
         """A table of a run in the order in which stores hold it."""
@@ -106,5 +110,6 @@ def scored_run(index, manifest, predictions, scores):
     digits = np.stack([scores[f"{name}_score"].to_numpy() for name in SCORES], axis=1)
     invalid = scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int8)
     errors = len(rows) - int(np.count_nonzero(is_judged(predictions["status"])))
-    answers = predictions.select(["question_id", "answer"])
-    return ScoredRun(manifest, rows, digits, invalid, errors, index.ids, lambda: answers)
+    given = {row["question_id"]: row["answer"] for row in predictions.to_pylist()}
+    answers = [given.get(name) for name in scores["question_id"].to_pylist()]
+    return ScoredRun(manifest, rows, digits, invalid, errors, index.ids, answers)

@@ -5,29 +5,26 @@ import pyarrow.parquet as pq
 
 
 def rewrite(store, name, change, schema=None):
-    """Apply `change` to the rows of a table, of evidence to those of one file; its metadata stay."""
-    _rewrite(_files(store, name)[0], change, schema)
-
-
-def keep_only(store, name, ids):
-    """Keep the rows of these questions; of evidence no file stays without rows."""
-
-    def change(rows):
-        rows[:] = [row for row in rows if row["question_id"] in ids]
-
-    for path in _files(store, name):
-        if not _rewrite(path, change) and name == "evidence":
-            path.unlink()
-
-
-def _files(store, name):
+    """Apply `change` to the rows of a table; its metadata stay."""
     path = store.question_path(name)
-    return sorted(path.iterdir()) if path.is_dir() else [path]
-
-
-def _rewrite(path, change, schema=None):
     table = pq.read_table(path)
     rows = table.to_pylist()
     change(rows)
     pq.write_table(pa.Table.from_pylist(rows, schema=schema or table.schema), path)
-    return rows
+
+
+def keep_only(store, ids):
+    """Keep these questions, and the evidence of their targets."""
+
+    def keep(rows):
+        rows[:] = [row for row in rows if row["question_id"] in ids]
+
+    for name in ("questions", "answers"):
+        rewrite(store, name, keep)
+    sequences = {row["question_id"]: row["sequence"] for row in store.questions("questions").to_pylist()}
+    targets = {(sequences[row["question_id"]], row["target_track"]) for row in store.questions("answers").to_pylist()}
+
+    def drop_others(rows):
+        rows[:] = [row for row in rows if (row["sequence"], row["track"]) in targets]
+
+    rewrite(store, "evidence", drop_others)

@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from entry import run
-from evidence_files import write_evidence
 from worlds import person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group
@@ -129,8 +128,8 @@ def write_questions(place):
     blank = {field.name: "" if field.type == pa.string() else 0 for field in schema}
     answers = [blank | {"question_id": q, "answer": '{"choice":1}'} for q in ids]
     place.write_questions("answers", pa.Table.from_pylist(answers, schema=schema), {})
-    evidence = [{"question_id": q, "frame": 15, **BOX} for q in ids]
-    write_evidence(place, pa.Table.from_pylist(evidence, schema=QUESTIONS["evidence"]))
+    evidence = [{"sequence": "s", "track": 0, "frame": 15, **BOX}]
+    place.write_questions("evidence", pa.Table.from_pylist(evidence, schema=QUESTIONS["evidence"]), {})
 
 
 def write_run(place, name, answer, synthetic, questions=None):

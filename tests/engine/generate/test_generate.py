@@ -115,7 +115,7 @@ def test_tables_keep_their_contracts(made):
     marks = set()
     for name, path in question_files(store).items():
         schema = pq.read_schema(path)
-        assert schema.remove_metadata() == QUESTIONS[name.removesuffix(".parquet").partition("/")[0]]
+        assert schema.remove_metadata() == QUESTIONS[name.removesuffix(".parquet")]
         assert schema.metadata[b"canary"].decode() == CANARY
         marks.add(schema.metadata[GENERATION_KEY.encode()])
     assert len(marks) == 1
@@ -180,6 +180,9 @@ def test_evidence_is_every_box_of_the_target(made, rows):
         if (sequence, track) == (row["sequence"], row["target_track"])
     )
     assert [tuple(row.values()) for row in all_evidence(store).to_pylist()] == expected
+    targets = {(row["sequence"], row["target_track"]) for row in rows}
+    stored = [(row["sequence"], row["track"], row["frame"]) for row in store.questions("evidence").to_pylist()]
+    assert stored == sorted(key for key in boxes if key[:2] in targets)
 
 
 def test_proofs_are_complete_and_hold(rows):

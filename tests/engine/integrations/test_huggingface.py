@@ -8,7 +8,6 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from entry import run
-from evidence_files import all_evidence
 
 from jrdb_avr.engine.integrations.huggingface import export_folders
 from jrdb_avr.engine.run.opaque import key_path
@@ -67,8 +66,7 @@ def test_both_folders_load_by_their_configs(store, folders, datasets, tmp_path):
     )
     for name in ("answers", "evidence"):
         found = datasets.load_dataset(str(private), name, split="test", cache_dir=str(tmp_path))
-        own = all_evidence(store) if name == "evidence" else store.questions(name)
-        assert sorted(found.data.table.to_pylist(), key=str) == sorted(own.to_pylist(), key=str)
+        assert sorted(found.data.table.to_pylist(), key=str) == sorted(store.questions(name).to_pylist(), key=str)
 
 
 def by_key(rows):
@@ -118,7 +116,7 @@ def test_nothing_private_is_in_the_public_folder(store, folders):
         assert file.schema_arrow.names == QUESTIONS[name].names
         assert set(file.schema_arrow.metadata) <= {b"canary", b"generation", b"ARROW:schema"}
         shown += json.dumps(file.read().to_pylist(), ensure_ascii=False).encode()
-    answers, evidence = store.questions("answers"), all_evidence(store)
+    answers, evidence = store.questions("answers"), store.questions("evidence")
     hidden = set(store.questions("sequences")["sequence"].to_pylist())
     for column in ("plan", "proofs", "needed", "bindings", "rules"):
         hidden |= set(answers[column].to_pylist())

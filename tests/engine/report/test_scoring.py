@@ -3,7 +3,6 @@
 import inspect
 import json
 import math
-import shutil
 import sys
 import types
 from pathlib import Path
@@ -22,11 +21,11 @@ from known_runs import Benchmark, scored_run
 from pycocotools import mask as coco
 
 from jrdb_avr.engine.report import scoring
-from jrdb_avr.engine.report.answer_key import AnswerKey
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.scored_runs import QuestionIndex
-from jrdb_avr.engine.report.scoring import Truth, box_ious, score_predictions
+from jrdb_avr.engine.report.scoring import box_ious, score_predictions
 from jrdb_avr.engine.report.tables import score_row
+from jrdb_avr.engine.report.truth import Truth, read_truth
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema import answers
@@ -36,6 +35,7 @@ from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 WIDTH = 3760
+ANSWER_COLUMNS = ("question_id", "answer", "target_track")
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
 
 
@@ -53,17 +53,20 @@ def truth_of(rows, fps=15.0, make=Truth):
         }
         for name, mode, _, _ in rows
     ]
-    answers = [{"question_id": name, "answer": json.dumps(answer)} for name, _, answer, _ in rows]
+    answers = [
+        {"question_id": name, "answer": json.dumps(answer), "target_track": track}
+        for track, (name, _, answer, _) in enumerate(rows)
+    ]
     evidence = [
-        {"question_id": name, "frame": frame, "x": box[0], "y": box[1], "w": box[2], "h": box[3]}
-        for name, _, _, boxes in rows
+        {"sequence": "s", "track": track, "frame": frame, **dict(zip("xywh", box, strict=True))}
+        for track, (_, _, _, boxes) in enumerate(rows)
         for frame, box in boxes.items()
     ]
     sequences = [{"sequence": "s", "fps": fps, "frame_count": 1000, "frames": [0]}]
     return make(
         pa.Table.from_pylist(questions, schema=QUESTIONS["questions"]),
         pa.Table.from_pylist(sequences, schema=QUESTIONS["sequences"]),
-        pa.Table.from_pylist(answers, schema=pa.schema([("question_id", pa.string()), ("answer", pa.string())])),
+        pa.Table.from_pylist(answers, schema=pa.schema(map(QUESTIONS["answers"].field, ANSWER_COLUMNS))),
         pa.Table.from_pylist(evidence, schema=QUESTIONS["evidence"]),
     )
 
@@ -530,7 +533,7 @@ MUTANTS = [
     ("for shift in (turn - WIDTH, turn, turn + WIDTH)", "for shift in (0.0 * turn,)"),
     ("np.minimum(ax + aw, bx + shift + bw)", "np.minimum(aw, bx + shift + bw)"),
     ("aw * ah + bw * bh - overlap", "aw * ah + bw * bh"),
-    ("truth.keys[at] == key", "truth.keys[at] >= key"),
+    ("truth.keys[index] == key", "truth.keys[index] >= key"),
     ("(answer_score & evidence_score)", "(answer_score | evidence_score)"),
     ("(answer_score & evidence_score)", "answer_score"),
     ('["answered", "invalid"]', '["answered"]'),
@@ -539,8 +542,8 @@ MUTANTS = [
     ("judged & boxed & present & ", "judged & boxed & "),
     ("text is not None and answer is None", "answer is None"),
     ("text is not None and answer is None", "text is None"),
-    (" & ~boxed))", " & boxed))"),
-    ("truth.answers[i], truth.seconds[i])", "truth.answers[i])"),
+    (" & ~boxed", " & boxed"),
+    ("truth.answers[row], truth.seconds[row])", "truth.answers[row])"),
     ("(frame >= 0)", "(frame > 0)"),
     ("(aw > 0) & (ah > 0)", "(aw > 1) & (ah > 1)"),
     ("DEFAULT_IOU: Final = 0.5", "DEFAULT_IOU: Final = 0.4"),
@@ -657,44 +660,38 @@ def test_predictions_of_another_form_are_one_line(one_question):
     for name, column in (("evidence_x", ["left"]), ("status", [None]), ("evidence_frame", ["many"])):
         table = good.set_column(good.schema.get_field_index(name), name, pa.array(column, pa.string()))
         pq.write_table(table, path)
-        with pytest.raises(StoreError, match="of another form"):
+        with pytest.raises(StoreError, match="has other column types"):
             report(one_question, ["r"])
     pq.write_table(good.drop_columns(["status"]), path)
-    with pytest.raises(StoreError, match="lacks the columns status: evaluate again"):
+    with pytest.raises(StoreError, match="lacks the column status"):
         report(one_question, ["r"])
     path.write_bytes(b"PAR1 nothing")
     with pytest.raises(StoreError, match=r"cannot read .*predictions\.parquet"):
         report(one_question, ["r"])
 
 
-def files_of(store):
-    return {name: store.question_path(name) for name in ("questions", "sequences", "answers")} | {
-        "evidence": store.evidence_path("s")
-    }
-
-
 @pytest.mark.parametrize("name", ["questions", "sequences", "answers", "evidence"])
 def test_tables_of_different_generations_are_not_scored(one_question, name):
-    assert len(AnswerKey(one_question).truth().ids) == 1
-    path = files_of(one_question)[name]
+    assert len(read_truth(one_question).ids) == 1
+    path = one_question.question_path(name)
     pq.write_table(pq.read_table(path).replace_schema_metadata({"generation": "second"}), path)
     with pytest.raises(StoreError, match="of different generations: run 'jrdb-avr generate"):
-        AnswerKey(one_question).truth()
+        read_truth(one_question)
 
 
 @pytest.mark.parametrize("name", ["questions", "sequences", "answers", "evidence"])
 def test_questions_of_another_form_are_one_line(one_question, name):
-    path = files_of(one_question)[name]
+    path = one_question.question_path(name)
     row = pa.table({field.name: pa.nulls(1, field.type) for field in QUESTIONS[name]})
     pq.write_table(pa.table({"question_id": ["q"]}), path)
     with pytest.raises(StoreError, match="lacks the column"):
-        AnswerKey(one_question).truth()
+        read_truth(one_question)
     pq.write_table(row, path)
-    with pytest.raises(StoreError, match="of another form"):
-        AnswerKey(one_question).truth()
+    with pytest.raises(StoreError, match="has other column types"):
+        read_truth(one_question)
     path.unlink()
     with pytest.raises(StoreError, match=r"run .jrdb-avr (generate|load)"):
-        AnswerKey(one_question).truth()
+        read_truth(one_question)
 
 
 def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
@@ -703,7 +700,7 @@ def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
     from jrdb_avr.engine.validate.statistics import statistics
 
     store = Store(tmp_path)
-    for table in ("questions", "sequences", "answers", "rejected"):
+    for table in ("questions", "sequences", "answers", "evidence", "rejected"):
         generation = "second" if table == "answers" else "first"
         store.write_questions(table, QUESTIONS[table].empty_table(), {"generation": generation})
     write_run_manifest(store, RunManifest("r", "m", "x", questions_hash(store), (), True, {}, "now"))
@@ -714,50 +711,34 @@ def test_answers_of_another_generation_are_refused_by_every_reader(tmp_path):
             read()
 
 
-# -- streams ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def three_sequences(tmp_path):
-    """Six questions about three sequences, not in the order of their ids, and a run that answers all but the last."""
+def test_predictions_may_be_in_any_order_and_may_be_missing(tmp_path):
+    """Six questions about three sequences, not in the order of their ids; the last has no prediction."""
     store, benchmark = Store(tmp_path), Benchmark([(f"q{n}", f"s{n % 3}", "long_range") for n in range(6)])
     benchmark.write(store)
     run = benchmark.run([(1 + n % 2, known_runs.BOX, 7) for n in range(6)])
     write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))
-    table = benchmark.written["predictions"]
-    store.write_run("r", "predictions", table.filter(pc.field("question_id") != "q5"))
-    return store, benchmark
-
-
-@pytest.mark.parametrize("most", [1, 5, 1000])
-def test_scores_do_not_depend_on_how_many_sequences_are_read_at_a_time(three_sequences, monkeypatch, most):
-    monkeypatch.setattr("jrdb_avr.engine.report.answer_key.MOST_BOXES", most)
-    monkeypatch.setattr("jrdb_avr.engine.report.run_scores._BATCH", 1 + most % 3)
-    found = report(three_sequences[0], ["r"])
-    right = {row["question_id"]: row["combined_score"] for row in found.scores.to_pylist()}
-    assert right == {"q0": 1, "q1": 0, "q2": 1, "q3": 0, "q4": 1, "q5": 0}
-    assert (found.runs[0].n, found.runs[0].errors) == (6, 1)
-
-
-def test_predictions_in_another_order_or_of_nobody_are_refused(three_sequences, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.report.answer_key.MOST_BOXES", 1)
-    store, _ = three_sequences
-    path = store.run_path("r") / "predictions.parquet"
-    table = pq.read_table(path)
-    store.write_run("r", "predictions", table.sort_by("question_id"))
-    with pytest.raises(StoreError, match="in another order: use a new run id"):
-        report(store, ["r"])
-    nobody = pa.array([*table["question_id"].to_pylist()[:-1], "nobody"])
-    store.write_run("r", "predictions", table.set_column(1, table.schema.field(1), nobody))
-    with pytest.raises(StoreError, match="predicts 'nobody', which is not one of its questions"):
+    predictions = benchmark.written["predictions"].filter(pc.field("question_id") != "q5")
+    for order in ("ascending", "descending"):
+        store.write_run("r", "predictions", predictions.sort_by([("question_id", order)]))
+        found = report(store, ["r"])
+        right = {row["question_id"]: row["combined_score"] for row in found.scores.to_pylist()}
+        assert right == {"q0": 1, "q1": 0, "q2": 1, "q3": 0, "q4": 1, "q5": 0}
+        assert (found.runs[0].n, found.runs[0].errors) == (6, 1)
+    stray = pa.array([*predictions["question_id"].to_pylist()[:-1], "stray"])
+    store.write_run("r", "predictions", predictions.set_column(1, predictions.schema.field(1), stray))
+    with pytest.raises(StoreError, match="predicts 'stray', which is not one of its questions"):
         report(store, ["r"])
 
 
-def test_questions_of_an_older_version_are_one_line(three_sequences):
-    store, benchmark = three_sequences
-    shutil.rmtree(store.question_path("evidence"))
-    older = store.path / "questions" / "evidence.parquet"
-    pq.write_table(benchmark.tables["evidence"], older)
-    for read in (lambda: report(store, ["r"]), lambda: store.sql("SELECT count(*) FROM evidence")):
-        with pytest.raises(StoreError, match="run 'jrdb-avr generate"):
-            read()
+def test_sequence_and_track_identify_a_target():
+    """Two sequences have a track 1, at different positions."""
+    targets = [("q0", "s0", (0.0, 0.0, 50.0, 90.0)), ("q1", "s1", (900.0, 0.0, 50.0, 90.0))]
+    benchmark = Benchmark([(name, sequence, "long_range") for name, sequence, _ in targets])
+    boxes = [
+        {"sequence": sequence, "track": 1, "frame": 7, **dict(zip("xywh", box, strict=True))}
+        for _, sequence, box in targets
+    ]
+    benchmark.tables["evidence"] = known_runs.table(boxes, QUESTIONS["evidence"])
+    benchmark.truth = Truth(*benchmark.tables.values())
+    assert benchmark.run([(1, box, 7) for _, _, box in targets]).scores.tolist() == [[1, 1, 1]] * 2
+    assert benchmark.run([(1, box, 7) for _, _, box in reversed(targets)]).scores.tolist() == [[1, 0, 0]] * 2

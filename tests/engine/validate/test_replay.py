@@ -14,7 +14,7 @@ from spoiled_questions import keep_only, rewrite
 from jrdb_avr.engine.rederive import Annotations
 from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, check_replay, read_records
 from jrdb_avr.engine.validate.replay import differences
-from jrdb_avr.queries.graph.file import fingerprint_of, fingerprint_path
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
@@ -51,8 +51,7 @@ def few(sample_benchmark, tmp_path_factory):
     for row in rows:
         kept.setdefault(row["template"], []).append(row["question_id"])
     ids = {name for names in kept.values() for name in names[:3]}
-    for name in ("questions", "answers", "evidence"):
-        keep_only(store, name, ids)
+    keep_only(store, ids)
     return store
 
 
@@ -167,8 +166,7 @@ def test_every_record_that_is_tampered_with_is_named(few, tmp_path):
     store = copied(few, tmp_path)
     asked = store.questions("questions").to_pylist()
     most, _ = Counter(row["sequence"] for row in asked).most_common(1)[0]
-    for name in ("questions", "answers", "evidence"):
-        keep_only(store, name, {row["question_id"] for row in asked if row["sequence"] == most})
+    keep_only(store, {row["question_id"] for row in asked if row["sequence"] == most})
     free = {}
     for row in store.questions("questions").sort_by("question_id").to_pylist():
         free.setdefault(row["template"], []).append(row["question_id"])
@@ -204,7 +202,7 @@ def one(few, tmp_path):
     store = copied(few, tmp_path)
     [asked, *_] = [row for row in store.questions("questions").to_pylist() if row["template"] == "change"]
     name = asked["question_id"]
-    keep_only(store, "questions", {name})
+    keep_only(store, {name})
     [row] = [row for row in store.questions("answers").to_pylist() if row["question_id"] == name]
     plan = parse_plan(row["plan"])
     return store, name, asked["sequence"], row["target_track"], plan.times[plan.answer.at].frame
@@ -232,7 +230,8 @@ def test_a_fact_changed_in_the_keyframe_layer_is_noticed(one):
             {"sequence": sequence, "track": track, "frame": frame},
         )
     # As if it had been built so: else the file is taken for damaged.
-    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path)))
+    rows = check_fingerprint(store.graph_path).rows
+    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path, rows)))
     faults = run(store).faults
     assert any(fault.startswith(name) for fault in faults["replay"])
     assert "compiled" not in faults
@@ -258,7 +257,8 @@ def test_a_fact_changed_in_the_scene_is_noticed(one):
             {"sequence": sequence, "track": track, "frame": frame},
         )
     # As if it had been built so: else the file is taken for damaged.
-    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path)))
+    rows = check_fingerprint(store.graph_path).rows
+    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path, rows)))
     faults = run(store).faults
     assert any(fault.startswith(f"{name}: answer: ") and fault.endswith("now lying") for fault in faults["compiled"])
     assert "replay" not in faults
