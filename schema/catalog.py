@@ -1,4 +1,7 @@
-"""The tables of the graph and of the store by name, as rows and as Mermaid diagrams."""
+"""Tables of the graph and of the store by name, as rows, as Mermaid diagrams and as a reference page.
+
+`python -m jrdb_avr.schema.catalog > docs/tables.md` writes the reference page.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import pyarrow as pa
+
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import InputError, did_you_mean
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
-from jrdb_avr.schema.tables import column, views
+from jrdb_avr.schema.tables import ABOUT, column, views
 
 _NESTED: Final = re.compile(r",\s*(?![^()]*\))")
 """A comma between columns, not one inside a struct."""
@@ -132,3 +137,31 @@ def store_diagram(tables: Iterable[CatalogTable]) -> str:
         keys = [(key, target) for key, target in _KEYS.items() if key in table.columns and target in names]
         lines += [f"  {target} ||--o{{ {table.name} : {key}" for key, target in keys if target != table.name]
     return "\n".join([*lines, ""])
+
+
+def tables_page() -> str:
+    """Return the reference page of all tables, in Markdown."""
+    lines = [
+        "# Tables of a store",
+        "",
+        "Every table is a view in `jrdb-avr sql`; `SHOW TABLES` and `DESCRIBE intervals_actions` work there too. A",
+        "table that is not written yet is an empty view. Written by `python -m jrdb_avr.schema.catalog`.",
+        "",
+        "`sightings_keypoints` is `intervals_sightings` with one column more: `keypoints`, those of",
+        "`annotations_poses` at the same frame, or null.",
+        "",
+    ]
+    for name, schema, private in views():
+        secret = " Private: never opened by the process that talks to a model." if private else ""
+        lines += [f"## `{name}`", "", f"{ABOUT[name]}{secret}", "", "| column | type | meaning |", "|--|--|--|"]
+        lines += [f"| `{field.name}` | {_type(field)} | {column(name, field.name)[1]} |" for field in schema]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _type(field: pa.Field) -> str:
+    return f"{field.type}".replace(" not null", "").replace("item: ", "") + (" or null" if field.nullable else "")
+
+
+if __name__ == "__main__":
+    print(tables_page())

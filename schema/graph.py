@@ -46,11 +46,15 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "SeenIn": ("Person:Object", "Frame", _sighting_columns()),
     "Present": ("Person", "Sequence", ("sequence STRING", *_SPAN, "certain BOOLEAN")),
     "Absent": ("Person", "Sequence", ("sequence STRING", *_SPAN, "certain BOOLEAN")),
-    "Performs": ("Person", "Action", ("sequence STRING", *_SPAN, "difficulty INT64", "certain BOOLEAN", "gap BOOLEAN")),
-    "MemberOf": ("Person", "SocialGroup", ("sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
-    "Interacts": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
+    "Performs": ("Person", "Action", ("sequence STRING", *_SPAN, "difficulty INT64", "certain BOOLEAN")),
+    "MayPerform": ("Person", "Action", ("sequence STRING", *_SPAN, "gap BOOLEAN")),
+    "MemberOf": ("Person", "SocialGroup", ("sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "MayBelong": ("Person", "SocialGroup", ("sequence STRING", *_SPAN, "gap BOOLEAN")),
+    "Interacts": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "MayInteract": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "gap BOOLEAN")),
+    "Handles": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
+    "MayHandle": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "gap BOOLEAN")),
     "Beside": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
-    "Handles": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "certain BOOLEAN", "gap BOOLEAN")),
 }
 """Per relationship table: from (several tables with a colon between them), to, and its columns as name and type."""
 
@@ -66,7 +70,7 @@ KEYFRAME_NODES: Final[dict[str, str]] = {
     "Absence": "id INT64 PRIMARY KEY, sequence STRING, leaves INT64, returns INT64, present_from INT64, "
     "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN",
     "Encounter": "id INT64 PRIMARY KEY, sequence STRING, relation STRING, until INT64",
-    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING, digests STRING",
+    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING",
 }
 
 KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
@@ -92,7 +96,7 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
 }
 
-STORAGE_VERSION: Final = 8
+STORAGE_VERSION: Final = 9
 """Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
 
 

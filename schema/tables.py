@@ -3,8 +3,6 @@
 Annotation tables hold what the files state, one row per fact, with raw values. Interval tables hold what follows from
 them under `LoadRules`; all of them can be rebuilt. Frames are integer label keys; boxes are stitched pixels; 3D is in
 metres in the robot frame (x forward, y left, z up); intervals are inclusive on both ends.
-
-`python -m jrdb_avr.schema.tables > docs/tables.md` writes the reference page.
 """
 
 from __future__ import annotations
@@ -58,8 +56,8 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "last": (_I, "last frame, inclusive"),
     "first_s": (_F, "seconds of the first frame"),
     "last_s": (_F, "seconds of the last frame"),
-    "certain": (_B, "false: the fact is unknown, it could be so"),
-    "gap": (_B, "a closed gap between two intervals"),
+    "certain": (_B, "false: the fact is unknown"),
+    "gap": (_B, "true: a short gap between two labels; false: the words of another label may mean this"),
     "difficulty": (_CODE, "annotators' code: 1 easy, 2 medium, 3 hard, null unreadable"),
     "raw": (_S, "the label as written"),
     "cluster": (_LONG, "number of the group"),
@@ -323,23 +321,39 @@ _INTERVALS: Final = {
         "Frames in a row in which a person has no box, between two of them.",
         "sequence track first last first_s last_s certain",
     ),
-    # certain = false: hard or unreadable label, one of two poses, or (gap = true) a closed gap.
+    # certain = false: hard or unreadable label, or one of two poses.
     "actions": (
-        "Actions of people, from frame to frame.",
-        "sequence track action first last first_s last_s difficulty? certain gap",
+        "Written action labels of people, as intervals of frames.",
+        "sequence track action first last first_s last_s difficulty? certain",
+    ),
+    "possible_actions": (
+        "Actions that people may perform without a label of that action.",
+        "sequence track action first last first_s last_s gap",
     ),
     "memberships": (
-        "Groups of people, from frame to frame.",
-        "sequence track cluster first last first_s last_s certain gap",
+        "Written group labels of people, as intervals of frames.",
+        "sequence track cluster first last first_s last_s certain",
     ),
-    # Both directions of every fact. certain = false: hard or unreadable label, or (gap = true) a closed gap.
+    "possible_memberships": (
+        "Groups that people may belong to without a label.",
+        "sequence track cluster first last first_s last_s gap",
+    ),
+    # Both directions of every fact, as an interaction that one record states holds for both people.
     "interactions": (
-        "Interactions of two people, from frame to frame, in both directions.",
-        "sequence source target label first last first_s last_s certain gap",
+        "Written interaction labels of two people, as intervals of frames, in both directions.",
+        "sequence source target label first last first_s last_s certain",
+    ),
+    "possible_interactions": (
+        "Interactions that two people may have without a label of that interaction, in both directions.",
+        "sequence source target label first last first_s last_s gap",
     ),
     "handles": (
-        "What people do with things, from frame to frame.",
-        "sequence track object category_id verb first last first_s last_s certain gap",
+        "Written labels of what people do with things, as intervals of frames.",
+        "sequence track object category_id verb first last first_s last_s certain",
+    ),
+    "possible_handles": (
+        "What people may do with things without a label of that verb.",
+        "sequence track object category_id verb first last first_s last_s gap",
     ),
     # Things with a track, people left out. category null: unknown, or the panoptic layer does not hold the thing.
     "objects": (
@@ -366,6 +380,9 @@ _INTERVALS: Final = {
     ),
 }
 INTERVALS: Final = _schemas("intervals_", _INTERVALS)
+
+LABELED: Final = ("actions", "memberships", "interactions", "handles")
+"""Interval tables of written labels. Each has a table `possible_<name>` of the facts that may hold without a label."""
 
 _QUESTIONS: Final = {
     "questions": ("The public questions.", "question_id sequence family template question choices answer_mode"),
@@ -414,36 +431,8 @@ GENERATION_KEY: Final = "generation"
 """Metadata key of the mark that the tables of one generation share."""
 
 
-def tables_page() -> str:
-    """The reference page of all tables, in Markdown."""
-    lines = [
-        "# Tables of a store",
-        "",
-        "Every table is a view in `jrdb-avr sql`; `SHOW TABLES` and `DESCRIBE intervals_actions` work there too. A",
-        "table that is not written yet is an empty view. Written by `python -m jrdb_avr.schema.tables`.",
-        "",
-        "`sightings_keypoints` is `intervals_sightings` with one column more: `keypoints`, those of",
-        "`annotations_poses` at the same frame, or null.",
-        "",
-    ]
-    for name, schema, private in views():
-        secret = " Private: never opened by the process that talks to a model." if private else ""
-        lines += [f"## `{name}`", "", f"{ABOUT[name]}{secret}", "", "| column | type | meaning |", "|--|--|--|"]
-        lines += [f"| `{field.name}` | {_type(field)} | {column(name, field.name)[1]} |" for field in schema]
-        lines.append("")
-    return "\n".join(lines)
-
-
 def views() -> Iterator[tuple[str, pa.Schema, bool]]:
     """Name, schema and privacy of each view."""
     for prefix, group in (("annotations_", ANNOTATIONS), ("intervals_", INTERVALS), ("", QUESTIONS), ("", RUNS)):
         for name, schema in group.items():
             yield f"{prefix}{name}", schema, group is QUESTIONS and name in PRIVATE
-
-
-def _type(field: pa.Field) -> str:
-    return f"{field.type}".replace(" not null", "").replace("item: ", "") + (" or null" if field.nullable else "")
-
-
-if __name__ == "__main__":
-    print(tables_page())

@@ -28,6 +28,7 @@ from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import frames as frames_in
+from jrdb_avr.schema.tables import LABELED
 
 Record = Mapping[str, Any]
 
@@ -108,7 +109,7 @@ class _Sequence:
     def __init__(self, store: Store, name: str) -> None:
         self.name = name
         tables = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
-        self._tables = {table: store.interval(table, name) for table in tables}
+        self._tables = {table: (store.facts if table in LABELED else store.interval)(table, name) for table in tables}
         self.frames = sorted(set(self._tables["sightings"]["frame"].to_pylist()))
         self.occlusion = bool(store.interval("sequence", name)["has_attributes"][0].as_py())
         self.step = min((b - a for a, b in pairwise(self.frames)), default=1)

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import warm
 from click.testing import CliRunner
 from evidence_files import all_evidence, question_files
 from hypothesis import given, settings
@@ -20,6 +19,7 @@ from hypothesis import strategies as st
 from keyframe_layer import layer_rows, layers_in_memory
 from lively_worlds import lively_world
 from places import REAL
+from processes import run_program
 from quick_store import graphless_store
 from visible import visible_share
 from worlds import load_world
@@ -301,7 +301,7 @@ def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
         "Path.replace = replace\n"
         "generate(Store(sys.argv[1]), Rules(), workers=1, seed=1)\n"
     )
-    killed = warm.run(warm.script, script, store.path)
+    killed = run_program(script, store.path)
     assert killed.returncode == -signal.SIGKILL
     assert files(store) != files(one[0])
     generate(store, Rules(), **HOW)
