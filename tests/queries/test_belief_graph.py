@@ -4,7 +4,7 @@ import os
 
 import pytest
 from processes import run_program, started
-from world_play import SCENE, believe, beside_scene, tables_of
+from world_calls import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs import graph as beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
@@ -222,7 +222,7 @@ def test_closing_twice_is_harmless_and_what_comes_later_is_told():
 
 
 KILLED = """
-from world_play import believe
+from world_calls import believe
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 world = WorldGraph.open({path!r})
 for number in range(1000):
