@@ -72,7 +72,7 @@ KEYFRAME_NODES: Final[dict[str, str]] = {
     "Absence": "id INT64 PRIMARY KEY, sequence STRING, leaves INT64, returns INT64, present_from INT64, "
     "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN",
     "Encounter": "id INT64 PRIMARY KEY, sequence STRING, relation STRING, until INT64",
-    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING, digests STRING",
+    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING",
 }
 
 KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {

@@ -67,7 +67,7 @@ def test_the_types_are_those_of_the_names():
 SNIPPET = """
 import jrdb_avr as avr
 store = avr.Store("store")
-reveal_type(avr.evaluate(store, "react", "marker", limit=2).predictions)
+reveal_type(avr.evaluate(store, "react", "marker", avr.EvaluateOptions(run=avr.RunOptions(resume=True))).predictions)
 reveal_type(avr.report(store).table("main"))
 reveal_type(avr.load("root", store).refused)
 reveal_type(avr.generate(store, avr.Rules()).faults)

@@ -11,8 +11,8 @@ from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.people import HUMAN
 from jrdb_avr.engine.run.human import HumanDesk
+from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.playing import played_run
-from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError
 
