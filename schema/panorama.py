@@ -28,7 +28,7 @@ FOV_DEG: Final = CROP * 360 / WIDTH
 
 HORIZON_ROW: Final = 209.4
 FOCAL_ROWS: Final = 482.9
-"""Rows per unit of z / hypot(x, y), below HORIZON_ROW. Both are medians over the cameras (fy and cy)."""
+"""Rows above HORIZON_ROW per unit of z / hypot(x, y). Both constants are medians over the cameras (fy and cy)."""
 
 
 class Box(NamedTuple):
@@ -52,7 +52,7 @@ def column_of_angle(angle_deg: F) -> F:
 
 
 def angle_of_azimuth(azimuth_rad: F) -> F:
-    """Return the panorama angle in degrees, [0, 360), of an azimuth in radians (counter-clockwise from straight ahead)."""
+    """Return the panorama angle in degrees, [0, 360), of an azimuth in radians (counter-clockwise from ahead)."""
     return ((180.0 - azimuth_rad * (180.0 / math.pi)) % 360.0) % 360.0
 
 

@@ -352,7 +352,7 @@ _INTERVALS: Final = {
     ),
     # In the robot's view a row covers one keyframe. An uncertain one may have several targets.
     "beside": (
-        "Place of the target seen from the source: '<sector>, <distance word>', or first to a side in the robot's view.",
+        "Place of the target seen from the source, such as 'left, close', or first to a side in the robot's view.",
         "sequence source target label first last first_s last_s certain",
     ),
     "segments": (
