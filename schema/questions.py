@@ -7,7 +7,8 @@ from typing import Any, Final, Self
 
 import msgspec
 
-from jrdb_avr.schema.answers import AnswerMode, Choice, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import AnswerMode, Choice
 from jrdb_avr.schema.labels import answer_of_choice
 
 PROFILE_KEY: Final = "profile"

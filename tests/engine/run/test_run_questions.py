@@ -4,9 +4,9 @@ import json
 
 import pytest
 from asked_world import BLIND, QUESTIONS_ASKED, SEQUENCE, question, write_public
-from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import run
 
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import matching, select_questions
