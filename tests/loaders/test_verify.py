@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from entry import run
+from processes import run
 from scene_tables import table_store
 
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer

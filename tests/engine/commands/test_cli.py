@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from entry import run
+from processes import run
 from worlds import person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group

@@ -8,7 +8,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from entry import run as run_command
+from processes import run as run_command
 from spoiled_questions import keep_only, rewrite
 
 from jrdb_avr.engine.rederive import Annotations
