@@ -89,23 +89,6 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
         raise StoreError(f"cannot write {path}: {str(error).splitlines()[0]}; free some space") from None
 
 
-def scene_rows(store: Store, sequences: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
-    """Every table of the scene namespace as (name, rows), sequence by sequence, nodes before edges.
-
-    Columns are as in the graph; edges begin with the two keys, `from` and `to`. Raises StoreError where an interval
-    table does not read.
-    """
-    names: set[str] = set()
-    for sequence in sequences:
-        names |= set(store.interval("actions", sequence)["action"].unique().to_pylist())
-    yield "Action", _actions(names)
-    for source in _SOURCES:
-        table = source.split()[-1]
-        for sequence in sequences:
-            kinds = _GROUP_KINDS if table == "SocialGroup" else (_SOURCES[source][0],)
-            yield table, _shape(source, {kind: store.interval(kind, sequence) for kind in kinds})
-
-
 def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
     """COPY the staged rows of sources, nodes first; returns the rows of each table, after counting them in the graph.
 
@@ -203,6 +186,11 @@ def _renamed(name: str) -> Column:
 
 _GROUP_KINDS: Final = ("memberships", "group_info")
 
+_PERFORMS: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _renamed("action")}
+_BELONGS: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _number_key("cluster")}
+_PAIR: Final[dict[str, Column]] = {"from": _number_key("source"), "to": _number_key("target")}
+_HANDLES: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _object_key}
+
 _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Sequence": ("sequence", {}),
     "Frame": ("frames", {"id": _frame_key}),
@@ -213,11 +201,15 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Object SeenIn": ("object_sightings", {"from": _object_key, "to": _frame_key, "box": _box}),
     "Person Present": ("presences", {"from": _number_key("track"), "to": _renamed("sequence")}),
     "Person Absent": ("absences", {"from": _number_key("track"), "to": _renamed("sequence")}),
-    "Person Performs": ("actions", {"from": _number_key("track"), "to": _renamed("action")}),
-    "Person MemberOf": ("memberships", {"from": _number_key("track"), "to": _number_key("cluster")}),
-    "Person Interacts": ("interactions", {"from": _number_key("source"), "to": _number_key("target")}),
-    "Person Beside": ("beside", {"from": _number_key("source"), "to": _number_key("target")}),
-    "Person Handles": ("handles", {"from": _number_key("track"), "to": _object_key}),
+    "Person Performs": ("actions", _PERFORMS),
+    "Person MayPerform": ("possible_actions", _PERFORMS),
+    "Person MemberOf": ("memberships", _BELONGS),
+    "Person MayBelong": ("possible_memberships", _BELONGS),
+    "Person Interacts": ("interactions", _PAIR),
+    "Person MayInteract": ("possible_interactions", _PAIR),
+    "Person Handles": ("handles", _HANDLES),
+    "Person MayHandle": ("possible_handles", _HANDLES),
+    "Person Beside": ("beside", _PAIR),
 }
 """Per table of the graph but `Action`, nodes first: its kind of intervals, and the columns that these lack. Edges are
 named by the table that they start at and their own.

@@ -16,7 +16,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import fcntl
-import hashlib
 import os
 import re
 import warnings
@@ -30,7 +29,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.display import Displayed, Tables
-from jrdb_avr.queries.files import write_atomic, write_bytes
+from jrdb_avr.queries.files import file_hash, write_atomic, write_bytes
 from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
@@ -129,6 +128,12 @@ class Store(Displayed):
     def interval(self, kind: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
         """Read an interval table, or some of its columns. Raises StoreError if it is missing or broken."""
         return read_table(self.interval_path(kind, sequence), columns)
+
+    def facts(self, kind: str, sequence: str) -> pa.Table:
+        """Return the written labels of one kind (`LABELED`) and, as rows that are not certain, the unwritten facts."""
+        labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
+        unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
+        return pa.concat_tables([labels, unwritten], promote_options="default")
 
     def questions(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         """Read a table of `questions/`, or some of its columns. Raises StoreError if it is missing or broken."""
@@ -373,12 +378,6 @@ def _write(
 
     write_atomic(path, write)
     return file_hash(path)
-
-
-def file_hash(path: Path) -> str:
-    """Return the sha256 of a file, in hex. Raises OSError."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _parquet_options(schema: pa.Schema) -> dict[str, Any]:

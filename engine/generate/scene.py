@@ -24,6 +24,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Bools, Floats
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
+from jrdb_avr.schema.tables import LABELED
 from jrdb_avr.schema.things import OBJECTS
 
 Ints = npt.NDArray[np.integer[Any]]
@@ -266,7 +267,7 @@ def masked(numbers: Ints) -> pa.Array:
 
 def load_scene(store: Store, sequence: str) -> Scene:
     """Read a sequence's interval tables. Raises StoreError where one is missing."""
-    return make_scene({kind: store.interval(kind, sequence) for kind in _TABLES})
+    return make_scene({kind: (store.facts if kind in LABELED else store.interval)(kind, sequence) for kind in _TABLES})
 
 
 def box_count(store: Store, sequence: str) -> int:

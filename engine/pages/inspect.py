@@ -18,7 +18,8 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import Choice, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError, ObserveError
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.method import Image
@@ -27,6 +28,7 @@ from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.relations import SAME_GROUP
 from jrdb_avr.schema.rules import frames as frames_in
+from jrdb_avr.schema.tables import LABELED
 
 Record = Mapping[str, Any]
 
@@ -107,7 +109,7 @@ class _Sequence:
     def __init__(self, store: Store, name: str) -> None:
         self.name = name
         tables = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
-        self._tables = {table: store.interval(table, name) for table in tables}
+        self._tables = {table: (store.facts if table in LABELED else store.interval)(table, name) for table in tables}
         self.frames = sorted(set(self._tables["sightings"]["frame"].to_pylist()))
         self.occlusion = bool(store.interval("sequence", name)["has_attributes"][0].as_py())
         self.step = min((b - a for a, b in pairwise(self.frames)), default=1)

@@ -16,7 +16,8 @@ import msgspec
 import pyarrow as pa
 
 from jrdb_avr.engine.run.journal import Finished, Journal, journal_folder, write_tables
-from jrdb_avr.engine.run.selection import QuestionSelection, matching, select_questions
+from jrdb_avr.engine.run.options import QuestionSelection
+from jrdb_avr.engine.run.selection import matching, select_questions
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, sequences_of_questions
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store

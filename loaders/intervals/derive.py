@@ -19,7 +19,7 @@ from jrdb_avr.loaders.intervals.persons import (
 from jrdb_avr.loaders.intervals.presence import absences_table, presences_table
 from jrdb_avr.loaders.intervals.segments import segments_table
 from jrdb_avr.loaders.intervals.sightings import sightings_table
-from jrdb_avr.loaders.intervals.spans import handles_table, interactions_table, layer_runs, runs_table
+from jrdb_avr.loaders.intervals.spans import handles_tables, interactions_tables, label_tables, layer_runs
 from jrdb_avr.loaders.intervals.timeline import frames_table, sequence_table, timeline
 from jrdb_avr.loaders.labelfiles.columns import distinct_of
 from jrdb_avr.schema.rules import LoadRules
@@ -49,18 +49,18 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
         "frames": frames_table(line),
         "persons": line.table("persons", {"track": tracks, **chosen, "first_frame": first, "last_frame": last}),
         "sightings": sightings_table(line, people, rules),
-        "actions": runs_table(
+        **label_tables(
             line, "actions", actions, {"track": actions.track, "action": actions.value}, people.actions.names
         ),
-        "memberships": runs_table(line, "memberships", groups, {"track": groups.track, "cluster": groups.value}),
+        **label_tables(line, "memberships", groups, {"track": groups.track, "cluster": groups.value}),
         "presences": presences_table(line, boxes),
         "absences": absences_table(line, boxes),
         "object_sightings": object_sightings_table(line, tables["panoptic"], tables["categories"]),
         "objects": objects_table(line, tables["panoptic"], tables["categories"], tables["handles"]),
         "demographics": demographics,
         "group_info": group_info_table(line, tables["group_info"], people.groups),
-        "interactions": interactions_table(line, tables["interactions"], boxes, rules),
-        "handles": handles_table(line, tables["handles"], tables["categories"], boxes, rules),
+        **interactions_tables(line, tables["interactions"], boxes, rules),
+        **handles_tables(line, tables["handles"], tables["categories"], boxes, rules),
         "beside": beside_table(line, boxes, people.located, rules),
         "segments": segments_table(line, boxes, people.actions, actions, rules),
     }

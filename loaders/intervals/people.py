@@ -24,8 +24,8 @@ from jrdb_avr.schema.rules import LoadRules
 HARD = 3
 UNREADABLE = 9
 """Stands for a missing difficulty in arrays: harder than hard."""
-_UNWRITTEN = 10
-"""Stands for the difficulty of a label that nobody wrote."""
+UNWRITTEN = 10
+"""Stands for the difficulty of a fact without a label of its own: harder than unreadable."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def with_other_words(table: pa.Table, column: str) -> pa.Table:
     names, written = ranked(table[column])
     for label, other in ((label, other) for label, other in ALSO if label in names):
         rows = table.take(np.flatnonzero(written == names.index(label)))
-        for name, value in ((column, other), ("difficulty", _UNWRITTEN)):
+        for name, value in ((column, other), ("difficulty", UNWRITTEN)):
             field = rows.schema.field(name)
             column_of = pa.repeat(pa.scalar(value), len(rows)).cast(field.type)
             rows = rows.set_column(rows.schema.get_field_index(name), field, column_of)
@@ -183,10 +183,10 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> Facts:
     facts = facts.at(begins(facts.keys, facts.value))
     pose = np.append(facts.is_pose, False)[facts.value]
     person = np.cumsum(begins(facts.keys)) - 1
-    poses = np.bincount(person, weights=pose & (facts.difficulty < _UNWRITTEN))[person]
+    poses = np.bincount(person, weights=pose & (facts.difficulty < UNWRITTEN))[person]
     whole = np.append(boxes.listed, False)[boxes.rows(facts.frame, facts.track)]
     certain = facts.certain & (~pose | ((poses == 1) & whole))
-    return replace(facts, certain=certain, difficulty=np.minimum(facts.difficulty, UNREADABLE))
+    return replace(facts, certain=certain)
 
 
 def read_groups(table: pa.Table) -> Facts:

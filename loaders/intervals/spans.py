@@ -3,6 +3,9 @@
 At one frame per step, up to `gap_frames` missing frames between two frames with the label are closed: inside, the fact
 is unknown. At one per second consecutive keyframes join and nothing is closed.
 
+A table of labels, such as `actions`, holds written labels only. Closed gaps, and facts that follow from the words of
+other labels (`ALSO`), are rows of the table beside it, such as `possible_actions`.
+
 A relation is true where a file states it with difficulty 1 or 2 and unknown where it does so with another code only. An
 interaction stated in one direction holds in both. Only people with a 2D box in the frame, of any quality, have
 relations.
@@ -17,7 +20,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Boxes, Facts, rows_of
+from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, UNWRITTEN, Boxes, Facts, rows_of
 from jrdb_avr.loaders.intervals.persons import of_people
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import (
@@ -46,14 +49,16 @@ class Runs(Rows):
     certain: Bools
     gap: Bools
     difficulty: Ints
-    """Highest difficulty inside; UNREADABLE for gaps."""
+    """Highest difficulty inside; UNWRITTEN for gaps and for what follows from other labels."""
 
 
 def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
     """Runs of facts, unique, in any order. `gap_frames`: missing frames that are closed, 0 for none."""
     facts = facts.at(ascending(facts.track, facts.value, facts.frame))
     frame, track, value, certain = facts.frame, facts.track, facts.value, facts.certain
-    starts = np.flatnonzero(begins(track, value, certain.astype(np.int64), frame - step * np.arange(len(frame))))
+    # Certain, doubtful, not written: frames of one kind make one run.
+    kind = certain.astype(np.int64) + 2 * (facts.difficulty == UNWRITTEN)
+    starts = np.flatnonzero(begins(track, value, kind, frame - step * np.arange(len(frame))))
     ends = np.append(starts, len(frame))[1:] - 1
     highest = np.maximum.reduceat(facts.difficulty, starts)
     solid = Runs(
@@ -63,8 +68,8 @@ def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
     off = np.diff(frame)
     holes = np.flatnonzero(~begins(track, value)[1:] & (off > step) & (off <= gap_frames + step))
     no, yes = np.zeros_like(holes, bool), np.ones_like(holes, bool)
-    unreadable = np.full(len(holes), UNREADABLE)
-    gaps = Runs(track[holes], value[holes], frame[holes] + step, frame[holes + 1] - step, no, yes, unreadable)
+    unwritten = np.full(len(holes), UNWRITTEN)
+    gaps = Runs(track[holes], value[holes], frame[holes] + step, frame[holes + 1] - step, no, yes, unwritten)
     runs = solid.joined([gaps])
     return runs.at(ascending(runs.track, runs.value, runs.first))
 
@@ -91,8 +96,19 @@ def runs_table(
     return line.table(kind, columns | line.span(runs.first, runs.last))
 
 
-def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: LoadRules) -> pa.Table:
-    """The interval table `interactions`, from the annotation table of that name."""
+def label_tables(
+    line: Timeline, kind: str, runs: Runs, keys: Mapping[str, Ints], names: Sequence[str] | None = None
+) -> dict[str, pa.Table]:
+    """The interval tables `<kind>`, of written labels, and `possible_<kind>`, of facts that were not written."""
+    written = runs.difficulty < UNWRITTEN
+    return {
+        half: runs_table(line, half, runs.at(rows), {name: key[rows] for name, key in keys.items()}, names)
+        for half, rows in ((kind, np.flatnonzero(written)), (f"possible_{kind}", np.flatnonzero(~written)))
+    }
+
+
+def interactions_tables(line: Timeline, table: pa.Table, boxes: Boxes, rules: LoadRules) -> dict[str, pa.Table]:
+    """The interval tables of interactions, from the annotation table `interactions`."""
     table = table.filter(pa.array(_both_boxed(table, boxes.keys)))
     names, label = ranked(table["label"])
     source, target = whole_numbers(table, "track"), whole_numbers(table, "partner")
@@ -101,7 +117,7 @@ def interactions_table(line: Timeline, table: pa.Table, boxes: Boxes, rules: Loa
     )
     # One row for each direction.
     keys = {"source": np.append(low, high), "target": np.append(high, low), "label": np.tile(label, 2)}
-    return runs_table(line, "interactions", runs.joined([runs]), keys, names)
+    return label_tables(line, "interactions", runs.joined([runs]), keys, names)
 
 
 def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
@@ -110,8 +126,10 @@ def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
     return int((~_both_boxed(table, keys)).sum())
 
 
-def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: Boxes, rules: LoadRules) -> pa.Table:
-    """The interval table `handles`, from the annotation tables `handles` and `categories`.
+def handles_tables(
+    line: Timeline, table: pa.Table, categories: pa.Table, boxes: Boxes, rules: LoadRules
+) -> dict[str, pa.Table]:
+    """The interval tables of handling, from the annotation tables `handles` and `categories`.
 
     What is done with people is not among them: they are no things.
     """
@@ -120,7 +138,7 @@ def handles_table(line: Timeline, table: pa.Table, categories: pa.Table, boxes: 
     names, verb = ranked(table["verb"])
     columns = ("track", "object", "category_id")
     runs, facts = _relation_runs(line, "handles", table, rules, (*(whole_numbers(table, c) for c in columns), verb))
-    return runs_table(line, "handles", runs, dict(zip((*columns, "verb"), facts, strict=True)), names)
+    return label_tables(line, "handles", runs, dict(zip((*columns, "verb"), facts, strict=True)), names)
 
 
 def _both_boxed(table: pa.Table, keys: Ints) -> Bools:
@@ -139,9 +157,9 @@ def _relation_runs(
     """
     fact, columns = _distinct(columns)
     none = np.zeros(len(fact), np.int64)
-    certain = table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD
-    facts = Facts(whole_numbers(table, "frame"), none, fact, certain, none)
-    facts = facts.at(ascending(facts.value, facts.frame, ~facts.certain))
+    difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
+    facts = Facts(whole_numbers(table, "frame"), none, fact, difficulty < HARD, difficulty)
+    facts = facts.at(ascending(facts.value, facts.frame, facts.difficulty))
     runs = layer_runs(line, layer, facts.at(begins(facts.value, facts.frame)), rules)
     return runs, tuple(column[runs.value] for column in columns)
 

@@ -27,15 +27,16 @@ def in_rows(
     equal: Mapping[str, str] | None = None,
     nullable: Mapping[str, str] | None = None,
     *,
+    may: str = "",
     span: str = "r",
     then: Clause | None = None,
 ) -> Clause:
     """Facts stored as rows over intervals of frames, inclusive; a row that is not certain makes the fact possible.
 
-    pattern: what to match; equal: columns of it with the variables they must equal; nullable: the same of columns whose
-    null may stand for any value; span: the row's variable, with columns `first`, `last` and `certain`; then: the clause
-    of a row that must lead on from this one. (As one pattern the two would close a circle, on which the engine loses
-    rows.)
+    pattern: what to match; may: a relationship whose rows make the fact possible too; equal: columns of it with the
+    variables they must equal; nullable: the same of columns whose null may stand for any value; span: the row's
+    variable, with columns `first`, `last` and `certain`; then: the clause of a row that must lead on from this one. (As
+    one pattern the two would close a circle, on which the engine loses rows.)
     """
     same = [f"{column} = {{{variable}}}" for column, variable in (equal or {}).items()]
     wanted = (nullable or {}).items()
@@ -45,7 +46,9 @@ def in_rows(
     covers = f"{span}.first <= {{t}} AND {span}.last >= {{t}}"
     sure = [*same, *known, f"{span}.certain", covers, *(then[:1] if then else ())]
     could = [*same, *possible, covers, *(then[1:] if then else ())]
-    return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {' AND '.join(parts)} }}}}" for parts in (sure, could)))
+    either = pattern.replace("]", f"|{may}]") if may else pattern
+    texts = ((pattern, sure), (either, could))
+    return Clause(*(f"EXISTS {{{{ MATCH {match} WHERE {' AND '.join(parts)} }}}}" for match, parts in texts))
 
 
 def in_column(value: str, other: str = "", rows: Clause | None = None, near: str = "") -> Clause:

@@ -110,13 +110,21 @@ def edge_values(relation: str) -> dict[str, str | float]:
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
 _THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
 
-_PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"})
-_HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"})
+_PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"}, may="MayPerform")
+_HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"}, may="MayHandle")
 _BESIDE: Final = in_rows("({n})-[r:Beside]->({m})", {"r.label": "v"})
-_GROUPED: Final = in_rows("({n})-[r:MemberOf]->(g:SocialGroup)", then=in_rows("(g)<-[o:MemberOf]-({m})", span="o"))
-_MEMBER: Final = "EXISTS {{ MATCH ({n})-[r:MemberOf]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
+_GROUPED: Final = in_rows(
+    "({n})-[r:MemberOf]->(g:SocialGroup)",
+    may="MayBelong",
+    then=in_rows("(g)<-[o:MemberOf]-({m})", may="MayBelong", span="o"),
+)
+_MEMBER: Final = (
+    "EXISTS {{ MATCH ({n})-[r:MemberOf|MayBelong]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
+)
 _THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", _THERE.replace("{s}", "{z}"))
-_SOCIAL: Final = unless_both_listed(in_rows("({n})-[r:Interacts]->({m})", {"r.label": "v"}), "{s}.interactions_listed")
+_SOCIAL: Final = unless_both_listed(
+    in_rows("({n})-[r:Interacts]->({m})", {"r.label": "v"}, may="MayInteract"), "{s}.interactions_listed"
+)
 
 SCENE: Final = SchemaMapping(
     pattern=_PATTERN,
@@ -149,7 +157,9 @@ SCENE: Final = SchemaMapping(
         who="{n}.id",
         kind=in_column("{n}.category"),
         edges={
-            "handles": unless_listed(in_rows("({n})-[r:Handles]->({m})", {"r.verb": "v"}), "{s}.handles_listed"),
+            "handles": unless_listed(
+                in_rows("({n})-[r:Handles]->({m})", {"r.verb": "v"}, may="MayHandle"), "{s}.handles_listed"
+            ),
             "left": seen_with(*_THING_SEEN, within("{s}.angle", "{z}.angle")),
             "right": seen_with(*_THING_SEEN, within("{z}.angle", "{s}.angle")),
         },

@@ -1,4 +1,4 @@
-// Where the last beliefs of two runs differ on a question: attributes of the plan's nodes that one of them lacks.
+// Differences of two runs' last beliefs on a question: attributes of the plan's nodes that one of the runs lacks.
 // param run: text
 // param other: text
 // param question: text

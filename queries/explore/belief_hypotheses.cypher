@@ -1,4 +1,4 @@
-// Who the plan's people may be in one question, the likeliest first: log-odds, the answer of each, and the target's box.
+// Hypotheses about the plan's people in one question, likeliest first: log-odds, answer, and box of the target.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Ranks]->(h:Hypothesis)

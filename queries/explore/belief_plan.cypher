@@ -1,5 +1,5 @@
-// Which current beliefs of one question bear on which parts of its plan: of whom, and how many votes are for and against.
-// A relation is listed as it is believed, also where it holds both ways. A belief at no one frame (null) holds at any.
+// Current beliefs of one question that bear on each part of its plan: the entity, and the votes for and against.
+// A relation is listed as it is believed, also if it is mutual. A belief without a frame (null) holds at every frame.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Asks]->(s:Slot), (e)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Observation:Entity)

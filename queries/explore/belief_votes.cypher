@@ -1,4 +1,4 @@
-// What was read of one entity in one question: each reading with its votes, and whether it is what all come to.
+// All readings of one entity in one question, each with its votes and whether it is the current result.
 // param run: text
 // param question: text
 // param entity: text

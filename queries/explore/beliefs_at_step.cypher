@@ -1,4 +1,4 @@
-// What an agent believed in one question once it had taken a step: attributes and relations, from frame to frame.
+// Beliefs of an agent in one question after one of its steps: attributes and relations, with first and last frame.
 // param run: text
 // param question: text
 // param step: integer

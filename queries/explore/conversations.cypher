@@ -1,4 +1,4 @@
-// Who talks with whom and for how long, each pair once, longest first, hard labels and closed gaps do not count.
+// Conversations of each pair with their total time, longest first. Hard labels do not count.
 // param sequence: text
 MATCH (a:Person)-[r:Interacts]->(b:Person)
 WHERE r.sequence = $sequence AND r.label = 'conversation' AND r.certain AND a.track < b.track

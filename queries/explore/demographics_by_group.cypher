@@ -1,4 +1,4 @@
-// Who a group is made of: everybody who is ever certainly a member, by gender and age.
+// Gender and age of all certain members of each group.
 // param sequence: text
 MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
 WHERE m.sequence = $sequence AND m.certain

@@ -1,4 +1,4 @@
-// Who is described how, at which keyframe? The numbers are those of the generators' column `name`.
+// The description of each person at each keyframe. The numbers are those of the generators' column `name`.
 // param sequence: text
 MATCH (p:Description)<-[:Of]-(n:Name)-[d:Describes]->(m:Moment)
 WHERE p.id >= $low AND p.id < $high

@@ -1,4 +1,5 @@
-// Groups forming and dissolving, in order of time: who joins and who leaves, also by coming into view or going.
+// Changes of groups in order of time: people who join or leave, also because they come into view or leave it.
+// A closed gap between two labels of one group is no change.
 // param sequence: text
 MATCH (s:Sequence)
 WHERE s.sequence = $sequence
@@ -7,7 +8,7 @@ MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
 WHERE m.sequence = $sequence
 UNWIND ['joins', 'leaves'] AS change
 WITH p, m, g, change, step
-WHERE NOT EXISTS { MATCH (p)-[n:MemberOf]->(g)
+WHERE NOT EXISTS { MATCH (p)-[n:MemberOf|MayBelong]->(g)
                    WHERE n.sequence = $sequence
                          AND (change = 'joins' AND n.last < m.first AND n.last >= m.first - step
                               OR change = 'leaves' AND n.first > m.last AND n.first <= m.last + step) }

@@ -1,4 +1,4 @@
-// The groups at one frame with their members (those whose membership is not certain are left out).
+// The groups at one frame with their certain members.
 // param sequence: text
 // param frame: integer
 MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)

@@ -1,4 +1,4 @@
-// The chains at a keyframe, as the robot sees it: from each person to the first one on its right, and on to the next.
+// The chains at a keyframe in the robot's view: from each person to the first person on its right, and so on.
 // param sequence: text
 // param frame: integer
 MATCH (a:Person)-[r:Beside]->(b:Person)

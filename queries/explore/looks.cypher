@@ -1,4 +1,4 @@
-// Where an agent looked in one question, and whom it saw in each look.
+// Looks of an agent in one question, and the people it saw in each look.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Made]->(o:Observation)

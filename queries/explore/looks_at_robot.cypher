@@ -1,4 +1,4 @@
-// Who looks at the robot and for how long, longest first, hard labels do not count.
+// People who look at the robot, with the total time, longest first. Hard labels do not count.
 // param sequence: text
 MATCH (p:Person)-[r:Performs]->(a:Action)
 WHERE r.sequence = $sequence AND a.name = 'looking at robot' AND r.certain

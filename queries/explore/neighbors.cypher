@@ -1,4 +1,4 @@
-// Who is where around one person, as that person would say it, and who comes first to its left and right.
+// People round one person, in that person's own directions, and the first person to its left and right.
 // param sequence: text
 // param track: integer
 // param frame: integer

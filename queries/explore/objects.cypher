@@ -1,4 +1,4 @@
-// Things in a sequence by category: how many somebody handles for certain at some time, and how many only perhaps.
+// Things of a sequence by category: how many have a certain label of handling, and how many have only hard labels.
 // param sequence: text
 MATCH (o:Object)
 WHERE o.sequence = $sequence
@@ -6,5 +6,5 @@ OPTIONAL MATCH (:Person)-[r:Handles]->(o)
 WITH o, max(CASE r.certain WHEN true THEN 2 WHEN false THEN 1 ELSE 0 END) AS told
 RETURN o.category AS category, count(*) AS things,
        CAST(sum(CASE told WHEN 2 THEN 1 ELSE 0 END) AS INT64) AS handled,
-       CAST(sum(CASE told WHEN 1 THEN 1 ELSE 0 END) AS INT64) AS perhaps
+       CAST(sum(CASE told WHEN 1 THEN 1 ELSE 0 END) AS INT64) AS hard_only
 ORDER BY things DESC, category;

@@ -1,4 +1,4 @@
-// Who passes behind the robot: people seen in its back sector for certain, from when to when, and how near.
+// People who pass behind the robot: certain sightings in its back sector, with first and last frame and distance.
 // param sequence: text
 MATCH (p:Person)-[seen:SeenIn]->(:Frame)
 WHERE seen.sequence = $sequence AND seen.sector = 'behind'

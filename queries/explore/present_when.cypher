@@ -1,4 +1,4 @@
-// When one person is present and when absent (certain: in clear view, or no box a second before and after either).
+// Times at which one person is present or absent (certain: in clear view, or no box within a second).
 // param sequence: text
 // param track: integer
 MATCH (p:Person)-[r:Present|:Absent]->(:Sequence)

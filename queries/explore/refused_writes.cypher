@@ -1,4 +1,4 @@
-// What a run's agent was refused: each tool and reason with how often, and in how many questions.
+// Refused calls of a run's agent by tool and reason: number of calls and of questions.
 // param run: text
 MATCH (e:Episode)-[:Wrote]->(w:Write)
 WHERE e.run = $run AND NOT w.accepted

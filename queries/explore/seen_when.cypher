@@ -1,4 +1,4 @@
-// What an agent saw when, in one question: every sighting with its frame and box, also those seen better later.
+// All sightings of an agent in one question with frame and box, including those it later saw better.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Holds]->(n:Entity)-[s:Sighted]->(o:Observation)

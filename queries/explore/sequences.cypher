@@ -1,4 +1,4 @@
-// What is loaded: every sequence with its frames, people, groups and layers.
+// All loaded sequences with their frames, people, groups and layers.
 MATCH (s:Sequence)
 OPTIONAL MATCH (p:Person)
 WHERE p.sequence = s.sequence

@@ -1,4 +1,4 @@
-// Who handles which thing, how, and for how long, hard labels do not count.
+// Things that people handle, with the verb and the total time. Hard labels do not count.
 // param sequence: text
 MATCH (p:Person)-[r:Handles]->(o:Object)
 WHERE r.sequence = $sequence AND r.certain

@@ -1,4 +1,4 @@
-// Things in the picture at a frame of the panoptic layer (one a second), clockwise from behind the robot, with boxes.
+// Things in the picture at a frame of the panoptic layer (one per second), clockwise from behind the robot, with boxes.
 // param sequence: text
 // param frame: integer
 MATCH (o:Object)-[seen:SeenIn]->(:Frame)

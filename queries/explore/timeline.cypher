@@ -1,4 +1,4 @@
-// One person's life in order: actions, groups, partners and things handled, from which frame to which.
+// All labels of one person in order: actions, groups, partners and handled things, with first and last frame.
 // param sequence: text
 // param track: integer
 MATCH (p:Person)-[r:Performs|:MemberOf|:Interacts|:Handles]->(o:Action:SocialGroup:Person:Object)

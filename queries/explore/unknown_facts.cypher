@@ -1,7 +1,7 @@
-// What annotators could not tell: actions whose labels are hard, with how many people and frames they take.
+// Actions with labels that are not certain, with the number of intervals, frames and people.
 // param sequence: text
 MATCH (p:Person)-[r:Performs]->(a:Action)
-WHERE r.sequence = $sequence AND NOT r.certain AND NOT r.gap
+WHERE r.sequence = $sequence AND NOT r.certain
 RETURN a.name AS action, count(*) AS intervals, CAST(sum(r.last - r.first + 1) AS INT64) AS frames,
        count(DISTINCT p.track) AS people
 ORDER BY frames DESC, action;

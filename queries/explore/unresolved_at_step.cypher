@@ -1,7 +1,7 @@
-// What of its plan an agent had not found in one question at a step.
-// Nodes without anybody, conditions and edges that
-// no belief bears out (what two people share holds both ways, but not where one is as seen from the other).
-// Whom a node means is taken from the end of the episode.
+// Parts of its plan that an agent had not resolved in one question at a step.
+// These are nodes without a person, and conditions and edges without a belief that supports them.
+// Mutual relations hold in both directions, but a direction seen from one person does not.
+// The person of a node is the one at the end of the episode.
 // param run: text
 // param question: text
 // param step: integer

@@ -1,4 +1,4 @@
-// Everybody at one frame: where in the robot's view, how far, doing what, clockwise from behind the robot.
+// All people at one frame: direction in the robot's view, distance and actions, clockwise from behind the robot.
 // param sequence: text
 // param frame: integer
 MATCH (p:Person)-[seen:SeenIn]->(:Frame)

@@ -1,4 +1,4 @@
-// All that an agent did in one question, in order: every call of its tools, accepted or refused with the reason.
+// All calls of an agent's tools in one question, in order, accepted or refused with the reason.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Wrote]->(w:Write)

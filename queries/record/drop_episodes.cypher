@@ -1,4 +1,4 @@
-// Takes a run's episodes away, once what they hold has gone.
+// Delete the episodes of a run after their contents.
 MATCH (e:Episode)
 WHERE e.run = $run AND ($whole OR list_contains($questions, e.question))
 DETACH DELETE e

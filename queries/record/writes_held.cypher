@@ -1,4 +1,4 @@
-// How many writes of each of a run's episodes a graph holds; 0 of one whose first were interrupted.
+// Number of stored writes of each of a run's episodes; 0 if its first write was interrupted.
 MATCH (e:Episode)
 WHERE e.run = $run
 OPTIONAL MATCH (e)-[:Wrote]->(w:Write)

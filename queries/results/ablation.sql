@@ -1,4 +1,4 @@
--- What looking, the world model and the policy bring: variants of the reference agent, in percent of the n questions.
+-- Effect of looking, the world model and the policy: variants of the reference agent, in percent of the n questions.
 WITH cells (method, active, world_model) AS (
     VALUES ('agent-passive-no-world', 'off', 'off'), ('agent-passive', 'off', 'on'),
            ('agent-no-world', 'on', 'off'), ('agent', 'on', 'on')

@@ -1,4 +1,4 @@
--- How often each text is right per multiple-choice template: what a guesser who knows the priors would say.
+-- Frequency of each text among the right answers of a multiple-choice template: the score of a guesser with the priors.
 WITH truth AS (
     SELECT q.template, list_extract(q.choices, CAST(json_extract(a.answer, '$.choice') AS INT)) AS says
     FROM answers a

@@ -1,5 +1,5 @@
--- Boxes right as they were read, and if their axes were swapped: a diagnosis of the model's box convention, no score.
--- Of the boxes that stand as evidence and were read in a picture of known place; IoU of at least 0.5, over the seam.
+-- Evidence boxes that are right as they were read, and with swapped axes: a diagnosis of the box convention, no score.
+-- Only boxes that were read in a picture of known position count. Right is an IoU of at least 0.5, also over the seam.
 WITH solved AS (
     SELECT run_id, question_id, step, CASE WHEN json_valid(request) THEN request::JSON END AS shown,
            CASE WHEN json_valid(response) THEN response::JSON END AS told

@@ -1,4 +1,4 @@
--- Under which key each run's model wrote its boxes: the contract's is bbox (box in the agent's tools), others are habits.
+-- Keys under which each run's model wrote its boxes. The contract's key is bbox (box in the agent's tools).
 WITH solved AS (
     SELECT run_id, question_id,
            CASE WHEN json_valid(response) THEN json_extract_string(response, '$.box_key') END AS box_key

@@ -1,4 +1,4 @@
--- What each run spends for a question that scores answer and box: looks, calls, tokens, seconds.
+-- Cost of a question with right answer and box in each run: looks, calls, tokens and seconds.
 SELECT p.run_id, sum(s.combined_score)::INT AS correct,
        round(sum(p.n_observations) / nullif(sum(s.combined_score), 0), 2) AS looks,
        round(sum(p.n_model_calls) / nullif(sum(s.combined_score), 0), 2) AS calls,

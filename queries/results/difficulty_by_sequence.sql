@@ -1,4 +1,4 @@
--- How hard each sequence is, over all runs: people, boxes that count as clear views, and shares of right answers.
+-- Difficulty of each sequence over all runs: people, boxes in clear view, and shares of right answers.
 WITH crowd AS (
     SELECT sequence, round(count(*) / count(DISTINCT frame), 1) AS people_per_frame,
            round(100 * avg(clear::INT), 1) AS clear_views

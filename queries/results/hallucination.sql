@@ -1,4 +1,4 @@
--- How often a right answer stands without the right box: shares of each run, in percent of its n questions.
+-- Right answers without the right box in each run, in percent of its n questions.
 SELECT s.run_id, count(*) AS n,
        round_even(100 * sum(answer_score) / n, 2) AS answer,
        round_even(100 * sum(evidence_score) / n, 2) AS evidence,

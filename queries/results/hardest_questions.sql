@@ -1,4 +1,4 @@
--- Questions that the fewest runs answer with the right box, the hardest first.
+-- Questions that the fewest runs answer with the right box, hardest first.
 -- param count: integer = 20
 SELECT q.question_id, q.template, q.sequence, count(*) AS runs,
        sum(s.answer_score)::INT AS answered, sum(s.evidence_score)::INT AS boxed, sum(s.combined_score)::INT AS combined,

@@ -1,4 +1,4 @@
--- Why replies were no valid answers, the commonest reason of each run first; numbers in it are written as #.
+-- Reasons of invalid answers in each run, most frequent first; # replaces the numbers in them.
 SELECT run_id, status, regexp_replace(reason, '[0-9]+', '#', 'g') AS reason, count(*) AS times
 FROM predictions
 WHERE status <> 'answered'

@@ -1,4 +1,4 @@
--- Does looking more help? Shares of right answers and boxes by how many looks a question took, per run.
+-- Shares of right answers and boxes by the number of looks that a question took, for each run.
 SELECT p.run_id, p.n_observations AS looks, count(*) AS n,
        round(100 * avg(s.answer_score), 2) AS answer,
        round(100 * avg(s.evidence_score), 2) AS evidence,

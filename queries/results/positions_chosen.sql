@@ -1,4 +1,4 @@
--- Which place of the list each run chooses, beside where the truth stands, to show whether a model favours a place.
+-- Positions in the list of choices that each run selects, beside the positions of the true choices.
 WITH given AS (
     SELECT p.run_id, CAST(json_extract(p.answer, '$.choice') AS INT) AS place, 1 AS chosen, 0 AS right_one
     FROM predictions p

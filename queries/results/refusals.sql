@@ -1,4 +1,4 @@
--- Why candidates were refused, the commonest reason of each template first.
+-- Reasons for which candidates were refused, most frequent reason of each template first.
 SELECT family, template, rule, sum(candidates)::BIGINT AS candidates
 FROM rejected
 WHERE kind = 'count'

@@ -1,4 +1,4 @@
--- What agents were not allowed to write into their world models, and why; numbers in the reason are written as #.
+-- Refused writes of agents into their world models by reason; # replaces the numbers in it.
 SELECT run_id, tool, regexp_replace(reason, '[0-9]+', '#', 'g') AS reason, count(*) AS times,
        count(DISTINCT question_id) AS questions
 FROM world

@@ -1,4 +1,4 @@
--- Questions that every run answered right and no run with the right box, as of those that can be guessed.
+-- Questions that every run answered right and no run with the right box, which suggests that they can be guessed.
 SELECT q.question_id, q.template, q.sequence, count(*) AS runs, q.question
 FROM scores s
 JOIN questions q USING (question_id)

@@ -1,5 +1,5 @@
--- Every two reviewers who decided the same questions, with Cohen's kappa: agreement beyond that of chance, null where
--- both always decide the same.
+-- Pairs of reviewers who decided the same questions, with Cohen's kappa, the agreement beyond chance. Kappa is null if
+-- both always give the same decision.
 WITH pairs AS (
     SELECT a.reviewer AS first, b.reviewer AS second, count(*) AS n, count_if(a.decision = b.decision) AS agree,
            (count_if(a.decision = 'accept') * count_if(b.decision = 'accept')

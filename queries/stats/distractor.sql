@@ -1,5 +1,5 @@
--- Wrong choices by the perturbation that yields them; "none" are answers known false that no perturbation yields.
--- "look-alike without action sitting" and its like count as one.
+-- Wrong choices by the perturbation that yields them; "none" are answers known to be false that no perturbation yields.
+-- "look-alike without action sitting" and similar names count as one.
 WITH wrong AS (SELECT template, unnest(wrong) AS name FROM measured)
 SELECT template, split_part(coalesce(name, 'none'), ' without ', 1) AS yielded_by, count(*) AS n,
        n / sum(count(*)) OVER (PARTITION BY template) AS share

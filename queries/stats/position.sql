@@ -1,4 +1,4 @@
--- Where the true choice stands.
+-- Positions of the true choice.
 SELECT template, position, count(*) AS n, n / sum(count(*)) OVER (PARTITION BY template) AS share
 FROM measured
 WHERE position IS NOT NULL

@@ -1,3 +1,3 @@
-// Kind and node of an entity that is there.
+// Set the kind and the node of an existing entity.
 MATCH (n:Entity {id: $id})
 SET n.kind = $kind, n.node = $node

@@ -1,4 +1,4 @@
-// Whom the plan's people may be.
+// Create hypotheses about the plan's people.
 MATCH (e:Episode {id: $episode})
 UNWIND $rows AS r
 CREATE (e)-[:Ranks]->(:Hypothesis {id: r.id, episode: r.episode, step: r.step, rank: r.rank, entity: r.entity, nodes: r.nodes, log_odds: r.log_odds, answer: r.answer, frame: r.frame})

@@ -1,4 +1,4 @@
-// An edge that a later write replaces.
+// Mark an edge that a later write replaces.
 MATCH (n:Entity {id: $source})-[r:Related]->(:Entity)
 WHERE r.write = $write
 SET r.current = false, r.until = $until

@@ -1,4 +1,4 @@
-// Where entities are in observations. (The engine finds no key by a row's value.)
+// Create sightings of entities in observations. (The engine does not look up a key by a row's value.)
 MATCH (n:Entity {episode_hash: UUID($hash)})
 UNWIND $rows AS r
 WITH r, n

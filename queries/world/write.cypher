@@ -1,4 +1,4 @@
-// Lines of the episode's record, accepted or refused.
+// Create the entries of an episode's record, accepted or refused.
 MATCH (e:Episode {id: $episode})
 UNWIND $rows AS r
 CREATE (e)-[:Wrote]->(:Write {id: r.id, episode: $episode, number: r.number, step: r.step, tool: r.tool, arguments: r.arguments, accepted: r.accepted, reason: r.reason})

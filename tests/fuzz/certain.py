@@ -83,23 +83,25 @@ def false_facts(tables, known):
     posed = pc.is_valid(listed["pose"]).to_numpy(zero_copy_only=False)
     for names, rows in (
         (sorted(POSES), posed),
-        (_distinct(known["actions"], "action", POSES), np.ones(len(listed), bool)),
+        (_distinct(_either(known, "actions"), "action", POSES), np.ones(len(listed), bool)),
     ):
         possible = _times(
             _columns(listed.filter(pa.array(rows)), "frame", "track"), {"action": np.array(names, object)}
         )
         facts["no action" if names != sorted(POSES) else "no pose"] = _without(
-            possible, _spread(tables["actions"], "track", "action")
+            possible, _spread(_either(tables, "actions"), "track", "action")
         )
     told = seen.filter(seen["interactions_listed"])
-    pairs = _unique(known["interactions"], "source", "target", "label")
+    pairs = _unique(_either(known, "interactions"), "source", "target", "label")
     facts["no interaction"] = _without(
-        _both(told, "track", pairs, "source", "target"), _spread(tables["interactions"], "source", "target", "label")
+        _both(told, "track", pairs, "source", "target"),
+        _spread(_either(tables, "interactions"), "source", "target", "label"),
     )
     told = seen.filter(seen["handles_listed"])
-    things = _unique(known["handles"], "track", "object", "category_id", "verb")
+    things = _unique(_either(known, "handles"), "track", "object", "category_id", "verb")
     facts["no handling"] = _without(
-        _both(told, "track", things, "track"), _spread(tables["handles"], "track", "object", "category_id", "verb")
+        _both(told, "track", things, "track"),
+        _spread(_either(tables, "handles"), "track", "object", "category_id", "verb"),
     )
     frames = tables["frames"]
     keyframes = frames.filter(pc.and_(frames["keyframe"], frames["annotated"]))["frame"]
@@ -115,13 +117,18 @@ def false_facts(tables, known):
     return facts
 
 
+def _either(tables, kind):
+    """The rows of a table of labels, and those of what may hold without a label."""
+    return pa.concat_tables([tables[kind], tables[f"possible_{kind}"]], promote_options="default")
+
+
 def closed_gaps(tables):
     """What lies in a closed gap, under the kinds of `false_facts`: unknown only because of labels on both sides."""
     facts = {}
     for kinds, table, *names in (
-        (("no action", "no pose"), "actions", "track", "action"),
-        (("no interaction",), "interactions", "source", "target", "label"),
-        (("no handling",), "handles", "track", "object", "category_id", "verb"),
+        (("no action", "no pose"), "possible_actions", "track", "action"),
+        (("no interaction",), "possible_interactions", "source", "target", "label"),
+        (("no handling",), "possible_handles", "track", "object", "category_id", "verb"),
     ):
         gaps = _spread(tables[table].filter(tables[table]["gap"]), *names)
         facts |= dict.fromkeys(kinds, gaps)
@@ -129,7 +136,7 @@ def closed_gaps(tables):
 
 
 def with_gaps(segments, actions):
-    """Per segment of `certain_facts` whether a closed gap lies in it; `actions` is the interval table."""
+    """Per segment of `certain_facts` whether a closed gap lies in it; `actions` is the table `possible_actions`."""
     gaps = _columns(actions.filter(actions["gap"]), "track", "action", "last", frame="first")
     return np.array(
         [

@@ -178,7 +178,9 @@ class Case:
         # A closed gap holds a segment together, where a label of somebody who is not in clear view ends it.
         for kind in ("segment", "closed segment"):
             if kind in found:
-                found[kind] = certain.of_rows(found[kind], ~certain.with_gaps(found[kind], intervals["actions"]))
+                found[kind] = certain.of_rows(
+                    found[kind], ~certain.with_gaps(found[kind], intervals["possible_actions"])
+                )
         found = {kind: rows for kind, rows in found.items() if len(rows["frame"])}
         # A gap is closed between two labels that are read: where one of them is lost, its frames' own lists count.
         denied = {kind: found.pop(kind) for kind in self.world.gaps if kind in found}

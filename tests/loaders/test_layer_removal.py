@@ -16,7 +16,7 @@ from quick_store import NAME, read_store
 from random_worlds import random_world
 from worlds import CAMERAS, VISIBLE, member, person, person_3d, pose, thing
 
-from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LABELED
 
 FILES = ("2d", "3d", "social", "reasoning", "pose", "panoptic", "timestamps", "calibration", "images")
 
@@ -51,14 +51,14 @@ FOLLOWS = {
     "2d": set(INTERVALS) - {"demographics", "objects", "object_sightings"},
     # People whom only lidar saw go, and with them the first and last frames; relations in a person's own frame too.
     "3d": {"persons", "beside", "sightings"},
-    "social": {"demographics", "interactions", "group_info", "persons", "sightings"},
+    "social": {"demographics", "interactions", "possible_interactions", "group_info", "persons", "sightings"},
     # Things that only the reasoning file names.
-    "reasoning": {"handles", "objects", "sightings"},
+    "reasoning": {"handles", "possible_handles", "objects", "sightings"},
     "pose": {"sightings"},
     # What is handled has lost its name, and people among the things cannot be told from things.
-    "panoptic": {"objects", "object_sightings", "handles"},
+    "panoptic": {"objects", "object_sightings", "handles", "possible_handles"},
     # Seconds stand beside the frames of every interval.
-    "timestamps": {"frames", "presences", "absences", "actions", "memberships", "interactions", "handles", "beside"},
+    "timestamps": {"frames", "presences", "absences", *LABELED, *(f"possible_{kind}" for kind in LABELED), "beside"},
     "calibration": set(),
     "images": {"frames"},
 }
@@ -160,12 +160,12 @@ def check_intervals(whole, part, gone):
     for row in part["sightings"]:
         assert all(row[name] in (None, False) for name in lost)
     if "timestamps" in gone:
-        for kind in ("presences", "absences", "actions", "memberships"):
+        for kind in ("presences", "absences", "actions", "possible_actions", "memberships", "possible_memberships"):
             assert plain(part[kind], SECONDS) == plain(whole[kind], SECONDS), kind
     # What stays of relations stays as it was.
     robot = [[row for row in tables["beside"] if row["label"].endswith("(robot view)")] for tables in (whole, part)]
     assert plain(robot[0], SECONDS) == plain(robot[1], SECONDS)
-    for kind in ("interactions", "handles"):
+    for kind in ("interactions", "possible_interactions", "handles", "possible_handles"):
         if part[kind] and not {"panoptic", "timestamps"} & set(gone):
             assert part[kind] == whole[kind], kind
     told = {row["track"]: row for row in whole["persons"]}

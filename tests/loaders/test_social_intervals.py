@@ -39,14 +39,14 @@ def scene(*people):
 def test_case_29_what_one_says_holds_for_both(tmp_path):
     talking = [(2, {"conversation": "1"})]
     store, report = loaded(tmp_path, {f: scene(talking, []) for f in range(3)})
-    assert spans(store) == [(1, 2, "conversation", 0, 2, True, False), (2, 1, "conversation", 0, 2, True, False)]
+    assert spans(store) == [(1, 2, "conversation", 0, 2, True), (2, 1, "conversation", 0, 2, True)]
     assert report.absent_partners == 0
 
 
 def test_case_29_the_easier_of_two_codes_counts(tmp_path):
     hard, easy = [(2, {"hugging": "3"})], [(1, {"hugging": "2"}), (1, {"hugging": "3"})]
     store, _ = loaded(tmp_path, {0: scene(hard, easy), 1: scene(hard, []), 2: scene(None, [(1, {"hugging": "?"})])})
-    assert spans(store)[:2] == [(1, 2, "hugging", 0, 0, True, False), (1, 2, "hugging", 1, 2, False, False)]
+    assert spans(store)[:2] == [(1, 2, "hugging", 0, 0, True), (1, 2, "hugging", 1, 2, False)]
 
 
 def test_case_29_partners_without_a_box_are_counted(tmp_path):
@@ -56,7 +56,7 @@ def test_case_29_partners_without_a_box_are_counted(tmp_path):
     }
     store, report = loaded(tmp_path, {0: scene(talks, [], [(1, {"hugging": "1"})])}, boxes)
     # Person 2 has a box of the worst quality; 9 and 3 have none.
-    assert spans(store) == [(1, 2, "hugging", 0, 0, True, False), (2, 1, "hugging", 0, 0, True, False)]
+    assert spans(store) == [(1, 2, "hugging", 0, 0, True), (2, 1, "hugging", 0, 0, True)]
     assert report.absent_partners == 3
 
 
@@ -65,9 +65,10 @@ def test_gaps_are_closed_by_rows_of_their_own(tmp_path, gap, closed):
     talking = [(2, {"conversation": "1"})]
     frames = {f: scene(talking if f < 5 or f > 11 else [], []) for f in range(20)}
     store, _ = loaded(tmp_path, frames, gap_frames=gap)
-    middle = [(1, 2, "conversation", 5, 11, False, True)] if closed else []
     one_way = [row for row in spans(store) if row[0] == 1]
-    assert one_way == [(1, 2, "conversation", 0, 4, True, False), *middle, (1, 2, "conversation", 12, 19, True, False)]
+    assert one_way == [(1, 2, "conversation", 0, 4, True), (1, 2, "conversation", 12, 19, True)]
+    between = [(1, 2, "conversation", 5, 11, True), (2, 1, "conversation", 5, 11, True)] if closed else []
+    assert spans(store, "possible_interactions") == between
 
 
 def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
@@ -75,8 +76,8 @@ def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
     frames = {f: scene(talking if f != 45 else [], []) for f in range(0, 90, 15)}
     store, _ = loaded(tmp_path, frames)
     assert [row for row in spans(store) if row[0] == 1] == [
-        (1, 2, "conversation", 0, 30, True, False),
-        (1, 2, "conversation", 60, 75, True, False),
+        (1, 2, "conversation", 0, 30, True),
+        (1, 2, "conversation", 60, 75, True),
     ]
 
 
@@ -84,7 +85,7 @@ def test_whose_lists_were_read_stands_with_the_sightings(tmp_path):
     broken = [(2, {"hugging": "1"}), ("nobody", {"hugging": "1"})]
     store, _ = loaded(tmp_path, {0: scene(broken, [], None)})
     assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [False, True, False]
-    assert spans(store)[0] == (1, 2, "hugging", 0, 0, True, False)
+    assert spans(store)[0] == (1, 2, "hugging", 0, 0, True)
 
 
 @pytest.mark.parametrize("said", [([(3, {"hugging": "1"})], [], None), ([], [], [(1, {"hugging": "1"})])])

@@ -74,11 +74,12 @@ EXPECTED = {
         WITH beside AS (
             SELECT *, lag(last) OVER w AS before, lead(first) OVER w AS after,
                    (SELECT action_step FROM intervals_sequence WHERE sequence = $s) AS step
-            FROM intervals_memberships WHERE sequence = $s WINDOW w AS (PARTITION BY track, cluster ORDER BY first))
+            FROM (FROM intervals_memberships UNION ALL BY NAME FROM intervals_possible_memberships)
+            WHERE sequence = $s WINDOW w AS (PARTITION BY track, cluster ORDER BY first))
         SELECT first AS frame, 'joins' AS change, cluster, track, certain
-        FROM beside WHERE before IS NULL OR before + step < first
+        FROM beside WHERE gap IS NULL AND (before IS NULL OR before + step < first)
         UNION ALL SELECT last, 'leaves', cluster, track, certain
-        FROM beside WHERE after IS NULL OR after - step > last""",
+        FROM beside WHERE gap IS NULL AND (after IS NULL OR after - step > last)""",
     "things_handled": """
         SELECT track, verb, category, object AS thing, min(h.first) AS first,
                round(sum(last_s - first_s), 1) AS seconds
@@ -97,7 +98,7 @@ EXPECTED = {
     "unknown_facts": """
         SELECT action, count(*) AS intervals, sum(last - first + 1)::BIGINT AS frames,
                count(DISTINCT track) AS people
-        FROM intervals_actions WHERE sequence = $s AND NOT certain AND NOT gap GROUP BY action""",
+        FROM intervals_actions WHERE sequence = $s AND NOT certain GROUP BY action""",
     "demographics_by_group": """
         SELECT cluster, (SELECT any_value(value) FROM intervals_group_info i WHERE i.sequence = m.sequence
                          AND i.cluster = m.cluster AND attribute = 'venue' AND chosen) AS venue,
@@ -116,7 +117,7 @@ EXPECTED = {
         FROM intervals_absences WHERE sequence = $s AND track = $t""",
     "objects": """
         SELECT category, count(*) AS things, count(*) FILTER (WHERE told) AS handled,
-               count(*) FILTER (WHERE NOT told) AS perhaps
+               count(*) FILTER (WHERE NOT told) AS hard_only
         FROM (SELECT category, (SELECT bool_or(certain) FROM intervals_handles h WHERE h.sequence = o.sequence
                                 AND h.object = o.object AND h.category_id = o.category_id) AS told
               FROM intervals_objects o WHERE sequence = $s) GROUP BY category""",

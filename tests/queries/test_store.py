@@ -8,16 +8,13 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
-import warm
-from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
-from places import DOCS
+from processes import run, run_program
 from worlds import person, write_root
 
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_table
-from jrdb_avr.schema import tables
 from jrdb_avr.schema.errors import InputError, LockedError, StoreError
 
 SCHEMA = pa.schema([pa.field("a", pa.int32(), nullable=False), pa.field("b", pa.string())])
@@ -66,7 +63,7 @@ def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
             sys.exit(7)
         """
     )
-    done = warm.run(warm.script, code)
+    done = run_program(code)
     assert done.returncode == 7, done.stderr
     assert b"cannot write" in done.stdout
     assert not list(tmp_path.iterdir())
@@ -80,12 +77,12 @@ def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
         "try:\n    with store.writing('generate'): pass\nexcept LockedError as error:\n    print(error); sys.exit(7)\n"
     )
     with store.writing("load"):
-        held = warm.run(warm.script, code)
+        held = run_program(code)
         with pytest.raises(LockedError):
             store.writing("generate").__enter__()
     assert held.returncode == 7
     assert f"'load', process {os.getpid()}" in held.stdout.decode()
-    free = warm.run(warm.script, code)
+    free = run_program(code)
     assert free.returncode == 0
 
 
@@ -159,12 +156,3 @@ def test_what_is_no_file_is_not_replaced(tmp_path):
         write_atomic(tmp_path / "pipe", lambda path: path.write_bytes(b"x"))
     assert (tmp_path / "pipe").is_fifo()
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
-
-
-def test_the_page_of_tables_is_written_from_the_schemas_and_says_what_each_column_means():
-    found = (DOCS / "tables.md").read_text("utf-8")
-    assert found.rstrip() == tables.tables_page().rstrip()
-    known = {(name, field) for name, schema, _ in tables.views() for field in schema.names}
-    assert set(tables.SPECIAL) <= known
-    assert set(tables.COLUMNS) <= {field for _, field in known}
-    assert set(tables.ABOUT) == {name for name, _ in known}

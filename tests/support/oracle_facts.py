@@ -34,6 +34,10 @@ LAYERS = (
 )
 
 
+LABELED = ("actions", "memberships", "interactions", "handles")
+"""Tables of written labels; beside each stands one of what may hold without a label."""
+
+
 def facts(root, sequence):
     return Oracle(read_root(root, sequence), sequence).tables()
 
@@ -213,6 +217,9 @@ class Oracle:
             "segments": self._segments(),
         }
         result["persons"] = self._persons(result["demographics"])
+        for name in LABELED:
+            result[f"possible_{name}"] = [row for row in result[name] if not row["written"]]
+            result[name] = [row for row in result[name] if row["written"]]
         return {name: [{"sequence": self.sequence, **row} for row in rows] for name, rows in result.items()}
 
     def _sequence(self):
@@ -308,8 +315,7 @@ class Oracle:
             if all((frame, track) in self.people for track in pair):
                 for label, difficulty in said_too({row["label"]: row["difficulty"]}).items():
                     for key in ((*pair, label), (*reversed(pair), label)):
-                        frames = said.setdefault(key, {})
-                        frames[frame] = easier(frames.get(frame), difficulty)
+                        said.setdefault(key, {}).setdefault(frame, []).append((label == row["label"], difficulty))
         return [
             {"source": source, "target": target, "label": label, **row}
             for (source, target, label), frames in sorted(said.items())
@@ -323,7 +329,7 @@ class Oracle:
             if (row["frame"], row["track"]) in self.people and row["category_id"] not in people:
                 for verb, difficulty in said_too({row["verb"]: row["difficulty"]}).items():
                     frames = said.setdefault((row["track"], row["object"], row["category_id"], verb), {})
-                    frames[row["frame"]] = easier(frames.get(row["frame"]), difficulty)
+                    frames.setdefault(row["frame"], []).append((verb == row["verb"], difficulty))
         return [
             {"track": track, "object": thing, "category_id": category, "verb": verb, **row}
             for (track, thing, category, verb), frames in sorted(said.items())
@@ -331,19 +337,17 @@ class Oracle:
         ]
 
     def _relation(self, layer, frames):
-        """Intervals of a relation that stands in `frames` with a difficulty each."""
+        """Intervals of a relation by frame: each statement as whether it is written, and its difficulty."""
         known = self._known(layer)
         step = step_of(known)
 
         def kind(frame):
             if frame in frames:
-                return "certain" if frames[frame] in (1, 2) else "hard"
+                written = [difficulty for is_written, difficulty in frames[frame] if is_written]
+                return ("certain" if {1, 2} & {*written} else "hard") if written else "said too"
             return "gap" if step == 1 and self._closed(frame, frames.__contains__) else None
 
-        return [
-            {**self._span(first, last), "certain": what == "certain", "gap": what == "gap"}
-            for first, last, what in _chains(known, step, kind)
-        ]
+        return [{**self._span(first, last), **_flags(what)} for first, last, what in _chains(known, step, kind)]
 
     def _objects(self):
         """Things with a track, as the panoptic layer shows them, and those that only somebody handles."""
@@ -444,16 +448,18 @@ class Oracle:
 
                 def kind(frame, track=track, action=action):
                     listed = self.actions.get((frame, track), {})
-                    if action in listed:
+                    if action in self.written.get((frame, track), {}):
                         return "certain" if self.certain(frame, track, action) else "hard"
+                    if action in listed:
+                        return "said too"
                     return "gap" if self.gap(frame, track, action) else None
 
                 for first, last, what in _chains(self.action_frames, step, kind):
                     codes = [self.actions.get((f, track), {}).get(action) for f in range(first, last + 1, step)]
-                    difficulty = None if what == "gap" or None in codes else max(codes)
+                    difficulty = None if None in codes else max(codes)
                     rows.append(
                         {"track": track, "action": action, **self._span(first, last), "difficulty": difficulty}
-                        | {"certain": what == "certain", "gap": what == "gap"}
+                        | _flags(what)
                     )
         return rows
 
@@ -473,10 +479,7 @@ class Oracle:
                 return "gap" if step == 1 and self._closed(frame, member) else None
 
             for first, last, what in _chains(self.group_frames, step, kind):
-                rows.append(
-                    {"track": track, "cluster": cluster, **self._span(first, last)}
-                    | {"certain": what == "certain", "gap": what == "gap"}
-                )
+                rows.append({"track": track, "cluster": cluster, **self._span(first, last), **_flags(what)})
         return rows
 
     def _robot_view(self):
@@ -583,6 +586,10 @@ class Oracle:
 def easier(a, b):
     """The easier of two difficulties; None is unreadable."""
     return min((c for c in (a, b) if c is not None), default=None)
+
+
+def _flags(what):
+    return {"certain": what == "certain", "gap": what == "gap", "written": what in ("certain", "hard")}
 
 
 def _chains(frames, step, kind):

@@ -11,7 +11,7 @@ import itertools
 import json
 from functools import cache, cached_property
 
-from oracle_facts import Oracle, distance_words, off_axis
+from oracle_facts import LABELED, Oracle, distance_words, off_axis
 from oracle_reading import read_root
 from oracle_words import AGES, OTHERS, POSES, TOGETHER, VERBS
 
@@ -64,6 +64,8 @@ class People(Oracle):
         self.state = cache(self.state)
         self.clear = cache(self.clear)
         self.rows = self.tables()
+        for name in LABELED:
+            self.rows[name] += self.rows[f"possible_{name}"]
         self.layers = set(self.rows["sequence"][0]["layers"])
         self.sights = {(row["frame"], row["track"]): row for row in self.rows["sightings"]}
         self.told = {row["track"]: row for row in self.rows["persons"]}

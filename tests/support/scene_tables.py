@@ -20,7 +20,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.labels import ACTIONS, AGES, GENDERS, INTERACTIONS, OCCLUSIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT
 from jrdb_avr.schema.rules import LoadRules, rules_hash
-from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LAYERS
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LABELED, LAYERS
 
 CATEGORIES = ("bag", "chair/sofa", "door", "phone", None)
 VERBS = ("holding", "sitting", "opening", "looking at")
@@ -138,6 +138,12 @@ def scene_tables(sequence, rng, frames, people):
         rows["beside"].append(
             {"source": a, "target": b, "label": "front left, close", **_span((0, frames // 2)), "certain": True}
         )
+    # Each group has a label of one member at least.
+    for row in {row["cluster"]: row for row in rows["memberships"]}.values():
+        row["written"] = True
+    for kind in LABELED:
+        rows[f"possible_{kind}"] = [row | {"gap": row["first"] % 3 > 0} for row in rows[kind] if not row["written"]]
+        rows[kind] = [row for row in rows[kind] if row["written"]]
     tables = {
         kind: pa.Table.from_pylist([{"sequence": sequence, **_plain(row)} for row in rows[kind]], INTERVALS[kind])
         for kind in rows
@@ -211,7 +217,7 @@ def _span(span):
 
 def _sure(rng, span):
     certain = bool(rng.random() < 0.75)
-    return {**_span(span), "certain": certain, "gap": not certain and bool(rng.random() < 0.3)}
+    return {**_span(span), "certain": certain, "written": certain or bool(rng.random() < 0.5)}
 
 
 def _maybe(rng, values):

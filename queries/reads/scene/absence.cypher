@@ -1,5 +1,5 @@
-// seconds_between: the first absence of somebody after a frame, between the last box before and the first one after it.
-// The person is in clear view at every keyframe until it, and nothing is unannotated during it.
+// seconds_between: a person's first absence after a frame, between the last box before it and the first box after it.
+// The person is in clear view at every keyframe until then, and every frame of the absence is annotated.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.after AS after, q.step AS step, q.box_step AS box_step
 MATCH (f:Frame)

@@ -1,4 +1,4 @@
-// count: whether somebody is seen at every keyframe from one frame to another.
+// count: whether a person is seen at every keyframe from one frame to another.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.t1 AS t1, q.t2 AS t2, q.step AS step
 MATCH (f:Frame)

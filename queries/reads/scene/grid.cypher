@@ -1,5 +1,5 @@
-// Which frames tell what people do, per sequence: the first and last one with a list of actions, and the step between
-// them; and the step between frames with boxes.
+// Frames with action labels per sequence: the first and last frame with a list of actions and the step between them;
+// also the step between frames with boxes.
 MATCH (f:Frame)
 WHERE f.annotated
 WITH f.sequence AS scope, min(f.frame) AS origin

@@ -1,5 +1,5 @@
-// next_action: the posture that follows the one held at a frame, and the keyframe `until` at which it is seen first.
-// The one before is seen at every keyframe until then. (Without IS NOT NULL the engine loses rows of the optional match.)
+// next_action: the posture after the one held at a frame, and the keyframe `until` at which it is first seen.
+// The first posture is seen at every keyframe until then. (Without IS NOT NULL the engine loses rows of OPTIONAL MATCH.)
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.after AS after
 MATCH (p:Person)-[s:SeenIn]->(:Frame)

@@ -1,5 +1,5 @@
-// presence, distance_change: what is seen of somebody at a frame. `clear` is 1 in clear view; who is not is absent where
-// the frame and both neighbouring keyframes are annotated (3) and hold no box. `distance` in metres, null where unknown.
+// presence, distance_change: the view of a person at a frame. `clear` is 1 in clear view. A person without a box is
+// absent if the frame and both neighbouring keyframes are annotated (3). `distance` is in metres, null if unknown.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.t AS t
 UNWIND [t - 15, t, t + 15] AS near

@@ -1,40 +1,40 @@
-// start, span, start_view, seconds_between: the first time after a frame that somebody starts an action.
-// It is the first stable segment of the action, from `first` to `last`, with nothing but false before it since `after`;
-// `start` and `end` are what is asked for. `closed`: it is known to end there. `angle` is the direction at `first`.
-// The frames that tell of actions are low, low + step, ..., high; what lies beyond them does not exist.
+// start, span, start_view, seconds_between: the first time after a frame that a person starts an action.
+// This is the first stable segment of the action, from `first` to `last`, that is false at all frames since `after`;
+// `start` and `end` are the requested values. `closed`: its end is known. `angle` is the direction at `first`.
+// Frames with action labels are low, low + step, ..., high; no others exist.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.action AS action, q.posture AS posture, q.after AS after,
      q.low AS low, q.high AS high, q.step AS step
 WHERE after >= low AND (after - low) % step = 0
-MATCH (p:Person)-[r:Performs]->(x:Action)
+MATCH (p:Person)-[r:Performs|MayPerform]->(x:Action)
 WHERE p.sequence = scope AND p.track = who AND x.name = action AND r.last >= after
 WITH id, action, posture, after, low, high, step, p, min(r.first) AS first
 WHERE first > after
-// Intervals that follow each other without a gap: the first of them that nothing follows is the last.
-MATCH (p)-[r:Performs]->(x:Action)
+// Of intervals that follow each other without a gap, the last is the first one without a successor.
+MATCH (p)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = action AND r.first >= first
-  AND NOT EXISTS { MATCH (p)-[n:Performs]->(y:Action) WHERE y.name = action AND n.first = r.last + step }
+  AND NOT EXISTS { MATCH (p)-[n:Performs|MayPerform]->(y:Action) WHERE y.name = action AND n.first = r.last + step }
 WITH id, action, posture, after, low, high, step, p, first, min(r.last) AS last
 WHERE last - first >= $least
-MATCH (p)-[r:Performs]->(x:Action)
+MATCH (p)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = action
 WITH id, action, posture, after, low, high, step, p, first, last,
      max(CASE WHEN r.last < first THEN r.last END) AS before,
      min(CASE WHEN r.first > last THEN r.first END) AS next,
-     sum(CASE WHEN r.first >= first AND r.last <= last AND r.certain = false AND r.gap = false THEN 1 ELSE 0 END) AS unsure,
+     sum(CASE WHEN r.first >= first AND r.last <= last AND (r.certain = false OR r.gap = false) THEN 1 ELSE 0 END) AS unsure,
      sum(CASE WHEN r.first >= first AND r.last <= last AND r.certain = true THEN (r.last - r.first) / step + 1 ELSE 0 END)
          AS named,
      $edge / step * step AS edge, $quiet / step * step AS quiet
 WHERE unsure = 0 AND first - edge >= low
   AND (before IS NULL OR (before < first - edge AND before < first - quiet))
   AND (next IS NULL OR next > last + quiet)
-// In clear view wherever the action is named.
+// The person is in clear view at all frames of the action.
 MATCH (x:Action)<-[r:Performs]-(p)-[s:SeenIn]->(:Frame)
 WHERE x.name = action AND r.certain AND r.first >= first AND r.last <= last
   AND s.frame >= r.first AND s.frame <= r.last AND (s.frame - low) % step = 0 AND s.clear
 WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, count(*) AS clear
 WHERE clear = named
-// Frames before and after that tell of the action, where no interval does: it is false there.
+// Frames with action labels before and after the segment: the action is false there.
 MATCH (p)-[s:SeenIn]->(:Frame)
 WHERE (s.frame - low) % step = 0
 WITH id, after, low, high, step, first, last, next, edge, quiet, s.frame AS t, s.angle AS angle, s.clear AS clear,

@@ -1,4 +1,4 @@
-// action, attribute: what is labelled of somebody at a frame at which the person is seen; null where it is unknown.
+// action, attribute: the labels of a person at a frame at which it is seen; null if they are unknown.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.t AS t
 MATCH (p:Person)-[s:SeenIn]->(:Frame)

@@ -1,4 +1,4 @@
-// presence, leaves, returns: which columns of the panorama were observed.
+// presence, leaves, returns: the observed columns of the panorama.
 MATCH (:Episode {id: $scope})-[:Made]->(o:Observation)
 RETURN o.frame AS frame, o.left AS edge, o.width AS width, o.number AS look, o.angle AS angle
 ORDER BY frame, edge, width

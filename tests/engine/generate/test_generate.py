@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import warm
 from click.testing import CliRunner
 from evidence_files import all_evidence, question_files
 from hypothesis import given, settings
@@ -20,6 +19,7 @@ from hypothesis import strategies as st
 from keyframe_layer import layer_rows, layers_in_memory
 from lively_worlds import lively_world
 from places import REAL
+from processes import run_program
 from quick_store import graphless_store
 from visible import visible_share
 from worlds import load_world
@@ -31,7 +31,8 @@ from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import Span, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import Span
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.panorama import Box
@@ -300,7 +301,7 @@ def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
         "Path.replace = replace\n"
         "generate(Store(sys.argv[1]), Rules(), workers=1, seed=1)\n"
     )
-    killed = warm.run(warm.script, script, store.path)
+    killed = run_program(script, store.path)
     assert killed.returncode == -signal.SIGKILL
     assert files(store) != files(one[0])
     generate(store, Rules(), **HOW)

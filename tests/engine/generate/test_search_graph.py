@@ -12,7 +12,7 @@ import pytest
 from scene_tables import scene_tables, table_store
 
 from jrdb_avr.loaders import graph as scene
-from jrdb_avr.loaders.graph import STAGE, build_scene, scene_rows, stage_scene
+from jrdb_avr.loaders.graph import STAGE, build_scene, stage_scene
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, QueryError
@@ -24,7 +24,8 @@ FRAME = "sequence || '/' || lpad(frame::VARCHAR, 6, '0')"
 PAIR = "sequence || '/' || source, sequence || '/' || target"
 THING = "sequence || '/' || category_id || ':' || object"
 SPAN = "first, last, first_s, last_s"
-SURE = f"{SPAN}, certain, gap"
+SURE = f"{SPAN}, certain"
+MAY = f"{SPAN}, gap"
 
 # Per table of the graph, its rows as SQL over the interval files, columns in the order of the DDL.
 SQL = {
@@ -51,11 +52,15 @@ SQL = {
         FROM object_sightings""",
     "Present": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM presences",
     "Absent": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM absences",
-    "Performs": f"SELECT {PERSON}, action, sequence, {SPAN}, difficulty, certain, gap FROM actions",
+    "Performs": f"SELECT {PERSON}, action, sequence, {SPAN}, difficulty, certain FROM actions",
+    "MayPerform": f"SELECT {PERSON}, action, sequence, {MAY} FROM possible_actions",
     "MemberOf": f"SELECT {PERSON}, sequence || '/' || cluster, sequence, {SURE} FROM memberships",
+    "MayBelong": f"SELECT {PERSON}, sequence || '/' || cluster, sequence, {MAY} FROM possible_memberships",
     "Interacts": f"SELECT {PAIR}, label, sequence, {SURE} FROM interactions",
-    "Beside": f"SELECT {PAIR}, label, sequence, {SPAN}, certain FROM beside",
+    "MayInteract": f"SELECT {PAIR}, label, sequence, {MAY} FROM possible_interactions",
     "Handles": f"SELECT {PERSON}, {THING}, verb, sequence, {SURE} FROM handles",
+    "MayHandle": f"SELECT {PERSON}, {THING}, verb, sequence, {MAY} FROM possible_handles",
+    "Beside": f"SELECT {PAIR}, label, sequence, {SURE} FROM beside",
 }
 
 
@@ -108,13 +113,6 @@ def test_the_tables_are_all_there_are():
     assert SQL.keys() | {"Action"} == SCENE_NODES.keys() | SCENE_RELS.keys()
 
 
-def test_the_rows_told_are_those_of_the_graph(store):
-    told = Counter()
-    for table, rows in scene_rows(store, ["hall-2_0", "yard-1_0"]):
-        told[table] += rows.num_rows
-    assert told == {table: n for table, n in store.manifest().graph.items() if table != "storage_version"}
-
-
 def test_nothing_staged_is_left(store):
     assert not (store.path / STAGE).exists()
 
@@ -151,7 +149,9 @@ def test_batches_of_any_size_give_the_same_graph(tmp_path, monkeypatch, rows, fr
     monkeypatch.setattr(scene, "BATCH_ROWS", rows)
     store = table_store(tmp_path, seed=3, frames=frames, people=3, sequences=("b.c", "d-e_0"))
     expected = in_files(store)
-    assert all(expected.values()) and expected["SeenIn"].total() > rows
+    # So few frames have few facts that may hold.
+    assert all(expected[table] for table in expected if not table.startswith("May"))
+    assert expected["SeenIn"].total() > rows
     check_all(store)
 
 

@@ -16,7 +16,7 @@ from text_reader import Found, Reader, differs, open_readings
 from text_reader_vocabulary import HELD, Reading
 from text_reader_words import BY_MIDDLES, UnreadableError, parse
 
-from jrdb_avr.schema.answers import decode_answer, same_answer
+from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.wording.text import render
 

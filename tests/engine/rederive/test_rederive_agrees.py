@@ -75,7 +75,7 @@ def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
     for sequence in random_store.sequences:
         annotations = Annotations.read(random_store, sequence, RULES)
         values = {}
-        for row in random_store.interval("actions", sequence).to_pylist():
+        for row in random_store.facts("actions", sequence).to_pylist():
             for frame in range(row["first"], row["last"] + 1, annotations.step):
                 values[row["track"], row["action"], frame] = TRUE if row["certain"] else UNKNOWN
         pairs = {key[:2] for key in values}

@@ -10,9 +10,9 @@ import sys
 from itertools import combinations
 from pathlib import Path
 
-import entry
 import msgspec
 import numpy as np
+import processes
 import pytest
 from failing_runs import CASES, stored_failures
 from known_runs import BOX, ELSEWHERE, Benchmark, table
@@ -400,10 +400,10 @@ def write_every_format(path, folder):
     # The rows of a table as CSV are those of the JSON: one of them is enough.
     calls |= {"csv": ("--table", "template", "--csv")}
     for name, options in calls.items():
-        code, text, err = entry.run("report", "--store", path, "--paper", *options)
+        code, text, err = processes.run("report", "--store", path, "--paper", *options)
         assert code == 0, err
         (folder / name).write_text(text)
-    assert entry.run("report", "--store", path, "--paper", "--html", folder / "html")[0] == 0
+    assert processes.run("report", "--store", path, "--paper", "--html", folder / "html")[0] == 0
 
 
 @pytest.mark.slow

@@ -382,7 +382,7 @@ def test_a_copied_run_is_not_the_run(store):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda table: table.drop_columns(["template"]),
+        lambda table: table.drop_columns(["choices"]),
         lambda table: table.set_column(6, "answer_mode", pa.array(["essay"] * len(table))),
         lambda table: pa.concat_tables([table, table]),
         lambda table: table.set_column(3, "choices", pa.nulls(len(table), pa.list_(pa.string()))),

@@ -11,8 +11,8 @@ from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.people import HUMAN
 from jrdb_avr.engine.run.human import HumanDesk
+from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.playing import played_run
-from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError
 
@@ -70,7 +70,7 @@ def test_a_person_plays_under_the_rules_of_react(store):
         state = post(server, "state")
         assert set(state) == {"due", "questions", "error", "play"} and (state["due"], state["questions"]) == (2, 2)
         assert set(state["play"]) == {
-            *("question_id", "question", "choices", "mode", "rule", "advice", "frames", "fps", "frame_count"),
+            *("question_id", "question", "choices", "fields", "rule", "advice", "frames", "fps", "frame_count"),
             *("looks", "left", "over", "answered"),
         }
         frame = state["play"]["frames"][3]

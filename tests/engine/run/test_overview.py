@@ -6,8 +6,8 @@ import shutil
 import msgspec
 import numpy as np
 import pytest
-from entry import run
 from known_runs import BOX, ELSEWHERE, Benchmark
+from processes import run
 from segments import opened, segment_of
 
 from jrdb_avr.engine.report.comparison import diff

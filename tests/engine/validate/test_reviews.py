@@ -8,11 +8,11 @@ from functools import cache
 import duckdb
 import pyarrow as pa
 import pytest
-from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
 from keyframe_layer import layers_in_memory
 from lively_worlds import lively_world
+from processes import run
 from quick_store import graphless_store
 
 from jrdb_avr.engine.generate import found

@@ -7,7 +7,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from entry import run
+from processes import run
 from spoiled_questions import keep_only, rewrite
 
 from jrdb_avr.engine.rederive.labels import Annotations

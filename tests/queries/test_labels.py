@@ -1,0 +1,233 @@
+"""Edges of labels hold what annotators wrote: compared with the annotation tables and with real label files."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+
+import duckdb
+import pytest
+from places import DOCS, REAL, ROOT
+
+from jrdb_avr.loaders.load import load
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.named import named_queries
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.labels import normal_action
+from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.tables import ANNOTATIONS
+
+SEQUENCE = "sample-plaza-01_0"
+
+# Per relationship: the columns of an edge in Cypher, and every label by frame in SQL over the annotation tables.
+LABELS = {
+    "Performs": (
+        "p.track, x.name",
+        """SELECT track, action, frame, bool_or(difficulty < 3) FROM actions WHERE sequence = $s GROUP BY ALL""",
+    ),
+    "MemberOf": (
+        "p.track, x.cluster",
+        """SELECT track, cluster, frame, coalesce(difficulty < 3, false) FROM groups WHERE sequence = $s""",
+    ),
+    "Interacts": (
+        "p.track, x.track, r.label",
+        """WITH boxed AS (SELECT i.* FROM interactions i SEMI JOIN boxes_2d a USING (sequence, frame, track)
+                         SEMI JOIN boxes_2d b ON (b.sequence, b.frame, b.track) = (i.sequence, i.frame, i.partner)
+                         WHERE i.sequence = $s)
+        SELECT track, partner, label, frame, coalesce(bool_or(difficulty < 3), false)
+        FROM (SELECT track, partner, label, frame, difficulty FROM boxed
+              UNION ALL SELECT partner, track, label, frame, difficulty FROM boxed) GROUP BY ALL""",
+    ),
+    "Handles": (
+        "p.track, x.category_id, x.track, r.verb",
+        """SELECT track, category_id, object, verb, frame, coalesce(bool_or(difficulty < 3), false)
+        FROM handles SEMI JOIN boxes_2d USING (sequence, frame, track)
+        WHERE sequence = $s AND category_id NOT IN
+              (SELECT category_id FROM categories WHERE sequence = $s AND category IN ('pedestrian', 'person'))
+        GROUP BY ALL""",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def graph(sample_benchmark):
+    with Graph.open(sample_benchmark.graph_path, read_only=True) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def annotations(sample_benchmark):
+    """DuckDB with a view of each annotation table."""
+    with duckdb.connect() as connection:
+        for layer in ANNOTATIONS:
+            files = sample_benchmark.path / "annotations" / layer / "*.parquet"
+            connection.execute(f"CREATE VIEW {layer} AS FROM read_parquet('{files}')")
+        names = {"Performs": "action", "MemberOf": "cluster", "Interacts": "other, label"}
+        for table, (_, labels) in LABELS.items():
+            columns = names.get(table, "category_id, object, verb")
+            connection.execute(
+                f"CREATE TABLE labels_{table}(track, {columns}, frame, certain) AS {labels}", {"s": SEQUENCE}
+            )
+        yield connection
+
+
+def edges(graph, table, columns, sequence=SEQUENCE):
+    """The columns of each edge, its two frames, and its last columns: `certain`, or null for what may be."""
+    last = "r.gap" if table.startswith("May") else "r.certain"
+    text = f"MATCH (p:Person)-[r:{table}]->(x) WHERE r.sequence = $s RETURN {columns}, r.first, r.last, {last} AS last"
+    return [tuple(row.values()) for row in graph.query(text, {"s": sequence}, ordered=False).to_pylist()]
+
+
+@pytest.mark.parametrize("table", LABELS)
+def test_edges_of_labels_are_the_labels_of_the_annotation_tables(graph, annotations, table):
+    columns, labels = LABELS[table]
+    expected = {row[:-1]: row[-1] for row in annotations.execute(labels, {"s": SEQUENCE}).fetchall()}
+    found = {
+        (*key, frame): certain
+        for *key, first, last, certain in edges(graph, table, columns)
+        for frame in range(first, last + 1)
+    }
+    assert found.keys() == expected.keys() and len(expected) > 500
+    assert all(expected[key] for key, certain in found.items() if certain)
+    # One of two poses is not certain either.
+    assert table == "Performs" or found == expected
+
+
+@pytest.mark.parametrize(
+    ("labels", "possible", "expected"),
+    [
+        ("Performs", "MayPerform", {True, False}),
+        ("MemberOf", "MayBelong", {True}),
+        ("Interacts", "MayInteract", {False}),
+        ("Handles", "MayHandle", {False}),
+    ],
+)
+def test_what_may_hold_is_never_a_label(graph, labels, possible, expected):
+    columns, _ = LABELS[labels]
+    held = {(*key, f) for *key, first, last, _ in edges(graph, labels, columns) for f in range(first, last + 1)}
+    kinds = set()
+    for *key, first, last, gap in edges(graph, possible, columns):
+        assert held.isdisjoint((*key, frame) for frame in range(first, last + 1))
+        assert not gap or last - first < LoadRules().gap_frames
+        kinds.add(gap)
+    assert kinds == expected
+
+
+# Per named query: columns of its rows, and the same from labels by frame (the statements above as views).
+NAMED = {
+    "looks_at_robot": (
+        "track first last",
+        """SELECT track, min(frame), max(frame) FROM labels_Performs
+        WHERE action = 'looking at robot' AND certain GROUP BY track""",
+    ),
+    "conversations": (
+        "track partner first last",
+        """SELECT track, other, min(frame), max(frame) FROM labels_Interacts
+        WHERE label = 'conversation' AND certain AND track < other GROUP BY ALL""",
+    ),
+    "longest_conversations": (
+        "track partner frame",
+        """SELECT track, other, frame FROM labels_Interacts
+        WHERE label = 'conversation' AND certain AND track < other""",
+    ),
+    "groups": (
+        "cluster size members",
+        """SELECT cluster, count(*), list(track ORDER BY track) FROM labels_MemberOf
+        WHERE frame = 150 AND certain GROUP BY cluster""",
+    ),
+    "timeline": (
+        "what name of frame",
+        """SELECT 'does', action, '', frame FROM labels_Performs WHERE track = 4
+        UNION ALL SELECT 'is in', 'group', cluster::VARCHAR, frame FROM labels_MemberOf WHERE track = 4
+        UNION ALL SELECT 'with', label, other::VARCHAR, frame FROM labels_Interacts WHERE track = 4
+        UNION ALL SELECT 'handles', verb, category || ' ' || object, frame
+        FROM labels_Handles JOIN (FROM categories WHERE sequence = 'sample-plaza-01_0') USING (category_id)
+        WHERE track = 4""",
+    ),
+    "things_handled": (
+        "track verb category thing first",
+        """SELECT track, verb, category, object, min(frame)
+        FROM labels_Handles JOIN (FROM categories WHERE sequence = 'sample-plaza-01_0') USING (category_id)
+        WHERE certain GROUP BY ALL""",
+    ),
+    "unknown_facts": (
+        "action frames people",
+        """SELECT action, count(*), count(DISTINCT track) FROM labels_Performs WHERE NOT certain GROUP BY action""",
+    ),
+    "objects": (
+        "category handled hard_only",
+        """SELECT category, count(*) FILTER (sure), count(*) FILTER (NOT sure)
+        FROM (SELECT category_id, object, bool_or(certain) AS sure FROM labels_Handles GROUP BY ALL)
+        JOIN (FROM categories WHERE sequence = 'sample-plaza-01_0') USING (category_id) GROUP BY ALL""",
+    ),
+    "demographics_by_group": (
+        "cluster people",
+        """SELECT cluster, count(DISTINCT track) FROM labels_MemberOf WHERE certain GROUP BY ALL""",
+    ),
+    # A closed gap is no change: up to seven frames without the label.
+    "group_changes": (
+        "frame change cluster track",
+        """WITH near AS (SELECT *, lag(frame) OVER w AS before, lead(frame) OVER w AS after FROM labels_MemberOf
+                      WINDOW w AS (PARTITION BY track, cluster ORDER BY frame))
+        SELECT frame, 'joins', cluster, track FROM near WHERE coalesce(frame - before > 8, true)
+        UNION ALL SELECT frame, 'leaves', cluster, track FROM near WHERE coalesce(after - frame > 8, true)""",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_named_queries_count_labels_only(graph, annotations, name):
+    columns, labels = NAMED[name]
+    query = named_queries("cypher")[name]
+    given = {"sequence": SEQUENCE, "frame": 150, "track": 4, "count": 10_000}
+    answer = graph.query(query.text, query.values({k: given[k] for k in query.types}), ordered=False).to_pylist()
+    found = Counter()
+    for row in answer:
+        if row.get("sequence", SEQUENCE) != SEQUENCE or not any(row.get(k, 1) for k in ("handled", "hard_only")):
+            continue
+        frames = range(row["first"], row["last"] + 1) if "frame" in columns and "first" in row else [row.get("frame")]
+        for frame in frames:
+            key = tuple({**row, "frame": frame}[column] for column in columns.split() if column != "people")
+            found[repr(key)] += row["people"] if "people" in columns else 1
+    expected = Counter()
+    for row in annotations.sql(labels).fetchall():
+        expected[repr(row[:-1] if "people" in columns else row)] += row[-1] if "people" in columns else 1
+    if name == "unknown_facts":
+        # Poses are unknown for other reasons too.
+        found, expected = ({k: n for k, n in c.items() if " sth" in k or "robot" in k} for c in (found, expected))
+    assert found == expected and expected
+
+
+def test_no_example_takes_what_may_hold_for_a_label():
+    pages = [ROOT / "README.md", *DOCS.glob("*.md"), *(ROOT / "queries" / "explore").glob("*.cypher")]
+    statements = {page.name: re.findall(r"(?:MATCH|FROM) [^;`]*", page.read_text("utf-8")) for page in pages}
+    naming = {name for name, texts in statements.items() if re.search(r"\b(May[A-Z]|possible_)", " ".join(texts))}
+    # It takes a closed gap for no change.
+    assert naming == {"group_changes.cypher"}
+
+
+@pytest.mark.filterwarnings("ignore::jrdb_avr.AvrWarning")
+@pytest.mark.skipif(not REAL.exists(), reason="the slice of real data is not here")
+@pytest.mark.slow
+def test_real_labels_are_the_edges_of_the_graph(tmp_path):
+    store = Store(tmp_path / "store")
+    load(find_root(REAL), store, LoadRules(), 1)
+    expected = {
+        (path.stem, int(record["label_id"].split(":")[1]), normal_action(action), int(frame.split(".")[0]))
+        for path in (REAL / "labels" / "labels_2d_stitched").glob("*.json")
+        for frame, records in json.loads(path.read_bytes())["labels"].items()
+        for record in records
+        for action in record.get("action_label") or ()
+    }
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        found = {
+            (sequence, track, action, frame)
+            for sequence in store.manifest().sequences
+            for track, action, first, last, _ in edges(graph, "Performs", "p.track, x.name", sequence)
+            for frame in range(first, last + 1, 15)
+        }
+    assert found == expected
+    running = [label[:2] for label in found if label[2] == "running"]
+    assert len(running) == 15 and len(set(running)) == 6
