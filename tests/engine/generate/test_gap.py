@@ -23,7 +23,8 @@ from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, find_faults
 from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
-from jrdb_avr.schema.answers import decode_answer, encode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import canonical, parse_plan
 from jrdb_avr.schema.questions import Proof

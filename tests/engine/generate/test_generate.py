@@ -30,7 +30,8 @@ from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import Span, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import Span
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.panorama import Box

@@ -15,7 +15,7 @@ from question_files import all_evidence
 from text_reader import Found, Reader, differs, open_readings
 from text_reader_language import BY_MIDDLES, HELD, Reading, UnreadableError, parse
 
-from jrdb_avr.schema.answers import decode_answer, same_answer
+from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.wording.text import render
 

@@ -29,7 +29,8 @@ from jrdb_avr.engine.report.truth import Truth, read_truth
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema import answers
-from jrdb_avr.schema.answers import Span, decode_answer, same_answer
+from jrdb_avr.schema.answer_modes import decode_answer, same_answer
+from jrdb_avr.schema.answers import Span
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
 from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.tables import QUESTIONS, RUNS

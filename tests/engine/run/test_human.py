@@ -69,7 +69,7 @@ def test_a_person_plays_under_the_rules_of_react(store):
         state = post(server, "state")
         assert set(state) == {"due", "questions", "error", "play"} and (state["due"], state["questions"]) == (2, 2)
         assert set(state["play"]) == {
-            *("question_id", "question", "choices", "mode", "rule", "advice", "frames", "fps", "frame_count"),
+            *("question_id", "question", "choices", "fields", "rule", "advice", "frames", "fps", "frame_count"),
             *("looks", "left", "over", "answered"),
         }
         frame = state["play"]["frames"][3]
