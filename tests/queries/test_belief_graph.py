@@ -4,7 +4,7 @@ import os
 
 import pytest
 from processes import run_program
-from world_play import SCENE, believe, beside_scene, tables_of
+from world_calls import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs import graph as beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world

@@ -2,7 +2,7 @@
 
 import itertools
 
-from believed import parsed, planned
+from belief_stories import parsed, planned
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.compiler.believed import find_believed
