@@ -22,9 +22,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
-from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
 from jrdb_avr.agent.methods.episode import BUDGET
 from jrdb_avr.agent.methods.react import react_turn_schema
+from jrdb_avr.agent.methods.requests import PANORAMAS, panorama_parts
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import closed_object, reply_object
 from jrdb_avr.agent.model.messages import Message, Part

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Final
 
-from jrdb_avr.agent.methods.attempt import Attempt, FixedContextMethod, panorama_parts
+from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.methods.monolithic import answer_from
+from jrdb_avr.agent.methods.requests import FixedContextMethod, panorama_parts
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError

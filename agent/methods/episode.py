@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
-from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, final_parts, heading, on_crop
+from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, on_crop
+from jrdb_avr.agent.methods.requests import final_parts, heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention

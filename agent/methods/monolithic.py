@@ -6,15 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from jrdb_avr.agent.methods.attempt import (
-    Attempt,
-    FixedContextMethod,
-    ParsedReply,
-    final_parts,
-    frame_list,
-    on_panoramas,
-    panorama_parts,
-)
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, on_panoramas
+from jrdb_avr.agent.methods.requests import FixedContextMethod, final_parts, frame_list, panorama_parts
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Part
 from jrdb_avr.agent.model.prompts import mode_text, render

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, final_parts, history_settings, shared_settings
+from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG
 from jrdb_avr.agent.methods.episode import BUDGET, Episode, most_moves
+from jrdb_avr.agent.methods.requests import final_parts, history_settings, shared_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention

@@ -8,17 +8,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Final
 
-from jrdb_avr.agent.methods.attempt import (
-    Attempt,
-    FixedContextMethod,
-    ImageFrame,
-    ParsedReply,
-    frame_list,
-    on_crop,
-    on_panoramas,
-    panorama_parts,
-)
+from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, on_crop, on_panoramas
 from jrdb_avr.agent.methods.monolithic import answer_from
+from jrdb_avr.agent.methods.requests import FixedContextMethod, frame_list, panorama_parts
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Part, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import mode_text, render

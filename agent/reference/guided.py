@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from jrdb_avr.agent.methods.attempt import Attempt, heading
+from jrdb_avr.agent.methods.attempt import Attempt
+from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.prompts import render
