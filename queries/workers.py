@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait
-from multiprocessing.context import ForkServerContext, SpawnContext
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -35,7 +34,7 @@ Executor = int | str
 RETRIES: Final = 3
 """Maximum number of times that a sequence is given to another Ray worker after its worker died."""
 
-context: SpawnContext | ForkServerContext = multiprocessing.get_context("spawn")
+context: Final = multiprocessing.get_context("spawn")
 """Start method of processes. They are not forked, because the threads of the graph engine do not survive a fork."""
 
 is_worker = False

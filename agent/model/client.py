@@ -324,7 +324,7 @@ class Client:
         return reply
 
     def _refusal(self, response: httpx2.Response, status: int, message: str, code: object) -> Exception:
-        """Return the error that the HTTP status, message and code of a reply stand for."""
+        """Return the error for the HTTP status, message and code of a reply."""
         reason = f"HTTP {status}: {self._one_line(message.strip() or 'the server gives no reason')}"
         busy = status in _BUSY and code != _NO_CREDIT
         if busy or status >= 500:

@@ -1,11 +1,10 @@
 """The handle on the world tables: what it refuses, where it lives, and what it leaves of the scene."""
 
 import os
-import time
 
 import pytest
-import warm
-from world_play import SCENE, believe, beside_scene, tables_of
+from processes import run_program, started
+from world_calls import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs import graph as beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
@@ -208,7 +207,7 @@ def test_a_file_that_is_no_graph_is_refused(tmp_path):
 def test_a_graph_has_one_writer(scene):
     with WorldGraph.open(scene):
         code = f"from jrdb_avr.queries.beliefs.graph import WorldGraph; WorldGraph.open({str(scene)!r})"
-        done = warm.run(warm.script, code)
+        done = run_program(code)
     assert f"process {os.getpid()}" in done.stderr.decode().splitlines()[-1]
     with Graph.open(scene, read_only=True), pytest.raises(LockedError):
         WorldGraph.open(scene)
@@ -223,7 +222,7 @@ def test_closing_twice_is_harmless_and_what_comes_later_is_told():
 
 
 KILLED = """
-from world_play import believe
+from world_calls import believe
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 world = WorldGraph.open({path!r})
 for number in range(1000):
@@ -235,14 +234,8 @@ for number in range(1000):
 @pytest.mark.slow
 def test_a_killed_writer_leaves_a_graph_that_opens(scene, tmp_path):
     before = scene_rows(scene)
-    said = tmp_path / "out"
-    said.touch()
-    process = warm.started(warm.script, KILLED.format(path=str(scene)), folder=tmp_path)
-    while process.is_alive() and "3\n" not in said.read_text():
-        time.sleep(0.01)
-    process.kill()
-    process.join()
-    assert "3\n" in said.read_text()
+    with started(KILLED.format(path=str(scene)), until=lambda process: process.stdout.readline() == b"3\n") as process:
+        assert process.poll() is None
     assert scene_rows(scene) == before, "a reader opens it as it was left"
     with WorldGraph.open(scene) as world:
         kept = tables_of(world)

@@ -4,8 +4,8 @@ import itertools
 import random
 
 import pytest
-from believed import Story, parsed, planned, write
-from effort import examples
+from belief_stories import Story, parsed, planned, write
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_beliefs import Mind

@@ -6,7 +6,7 @@ import time
 
 import msgspec
 import pytest
-from believed import CIRCLE, Story, parsed, planned, write
+from belief_stories import CIRCLE, Story, parsed, planned, write
 from hypothesis import given
 from hypothesis import strategies as st
 

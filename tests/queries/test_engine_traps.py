@@ -15,7 +15,7 @@ import time
 import duckdb
 import pyarrow as pa
 import pytest
-import warm
+from processes import run_program
 
 from jrdb_avr.queries.graph.database import engine
 from jrdb_avr.queries.graph.file import ENGINE, is_as_built
@@ -61,7 +61,7 @@ def fill(graph, edges, nodes=(1, 2, 3, 4)):
 def crashes(program, **limits):
     """Whether the engine ends a process that runs `program`, which has its module as E and a connection as c."""
     begin = f"import {ENGINE} as E\nc = E.Connection(E.Database(':memory:', max_db_size=1 << 30))\n"
-    done = warm.run(warm.script, begin + program, limit={resource.RLIMIT_CORE: 0, **limits})
+    done = run_program(begin + program, limits={resource.RLIMIT_CORE: 0, **limits})
     return done.returncode == -signal.SIGSEGV
 
 
@@ -556,7 +556,7 @@ def test_trap_damage_to_data_is_not_noticed(path):
 def test_trap_a_checkpoint_of_a_reader_hinders_later_ones(path):
     """What a kill in the midst of a checkpoint leaves too: the handle opens the graph once for writing."""
     damage = "E.Connection(E.Database(sys.argv[1], read_only=True)).execute('CHECKPOINT')"
-    warm.run(warm.script, f"import {ENGINE} as E, sys\n{damage}", path)
+    run_program(f"import {ENGINE} as E, sys\n{damage}", path)
     assert path.with_name("graph.kuzu.shadow").exists()
     with pytest.raises(RuntimeError, match=r"read-write|recovery"):
         engine().Database(str(path), read_only=True)
@@ -568,9 +568,9 @@ def test_trap_closing_the_file_drops_the_engines_lock(path):
     """So nothing opens the file while it is in use, and other processes wait for the lock beside it."""
     other = f"import {ENGINE} as E, sys\nE.Database(sys.argv[1])\nprint('open')"
     database = engine().Database(str(path), max_db_size=1 << 30)
-    assert b"lock" in warm.run(warm.script, other, path).stderr
+    assert b"lock" in run_program(other, path).stderr
     path.open("rb").close()
-    assert warm.run(warm.script, other, path).stdout == b"open\n", MENDED
+    assert run_program(other, path).stdout == b"open\n", MENDED
     # Nor does it keep a second database of this process out.
     engine().Database(str(path), max_db_size=1 << 30).close()
     database.close()

@@ -3,16 +3,15 @@
 import json
 import math
 import re
-import subprocess
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import warm
-from effort import examples
+from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from processes import run_program, run_statement_here
 
 from jrdb_avr.queries.graph import guard
 from jrdb_avr.queries.graph.guard import check_cypher, query_graph
@@ -25,7 +24,7 @@ from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
-pytestmark = pytest.mark.usefixtures("every_plan")
+pytestmark = pytest.mark.usefixtures("every_plan", "own_processes")
 
 SECRET = "a line that must not be read"
 
@@ -69,18 +68,7 @@ def store(tmp_path_factory):
 def without_process(monkeypatch):
     """Statements run in the tests' own process, for tests of statements that do it no harm: a child is dearer."""
 
-    def run(request, timeout_s):
-        try:
-            table = guard._read(**json.loads(request))
-        except (QueryError, StoreError) as error:
-            said = json.dumps([type(error).__name__, str(error)]).encode()
-            return subprocess.CompletedProcess("serve", 1, b"", said)
-        sink = pa.BufferOutputStream()
-        with pa.ipc.new_stream(sink, table.schema) as writer:
-            writer.write_table(table)
-        return subprocess.CompletedProcess("serve", 0, sink.getvalue().to_pybytes(), b"")
-
-    monkeypatch.setattr(guard, "run_child", run)
+    monkeypatch.setattr(guard, "run_child", run_statement_here)
 
 
 def test_reading_works(store):
@@ -401,7 +389,7 @@ def test_sql_has_two_gigabytes(store):
 
 def test_cypher_is_stopped_at_its_memory(store, monkeypatch):
     less = "from jrdb_avr.queries.graph import guard\nguard.MEMORY_BYTES = 400 << 20\nguard.serve()"
-    monkeypatch.setattr(guard, "run_child", lambda request, timeout_s: warm.run(warm.script, less, stdin=request))
+    monkeypatch.setattr(guard, "run_child", lambda request, timeout_s: run_program(less, stdin=request))
     with pytest.raises(QueryError, match="GB of memory"):
         store.cypher("UNWIND range(1, 400000000) AS x RETURN x")
 

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow as pa
 import pytest
-import warm
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from processes import run_program
 
 from jrdb_avr.queries.graph import database
 from jrdb_avr.queries.graph.file import ENGINE, ENGINES, check_fingerprint
@@ -195,7 +195,7 @@ def child(path, mode, *more, **options):
 
 
 def ask_child(path, mode):
-    done = warm.run(warm.script, CHILD, path, mode)
+    done = run_program(CHILD, path, mode)
     assert done.returncode == 0, done.stderr
     return done.stdout.decode().strip()
 

@@ -4,10 +4,10 @@ import json
 from itertools import pairwise
 
 import pytest
+from environment import SNAPSHOTS
 from hypothesis import given
 from hypothesis import strategies as st
-from painted_world import World, still
-from places import SNAPSHOTS
+from painted import World, still
 from scripted import CHOICES, MODES, Chat, blank_task, evidence, final, play, proposal
 
 from jrdb_avr.agent.methods.attempt import uniform_frames
