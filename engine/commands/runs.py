@@ -76,13 +76,14 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
 
 
 @command.command(
+    name="merge",
     short_help="Make one run of all shards of a run.",
     epilog="Example: jrdb-avr runs merge react-M-1of2 react-M-2of2 --run-id react-M --store S",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @click.option("--run-id", required=True, help="Name of the new run.")
-def merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
+def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
     """Make one run of all shards of a run (evaluate --shard), after their folders are copied into STORE/runs.
 
     The shards must agree in questions, method, model and settings. They stay as they are.

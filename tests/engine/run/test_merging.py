@@ -5,10 +5,8 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
-from asked_world import FRAMES, question, write_public, write_store
-from entry import run
-from judged_world import write_answers
-from painted_world import SEQUENCE
+from painted import FRAMES, SEQUENCE, question, write_answers, write_public, write_store
+from processes import run
 
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph
