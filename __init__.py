@@ -3,7 +3,7 @@
     import jrdb_avr as avr
     avr.load("jrdb/train_dataset_with_activity", "store")
     avr.generate("store")
-    avr.evaluate("store", "react", "marker", limit=20)
+    avr.evaluate("store", "react", "marker")
     avr.report("store")
 
 In a script these lines stand under `if __name__ == "__main__":`, as parts of the work run in processes that import it.
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.methods.episode import Episode as Episode
-    from jrdb_avr.agent.model.options import Options as Options
+    from jrdb_avr.agent.model.options import EndpointOptions as EndpointOptions
     from jrdb_avr.engine.generate.run import Generation as Generation
     from jrdb_avr.engine.generate.run import generate as generate
     from jrdb_avr.engine.observe.observer import Observer as Observer
@@ -36,7 +36,10 @@ if TYPE_CHECKING:
     from jrdb_avr.engine.run.evaluate import evaluate as evaluate
     from jrdb_avr.engine.run.judge import Judge as Judge
     from jrdb_avr.engine.run.live_scores import LiveScore as LiveScore
-    from jrdb_avr.engine.run.selection import QuestionSelection as QuestionSelection
+    from jrdb_avr.engine.run.options import EvaluateOptions as EvaluateOptions
+    from jrdb_avr.engine.run.options import MethodOptions as MethodOptions
+    from jrdb_avr.engine.run.options import QuestionSelection as QuestionSelection
+    from jrdb_avr.engine.run.options import RunOptions as RunOptions
     from jrdb_avr.engine.validate.checks import Validation as Validation
     from jrdb_avr.engine.validate.checks import validate as validate
     from jrdb_avr.loaders.load import load as load
@@ -84,9 +87,9 @@ _NAMES: Final = {
     "engine.observe.observer": ("Observer",),
     "loaders.result": ("LoadResult",),
     "engine.run.live_scores": ("LiveScore",),
-    "engine.run.selection": ("QuestionSelection",),
+    "engine.run.options": ("EvaluateOptions", "QuestionSelection", "MethodOptions", "RunOptions"),
     "schema.rules": ("Rules", "LoadRules"),
-    "agent.model.options": ("Options",),
+    "agent.model.options": ("EndpointOptions",),
     "agent.methods.episode": ("Episode",),
     "engine.run.bench": ("Bench",),
     "engine.run.judge": ("Judge",),

@@ -89,23 +89,6 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
         raise StoreError(f"cannot write {path}: {str(error).splitlines()[0]}; free some space") from None
 
 
-def scene_rows(store: Store, sequences: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
-    """Every table of the scene namespace as (name, rows), sequence by sequence, nodes before edges.
-
-    Columns are as in the graph; edges begin with the two keys, `from` and `to`. Raises StoreError where an interval
-    table does not read.
-    """
-    names: set[str] = set()
-    for sequence in sequences:
-        names |= set(store.interval("actions", sequence)["action"].unique().to_pylist())
-    yield "Action", _actions(names)
-    for source in _SOURCES:
-        table = source.split()[-1]
-        for sequence in sequences:
-            kinds = _GROUP_KINDS if table == "SocialGroup" else (_SOURCES[source][0],)
-            yield table, _shape(source, {kind: store.interval(kind, sequence) for kind in kinds})
-
-
 def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
     """COPY the staged rows of sources, nodes first; returns the rows of each table, after counting them in the graph.
 

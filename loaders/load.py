@@ -33,13 +33,15 @@ from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnin
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
 from jrdb_avr.loaders.sequence import NOT_LABELS, annotate, stamps_of
+from jrdb_avr.loaders.verify import PARTS
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
+from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.handle import Graph, build_graph, remove_graph
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer
 from jrdb_avr.queries.runs import run_ids
-from jrdb_avr.queries.store import Store, file_hash
+from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_sequences, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
@@ -47,8 +49,6 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 
 STAGING: Final = ".loading"
 """Folder inside the store where a load prepares everything."""
-
-PARTS: Final = ("annotations", "intervals")
 
 
 @dataclass(frozen=True)

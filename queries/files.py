@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import hashlib
 import os
 import re
 import shutil
@@ -39,6 +40,12 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
         # mkstemp makes private files, but a store may be shared.
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
+
+
+def file_hash(path: Path) -> str:
+    """Return the sha256 of a file in hexadecimal digits. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_bytes(path: Path, data: bytes) -> None:

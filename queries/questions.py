@@ -10,7 +10,8 @@ from typing import Any, Final
 import pyarrow as pa
 
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import ANSWER_TYPES, AnswerMode
+from jrdb_avr.schema.answer_modes import MODES
+from jrdb_avr.schema.answers import AnswerMode
 from jrdb_avr.schema.errors import ObserveError, StoreError, did_you_mean
 from jrdb_avr.schema.method import Question, SequenceInfo
 from jrdb_avr.schema.tables import QUESTIONS
@@ -44,7 +45,7 @@ def read_question_rows(store: Store) -> list[QuestionRow]:
     """
     rows = _public_rows(store, "questions", HIDDEN)
     ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
-    if len(ids) < len(rows) or not modes <= set(ANSWER_TYPES):
+    if len(ids) < len(rows) or not modes <= set(MODES):
         raise StoreError(f"{store.question_path('questions')} holds an unknown mode or a repeated id: generate again")
     return [QuestionRow(**{**dict.fromkeys(HIDDEN, ""), **row, "choices": tuple(row["choices"])}) for row in rows]
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import msgspec
 
-from jrdb_avr.queries.store import Store, file_hash, write_json
+from jrdb_avr.queries.files import file_hash
+from jrdb_avr.queries.store import Store, write_json
 from jrdb_avr.schema.errors import StoreError, did_you_mean
 
 

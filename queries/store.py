@@ -16,7 +16,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import fcntl
-import hashlib
 import os
 import re
 import warnings
@@ -30,7 +29,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from jrdb_avr.queries.display import Displayed, Tables
-from jrdb_avr.queries.files import write_atomic, write_bytes
+from jrdb_avr.queries.files import file_hash, write_atomic, write_bytes
 from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
@@ -379,12 +378,6 @@ def _write(
 
     write_atomic(path, write)
     return file_hash(path)
-
-
-def file_hash(path: Path) -> str:
-    """Return the sha256 of a file, in hex. Raises OSError."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _parquet_options(schema: pa.Schema) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Types of numpy arrays, as signatures all over the package name them; docstrings give their shapes."""
+"""Type aliases of numpy arrays. The docstring of each function gives the shapes."""
 
 from __future__ import annotations
 

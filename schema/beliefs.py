@@ -1,17 +1,17 @@
-"""The world namespace: what an agent observed and believes, in tables beside the scene's, keyed by episode.
+"""Tables of the world namespace: the observations and beliefs of agents, keyed by episode.
 
-An episode is one question of one run. Every belief belongs to an observation of its own episode: a sighting and an
-attribute are edges from an entity to the observation; a relation carries the observation's key. A belief holds at the
-frame of its observation (`first` = `last`); gender and age hold always (0 to `ALWAYS`). A belief that a later write
-replaces stays, with `current` false and `until` the step of that write: at step k an edge was believed where
-`step <= k AND until > k`. Where readings are fused, each is an edge, and `current` is the one that they come to; a
-reading that they speak against is never believed (`until` is its `step`). Keys: `Episode` is `<run>/<question>`;
-`Observation` `<episode>/o<number>`; `Entity` `<episode>/<the agent's own name for it>`; `Slot` and `Write`
-`<episode>/<number>`; `Hypothesis` `<episode>/h<rank>`.
+An episode is one question of one run. Every belief belongs to an observation of the same episode: a sighting and an
+attribute are edges from an entity to the observation; a relation has the observation's key. A belief holds at the
+frame of its observation (`first` = `last`); gender and age always hold (0 to `ALWAYS`). A belief that a later write
+replaces stays, with `current` false and `until` set to the step of that write. So an edge was believed at step k if
+`step <= k AND until > k`. If readings are fused, each reading is an edge, and `current` marks the result. A reading
+that the result contradicts was never believed: its `until` equals its `step`.
 
-The agent's edges are read and written after almost every observation. From the episode to its nodes and on to their
-edges the engine would scan edges and names of other episodes, half of its work. So nodes with edges carry a hash of the
-episode's key, found in one pass over a column of numbers, and edges name their ends.
+Keys: `Episode` has `<run>/<question>`, `Observation` `<episode>/o<number>`, `Entity` `<episode>/<name that the agent
+gave it>`, `Slot` and `Write` `<episode>/<number>`, `Hypothesis` `<episode>/h<rank>`.
+
+Nodes with edges also have a hash of the episode's key, and edges name their ends. Without them the engine would spend
+half of its work on edges and names of other episodes, because agents read and write after almost every observation.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ import msgspec
 from jrdb_avr.schema.panorama import Box
 
 ALWAYS: Final = 10_000_000
-"""`last` of a belief that holds at every frame, and `until` of a current one."""
+"""`last` of a belief that holds at every frame, and `until` of a current belief."""
 
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
 
 
 def free_value(text: str) -> str:
-    """The value of an attribute without labels, as beliefs and plans compare it: lower case, single blanks.
+    """Return the value of a free attribute in the form that beliefs and plans compare: lower case, single blanks.
 
     >>> free_value("Dark  Red")
     'dark red'
@@ -42,18 +42,19 @@ def free_value(text: str) -> str:
 
 
 Origin = Literal["model", "derived"]
-"""Who states a belief: a model that looks at a picture, or code that goes by what was read so far."""
+"""Origin of a belief. model: a model that sees a picture. derived: code that uses earlier readings."""
 
 Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
 
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """One line of an episode's record, accepted or refused: a row of `world.parquet`, which restores the world tables.
+    """One write of an episode, accepted or refused: a row of `world.parquet` and a `Write` node.
 
-    number: from 0, in order; step: the model call that made it; arguments: the agent's, as JSON; reason: why it was
-    refused; fact: what it added to the graph, a `Fact` as JSON, "" for nothing. The first write of an episode is its
-    `begin`, which makes the `Episode`; each write is a `Write` node as well.
+    The rows restore the world tables. The first write of an episode is `begin`, which makes the `Episode`.
+
+    number: position in the episode, from 0. step: the model call that made the write. arguments: of the tool, as JSON.
+    reason: of a refusal. fact: a `Fact` as JSON with the rows added to the graph, "" if none.
     """
 
     number: int
@@ -66,11 +67,11 @@ class Write:
 
 
 class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of a table; its fields are the columns."""
+    """A row of a table. Its fields are the columns."""
 
 
 class EpisodeRow(_Row, frozen=True):
-    """A row of `Episode`; the plan is "" until one is accepted, the verdict until the episode has its answer."""
+    """A row of `Episode`. plan: "" until a plan is accepted. verdict: "" until the episode has its answer."""
 
     id: str
     run: str
@@ -81,7 +82,7 @@ class EpisodeRow(_Row, frozen=True):
 
 
 class _NodeRow(_Row, frozen=True):
-    """A node of one episode's beliefs; its key begins with the key of the episode."""
+    """A row of a node that belongs to an episode. Its key begins with the key of the episode."""
 
     id: str
     episode: str
@@ -90,7 +91,7 @@ class _NodeRow(_Row, frozen=True):
 class ObservationRow(_NodeRow, frozen=True):
     """A row of `Observation` without the hash, and of `Made` from its episode.
 
-    A crop covers columns [left, left + width) of the panorama, over the seam; a whole panorama all 3760.
+    A crop covers columns [left, left + width) of the panorama across the seam; a whole panorama covers all 3760.
     """
 
     number: int
@@ -112,10 +113,10 @@ class EntityRow(_NodeRow, frozen=True):
 
 
 class SlotRow(_NodeRow, frozen=True):
-    """A row of `Slot`, and of `Asks` from its episode: a part of the plan.
+    """A row of `Slot`, and of `Asks` from its episode: one part of the plan.
 
-    kind: a node (a person to be found), a condition, an edge, or the read. What a kind lacks is "", and -1 for the
-    frame of a part at no stated time.
+    kind: a node (a person to find), a condition, an edge, or the read. A text column that the kind lacks is "", and
+    the frame is -1 if the part has no stated time.
     """
 
     number: int
@@ -128,10 +129,12 @@ class SlotRow(_NodeRow, frozen=True):
 
 
 class HypothesisRow(_NodeRow, frozen=True):
-    """A row of `Hypothesis`, and of `Ranks` from its episode: who the plan's people may be, the likeliest first.
+    """A row of `Hypothesis`, and of `Ranks` from its episode: one assignment of entities to the plan's nodes.
 
-    entity: the name of the target; nodes: whom each node is, as "a=p1, b=p2"; answer: what is read of the target at
-    `frame`, stored JSON. Written with the answer of the episode, which is that of the first.
+    Rank 1 is the likeliest. The rows are written with the answer of the episode, which is the answer of rank 1.
+
+    entity: name of the target. nodes: the assignment as "a=p1, b=p2". answer: answer read from the target at `frame`,
+    as stored JSON.
     """
 
     step: int
@@ -144,10 +147,10 @@ class HypothesisRow(_NodeRow, frozen=True):
 
 
 class _EdgeRow(_Row, frozen=True):
-    """A row of an edge; source and target are keys of the nodes.
+    """A row of an edge.
 
-    write: the write that made it; no two edges of an episode have the same. votes, against: how many readings agreed
-    with it and how many did not when it was written.
+    source, target: keys of the nodes. write: number of the write, unique among the edges of an episode. votes,
+    against: readings that agreed and disagreed with the edge at that write.
     """
 
     source: str
@@ -161,7 +164,7 @@ class _EdgeRow(_Row, frozen=True):
 
 
 class SightingRow(_EdgeRow, frozen=True):
-    """A row of `Sighted`. box: as the agent saw it; angle: that of the box's centre."""
+    """A row of `Sighted`. box: the box that the agent gave. angle: panorama angle of the box's centre, degrees."""
 
     frame: int
     box: Box
@@ -169,7 +172,7 @@ class SightingRow(_EdgeRow, frozen=True):
 
 
 class AttributeRow(_EdgeRow, frozen=True):
-    """A row of `Has`. `value` is a text; `number` its number, 0 where it is none."""
+    """A row of `Has`. value: text of the value. number: the value as a number, 0 if it is not a number."""
 
     name: str
     value: str
@@ -179,7 +182,7 @@ class AttributeRow(_EdgeRow, frozen=True):
 
 
 class RelationRow(_EdgeRow, frozen=True):
-    """A row of `Related`; `observation` is the key of its node."""
+    """A row of `Related`. observation: key of the `Observation` node."""
 
     name: str
     observation: str
@@ -188,12 +191,12 @@ class RelationRow(_EdgeRow, frozen=True):
 
 
 class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """The rows that one write adds to the tables or changes, each under the name of its table.
+    """Rows that one write adds or changes, by table.
 
-    episode: on `begin`, again with its plan on `plan` and with its verdict on `final_answer`. entity: a new one;
-    changed: one with another kind or node. freed: keys of entities whose node becomes "", as this entity takes it.
-    Edges begin with `current` true and `until` `ALWAYS`; replaced: writes of this episode, or this one, whose edge is
-    not `current` any more and ends with this step.
+    episode: set on `begin`, with its plan on `plan`, and with its verdict on `final_answer`. entity: a new entity.
+    changed: an entity with a new kind or node. freed: keys of entities that lose their node to this entity. replaced:
+    writes whose edge stops being `current` at this step; this write may be one of them. A new edge has `current` true
+    and `until` `ALWAYS`.
     """
 
     episode: EpisodeRow | None = None
@@ -213,8 +216,8 @@ _TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", Box: "STRUCT(x DO
 
 
 def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:
-    """Columns of a row's fields, as name and type; the ends of an edge are no columns."""
-    fields = [f"{one.name} {_TYPES[one.type]}" for one in msgspec.structs.fields(row)]
+    """Return the fields of a row without the ends of an edge, and more columns, as name and type."""
+    fields = [f"{field.name} {_TYPES[field.type]}" for field in msgspec.structs.fields(row)]
     return (*(column for column in fields if column.split()[0] not in ("source", "target")), *more)
 
 
@@ -241,24 +244,24 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Asks": ("Episode", "Slot", ()),
     "Wrote": ("Episode", "Write", ()),
     "Ranks": ("Episode", "Hypothesis", ()),
-    # who, whom: the entities at the ends, by name.
+    # who and whom are the names of the entities at both ends.
     "Sighted": ("Entity", "Observation", _columns(SightingRow, *_CURRENT, "who STRING")),
     "Has": ("Entity", "Observation", _columns(AttributeRow, *_CURRENT, "who STRING")),
     "Related": ("Entity", "Entity", _columns(RelationRow, *_CURRENT, "who STRING", "whom STRING")),
 }
-"""Per relationship table: from, to, and its columns as name and type."""
+"""Relationship tables by name: source table, target table, and columns as name and type."""
 
 
 def episode_key(run_id: str, question_id: str) -> str:
-    """Key of an `Episode` node."""
+    """Return the key of an `Episode` node."""
     return f"{run_id}/{question_id}"
 
 
 def episode_hash(episode: str) -> str:
-    """128 bits of the SHA-256 of an episode's key, as text of the engine's type for such numbers."""
+    """Return 128 bits of the SHA-256 of an episode's key, as the text of a UUID."""
     return str(UUID(bytes=sha256(episode.encode()).digest()[:16]))
 
 
 def name_of(key: str) -> str:
-    """The agent's own name of an entity or observation, from its key."""
+    """Return the name that the agent gave an entity or observation, from its key."""
     return key.rpartition("/")[2]

@@ -1,6 +1,6 @@
-"""Facts for the card of a published question set: sources, licences, citation, and what its users should know.
+"""Texts for the card of a published question set: sources, licences, citation and notes for users.
 
-The card in Markdown and the Croissant metadata both state them, so they stand here once.
+The Markdown card and the Croissant metadata both use them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Collection
 from typing import Final, NamedTuple
 
 HOME: Final = "https://jrdb.erc.monash.edu/"
-"""Where JRDB and its extensions are published."""
+"""Website of JRDB and its extensions."""
 
 CREATOR: Final = "The JRDB-AVR developers"
 
@@ -17,15 +17,15 @@ TITLE: Final = "JRDB-AVR questions"
 
 SUMMARY: Final = (
     "Questions about people in 360-degree video that a mobile robot recorded, to be answered by choosing where "
-    "and when to look. Each has one proven answer and a person whose box is the visual evidence; both stay with "
-    "whoever scores."
+    "and when to look. Each has one proven answer and a person whose box is the visual evidence; the publisher "
+    "keeps both for scoring."
 )
 
 
 class Source(NamedTuple):
-    """Data that questions are made of: its name, the layers that come from it, its licence, and whom to cite.
+    """A data set that questions are made from.
 
-    licence: short identifier as Hugging Face and SPDX write it, and its address.
+    layers: the layers that it provides. licence: identifier of Hugging Face and SPDX.
     """
 
     name: str
@@ -50,15 +50,15 @@ SOURCES: Final = (
     Source("JRDB-PanoTrack", ("panoptic",), *_JRDB, "Le et al., JRDB-PanoTrack, CVPR 2024"),
     Source("JRDB-Reasoning", ("handles",), *_JRDB, "Jahangard et al., JRDB-Reasoning"),
 )
-"""JRDB and its extensions. The licence stands at the foot of their site, as the maintainers of JRDB's toolkit say
-(https://github.com/JRDB-dataset/jrdb_toolkit/issues/9); the site's further terms go before what stands here."""
+"""JRDB and its extensions. The footer of their site states the licence, as the maintainers of JRDB's toolkit confirm
+(https://github.com/JRDB-dataset/jrdb_toolkit/issues/9). Further terms of the site take precedence."""
 
 SAMPLE: Final = Source(
     "the synthetic sample world of jrdb-avr",
     (),
     "apache-2.0",
     "https://www.apache.org/licenses/LICENSE-2.0",
-    "none: it shows nobody, and results on it say nothing about JRDB",
+    "none: it shows no real people, and results on it say nothing about JRDB",
 )
 
 SYNTHETIC: Final = "Synthetic: questions of the sample world. Results on it say nothing about JRDB."
@@ -83,7 +83,7 @@ RAI: Final[dict[str, str]] = {
     "dataCollectionRawData": ("The panoramas are JRDB's and are not part of this data: obtain them from JRDB."),
     "dataAnnotationProtocol": (
         "Annotators of JRDB and its extensions drew boxes and named actions, groups and attributes. A fact that "
-        "they found hard, or left open, is unknown here: no question rests on it."
+        "they found hard or left open is unknown here, and no question depends on it."
     ),
     "dataPreprocessingProtocol": (
         "A program searches the annotations for facts that single out one person, states them in words, and keeps"
@@ -92,19 +92,19 @@ RAI: Final[dict[str, str]] = {
     ),
     "dataLimitations": (
         "The answers are as good as the annotations. Wording comes from templates. Without occlusion attributes a"
-        " box counts as a clear view, so that somebody may be hidden. Questions can be guessed better than by "
+        " box counts as a clear view, so a person may be hidden. Questions can be guessed better than by "
         "chance; publish the score of a guesser beside results."
     ),
     "dataBiases": (
-        "One campus and one robot: places, clothes and habits of few people. Gender and age are what annotators saw, "
-        "not what people said of themselves; ethnicity is left out unless the publisher's rules take it in."
+        "One campus and one robot: places, clothes and habits of few people. Gender and age are impressions of "
+        "annotators, not statements of the people; ethnicity is left out unless the publisher's rules include it."
     ),
     "personalSensitiveInformation": (
-        "Questions describe people by visible gender, age, pose and actions. They name nobody. Do not use them to"
+        "Questions describe people by visible gender, age, pose and actions. They contain no names. Do not use them to"
         " identify a person."
     ),
     "dataUseCases": (
-        "Measuring how models look for visual evidence and answer from it. Not for training, not for "
+        "To measure how models look for visual evidence and answer from it. Not for training, not for "
         "surveillance, and not for the identification of people."
     ),
     "dataSocialImpact": (
@@ -112,28 +112,28 @@ RAI: Final[dict[str, str]] = {
         "misused to watch them."
     ),
     "dataReleaseMaintenancePlan": (
-        "Each generation of questions has a version of its own; scores of different versions do not compare."
+        "Each generation of questions has its own version; scores of different versions are not comparable."
     ),
 }
 """Responsible-AI fields by their Croissant name."""
 
 
 def sources_of(layers: Collection[str]) -> list[Source]:
-    """The sources that these layers come from."""
+    """Return the sources that provide these layers."""
     return [source for source in SOURCES if set(source.layers) & set(layers)]
 
 
 def licence_of(sources: Collection[Source]) -> str:
-    """The identifier of the one licence of all sources, "other" where they have several."""
-    found = {source.licence for source in sources}
-    return found.pop() if len(found) == 1 else "other"
+    """Return the licence that all sources share, or "other" if their licences differ."""
+    licences = {source.licence for source in sources}
+    return licences.pop() if len(licences) == 1 else "other"
 
 
 def sentence(text: str) -> str:
-    """A note on a column as a sentence."""
+    """Return the note on a column as a sentence."""
     return text[:1].upper() + text[1:] + "."
 
 
 def is_of_sample(sequence: str) -> bool:
-    """Whether a sequence is of the synthetic sample world, whose names all begin so."""
+    """Return whether a sequence belongs to the synthetic sample world, by the prefix of its name."""
     return sequence.startswith("sample-")

@@ -18,16 +18,15 @@ from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SC
 from jrdb_avr.schema.tables import ABOUT, column, views
 
 _NESTED: Final = re.compile(r",\s*(?![^()]*\))")
-"""A comma between columns, not one inside a struct."""
+"""A comma between columns, but not inside a struct."""
 
 
 @dataclass(frozen=True)
 class CatalogTable:
-    """A table: its columns with their types, and what each means where that is written down.
+    """A table with the type and, if documented, the meaning of each column.
 
-    part: of the graph "scene", "keyframes" or "beliefs", of the store "annotations", "intervals", "questions" or
-    "runs".
-    ends: of a relationship the names of the tables that it leads from and to.
+    part: in the graph "scene", "keyframes" or "beliefs"; in the store "annotations", "intervals", "questions" or
+    "runs". ends: names of the source tables and of the target tables of a relationship.
     """
 
     name: str
@@ -38,19 +37,19 @@ class CatalogTable:
 
 
 def graph_tables() -> list[CatalogTable]:
-    """The tables of the graph: nodes and relationships of the scene, its keyframes and the agents' beliefs."""
+    """Return the tables of the graph: nodes and relationships of scene, keyframe layer and beliefs."""
     parts = {
         "scene": (SCENE_NODES, SCENE_RELS),
         "keyframes": (KEYFRAME_NODES, KEYFRAME_RELS),
         "beliefs": (WORLD_NODES, WORLD_RELS),
     }
-    found = []
+    tables = []
     for part, (nodes, relations) in parts.items():
-        found += [CatalogTable(name, part, _columns(_NESTED.split(text)), {}) for name, text in nodes.items()]
+        tables += [CatalogTable(name, part, _columns(_NESTED.split(text)), {}) for name, text in nodes.items()]
         for name, (start, end, columns) in relations.items():
             ends = tuple(start.split(":")), tuple(end.split(":"))
-            found.append(CatalogTable(name, part, _columns(columns), {}, ends))
-    return found
+            tables.append(CatalogTable(name, part, _columns(columns), {}, ends))
+    return tables
 
 
 def _columns(texts: Iterable[str]) -> dict[str, str]:
@@ -59,14 +58,13 @@ def _columns(texts: Iterable[str]) -> dict[str, str]:
 
 
 def store_tables() -> list[CatalogTable]:
-    """The Parquet tables of the store, which are the views of `sql`."""
-    parts = {"question_id": "questions", "run_id": "runs"}
+    """Return the Parquet tables of the store, which are the views of `sql`."""
     return [
         CatalogTable(
             name,
             next(
                 (part for part in ("annotations", "intervals") if name.startswith(f"{part}_")),
-                next((part for key, part in reversed(parts.items()) if key in schema.names), "questions"),
+                next((part for key, part in reversed(_KEYS.items()) if key in schema.names), "questions"),
             ),
             {field.name: str(field.type) for field in schema},
             {field.name: column(name, field.name)[1] for field in schema},
@@ -76,16 +74,20 @@ def store_tables() -> list[CatalogTable]:
 
 
 def named(tables: Iterable[CatalogTable], names: Iterable[str]) -> list[CatalogTable]:
-    """The tables of these names, or of the parts of these names; all without names. Raises InputError for another."""
+    """Return the tables whose name or part is among `names`, or all if `names` is empty.
+
+    Raises:
+        InputError: a name is neither a table nor a part.
+    """
     tables, names = list(tables), list(names)
-    known = {word for table in tables for word in (table.name, table.part)}
-    if unknown := [name for name in names if name not in known]:
-        raise InputError(f"no table {unknown[0][:80]!r}{did_you_mean(unknown[0], known)}", field="table")
+    valid = {word for table in tables for word in (table.name, table.part)}
+    if unknown := [name for name in names if name not in valid]:
+        raise InputError(f"no table {unknown[0][:80]!r}{did_you_mean(unknown[0], valid)}", field="table")
     return [table for table in tables if not names or table.name in names or table.part in names]
 
 
 def table_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
-    """A row per table, with its columns."""
+    """Return a row per table with its columns."""
     return [
         {
             "table": table.name,
@@ -99,7 +101,7 @@ def table_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
 
 
 def column_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
-    """A row per column of each table."""
+    """Return a row per column of each table."""
     return [
         {"table": table.name, "column": name, "type": kind}
         | ({"meaning": table.meanings[name]} if table.meanings else {})
@@ -109,7 +111,7 @@ def column_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
 
 
 def graph_diagram(tables: Iterable[CatalogTable]) -> str:
-    """A Mermaid flowchart: nodes, and an arrow for each relationship between two of them."""
+    """Return a Mermaid flowchart with nodes and an arrow for each relationship."""
     lines = ["graph LR"]
     for table in tables:
         if table.ends is None:
@@ -121,16 +123,16 @@ def graph_diagram(tables: Iterable[CatalogTable]) -> str:
 
 
 _KEYS: Final = {"question_id": "questions", "run_id": "runs"}
-"""Columns by which tables of a store are joined, and the table that each is the key of."""
+"""Tables of the store by the column that is their key; other tables join by it."""
 
 
 def store_diagram(tables: Iterable[CatalogTable]) -> str:
-    """A Mermaid entity diagram: tables with their columns, joined by the ids of questions and runs."""
+    """Return a Mermaid entity diagram: tables with their columns, joined by the ids of questions and runs."""
     tables = list(tables)
     names = {table.name for table in tables}
     lines = ["erDiagram"]
     for table in tables:
-        # A type is one word there.
+        # Because Mermaid takes one word as a type.
         columns = [f"    {'_'.join(re.findall('[A-Za-z0-9]+', kind))} {name}" for name, kind in table.columns.items()]
         lines += [f"  {table.name} {{", *columns, "  }"]
     for table in tables:
@@ -144,11 +146,16 @@ def tables_page() -> str:
     lines = [
         "# Tables of a store",
         "",
-        "Every table is a view in `jrdb-avr sql`; `SHOW TABLES` and `DESCRIBE intervals_actions` work there too. A",
-        "table that is not written yet is an empty view. Written by `python -m jrdb_avr.schema.catalog`.",
+        "Every table is a view in `jrdb-avr sql`, which also accepts `SHOW TABLES` and `DESCRIBE intervals_actions`. A",
+        "table that does not exist yet is an empty view. `python -m jrdb_avr.schema.catalog` writes this page.",
         "",
-        "`sightings_keypoints` is `intervals_sightings` with one column more: `keypoints`, those of",
-        "`annotations_poses` at the same frame, or null.",
+        "`sightings_keypoints` is `intervals_sightings` with the column `keypoints` of `annotations_poses` at the same",
+        "frame, or null.",
+        "",
+        "Tables `annotations_...` hold the content of the files: one row per fact, with raw values. Tables",
+        "`intervals_...` hold facts derived from them, as intervals of frames that include both ends; `load --rebuild`",
+        "derives them again. `intervals_actions`, `_memberships`, `_interactions` and `_handles` are written labels;",
+        "`intervals_possible_...` are facts without a label that may hold.",
         "",
     ]
     for name, schema, private in views():

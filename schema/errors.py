@@ -1,19 +1,19 @@
-"""The error tree.
+"""Errors of the package, as one tree.
 
-    AvrError                     everything this package raises on purpose
-    ├── InputError               a file or record from outside cannot be used
-    ├── StoreError               the store is missing, incomplete or of other rules
+    AvrError                     every error that this package raises on purpose
+    ├── InputError               an input file or a record of one cannot be used
+    ├── StoreError               the store is missing, incomplete or was built under different rules
     │   └── LockedError          another process holds the graph
     ├── QueryError               a Cypher or SQL statement is refused or fails
-    ├── PlanError                a graph plan is not valid
+    ├── PlanError                a plan is not valid
     ├── ObserveError             an observation is refused
-    ├── RefusedError             an episode does not carry out a move
+    ├── RefusedError             an episode refuses a move or an answer
     ├── DecodeError              a model's reply cannot be read
     └── EndpointError            a model server cannot be used
-        └── RunStoppedError      no further question of the run can be answered now
+        └── RunStoppedError      the run cannot answer further questions now
 
-Every message is one line and says what to do; the command line prints it and exits with 1. Each error carries
-the thing it is about, so that a caller need not parse the message.
+Every message is one line and says what to do. The command line prints it and exits with 1. Attributes of an error
+name its subject, so that a caller need not parse the message.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ class AvrError(Exception):
 
 
 class InputError(AvrError):
-    """A file, or a record of one, cannot be used; names where it stands."""
+    """An input file, or a record of one, cannot be used.
+
+    file, frame, field: the position of the fault, each "" if it does not apply.
+    """
 
     def __init__(self, message: str, *, file: str = "", frame: str = "", field: str = "") -> None:
         super().__init__(message)
@@ -36,11 +39,11 @@ class InputError(AvrError):
 
 
 class StoreError(AvrError):
-    """The store is missing, incomplete, not writable, or was built under other rules."""
+    """The store is missing, incomplete, not writable, or was built under different rules."""
 
 
 class LockedError(StoreError):
-    """Another process holds the graph file; `holder` says which."""
+    """Another process holds the graph file; `holder` names that process."""
 
     def __init__(self, message: str, *, holder: str = "") -> None:
         super().__init__(message)
@@ -52,7 +55,7 @@ class QueryError(AvrError):
 
 
 class PlanError(AvrError):
-    """A graph plan is not valid; `field` is the path of the offending part, as in `edges[1].source`."""
+    """A plan is not valid; `field` is the path of the faulty part, such as `edges[1].source`."""
 
     def __init__(self, field: str, message: str) -> None:
         super().__init__(f"{field}: {message}")
@@ -60,34 +63,39 @@ class PlanError(AvrError):
 
 
 class ObserveError(AvrError):
-    """An observation is refused: unknown sequence, frame without an image, angle that is no number."""
+    """An observation is refused: unknown sequence, frame without an image, or angle that is not a finite number."""
 
 
 class RefusedError(AvrError):
-    """A move of an episode is not carried out, or an answer not taken; the message is the reason."""
+    """An episode refuses a move or an answer; the message is the reason."""
 
 
 class DecodeError(AvrError):
-    """A model's reply does not fit the contract; the reason is what a prediction row stores."""
+    """A model's reply does not fit the contract. A prediction stores the message as its reason."""
 
 
 class EndpointError(AvrError):
-    """A model server cannot be reached, or does not keep the protocol."""
+    """A model server cannot be reached or breaks the protocol."""
 
 
 class RunStoppedError(EndpointError):
-    """No further question can be answered now: the run ends, and is resumed later. No question is spent on it."""
+    """The run ends because no further question can be answered now; a resumed run answers the rest."""
 
 
 class AvrWarning(UserWarning):
-    """Something that a person should know and that ends nothing, such as questions left out of a run."""
+    """A fact that the user should know and that stops nothing, such as questions left out of a run."""
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name: the nearest known one, or else what there is."""
+def did_you_mean(name: str, valid: Iterable[str]) -> str:
+    """Return the end of a message about an unknown name: the nearest valid name, or else the first valid names.
+
+    Args:
+        name: the unknown name.
+        valid: all valid names.
+    """
     import difflib
 
-    names = sorted(known)
+    names = sorted(valid)
     near = difflib.get_close_matches(name, names, 1, 0.5)
     if near:
         return f": did you mean {near[0]}?"
@@ -95,4 +103,4 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 _NAMED = 12
-"""Names that a message lists at most."""
+"""Maximum of names that a message lists."""

@@ -1,11 +1,13 @@
-"""Tables of the graph, as Cypher DDL: the scene and the keyframe layer.
+"""Tables of the graph as Cypher DDL: the scene and the keyframe layer.
 
-Names of tables and the properties written here are public. Node keys: `Person` and `SocialGroup` are
-`<sequence>/<number>`, `Frame` is `<sequence>/<six digits>`, `Object` is `<sequence>/<category id>:<track>` (tracks
-restart per category). `SeenIn` begins at a person or at a thing, which has the box and its angle only. Every
-relationship carries `sequence`, by which queries filter (ten times faster than by a property of the node). Relations
-are intervals of frames, inclusive, with seconds beside them; `certain` is false where the fact is unknown, that is,
-where it may or may not hold.
+Names of tables and of their properties are public. Node keys: `Person` and `SocialGroup` have `<sequence>/<number>`,
+`Frame` has `<sequence>/<six digits>`, `Object` has `<sequence>/<category id>:<track>`, because tracks restart per
+category. `SeenIn` begins at a person or at a thing; for a thing only the box and its angle are set. Every relationship
+has `sequence`: a query that filters by it is ten times faster than one that filters by a property of a node.
+
+Relations are intervals of frames with their seconds; both ends are inclusive. `Performs`, `MemberOf`, `Interacts` and
+`Handles` are written labels, and `certain` is false if a label leaves the fact unknown. The tables that begin with
+`May` are facts without a label that may hold (`gap`: see `schema.tables`).
 """
 
 from __future__ import annotations
@@ -33,10 +35,10 @@ _TYPES: Final = {"string": "STRING", "double": "DOUBLE", "bool": "BOOLEAN", "int
 
 
 def _sighting_columns() -> tuple[str, ...]:
-    """Columns of `intervals_sightings` without those that the ends hold."""
+    """Return the columns of `intervals_sightings` that are not properties of the person or the group."""
     fields = [field for field in INTERVALS["sightings"] if field.name not in ("track", "cluster", *"xywh")]
     columns = [f"{field.name} {_TYPES[str(field.type)]}" for field in fields]
-    # A struct, not DOUBLE[4]: a checkpoint moves lists one by one, minutes for a million.
+    # A struct, because a checkpoint of DOUBLE[4] moves lists one by one: minutes for a million.
     return (*columns[:2], "box STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)", *columns[2:])
 
 
@@ -56,7 +58,7 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "MayHandle": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "gap BOOLEAN")),
     "Beside": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
 }
-"""Per relationship table: from (several tables with a colon between them), to, and its columns as name and type."""
+"""Relationship tables by name: source tables (separated by a colon), target table, and columns as name and type."""
 
 KEYFRAME_NODES: Final[dict[str, str]] = {
     "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, nowhere STRING, seen INT64, "
@@ -70,7 +72,7 @@ KEYFRAME_NODES: Final[dict[str, str]] = {
     "Absence": "id INT64 PRIMARY KEY, sequence STRING, leaves INT64, returns INT64, present_from INT64, "
     "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN",
     "Encounter": "id INT64 PRIMARY KEY, sequence STRING, relation STRING, until INT64",
-    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING, digests STRING",
+    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING",
 }
 
 KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
@@ -97,16 +99,16 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 }
 
 STORAGE_VERSION: Final = 9
-"""Raised when the tables above change, or the world namespace's: a graph of another version is rebuilt."""
+"""Version of all tables of the graph. A graph of a different version must be built again."""
 
 
 def scene_ddl() -> list[str]:
-    """CREATE statements of the scene namespace, nodes first."""
+    """Return the CREATE statements of the scene namespace, nodes first."""
     return table_ddl(SCENE_NODES, SCENE_RELS)
 
 
 def table_ddl(nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple[str, ...]]]) -> list[str]:
-    """CREATE statements of tables, nodes first."""
+    """Return CREATE statements, nodes first. `nodes` and `rels` have the forms of `SCENE_NODES` and `SCENE_RELS`."""
     statements = [f"CREATE NODE TABLE `{name}`({columns})" for name, columns in nodes.items()]
     for name, (source, target, columns) in rels.items():
         ends = [f"FROM {start} TO {target}" for start in source.split(":")]

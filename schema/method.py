@@ -4,7 +4,7 @@ A method answers one `Task` at a time. A task holds the public columns of a ques
 the functions `observe` and `panorama` that return images, and the functions `record` and `record_write` that append to
 the transcript and to the record of a world model. A task holds nothing else of the store.
 
-A method is code in the process of the run, with the rights of its user: it could open the files of the store by itself.
+A method runs in the process of the run, with the rights of its user: it could open the files of the store.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Image = npt.NDArray[np.uint8]
 StepKind = Literal["model", "observe", "tool", "solve"]
 Status = Literal["answered", "invalid", "error"]
 Verdict = Literal["certain", "supported", "guess"]
-"""How far a world model bears an answer out: it proves it; it gives it for the person who fits best, at the nearest
-frames that were seen; or it does not give it."""
+"""Support of a world model for an answer. certain: it proves the answer. supported: it gives the answer for the person
+who fits best or for the nearest observed frames. guess: neither."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """A row of `sequences.parquet`; `frames` are the frames that can be observed, ascending."""
+    """A row of `sequences.parquet`. frames: the frames that can be observed, ascending."""
 
     sequence: str
     fps: float
@@ -50,10 +50,10 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A 480 x 480 x 3 uint8 RGB crop of the stitched panorama, with its frame and angle.
+    """A crop of the stitched panorama with its frame and angle.
 
-    `left` is the crop's left column in stitched pixels, [0, 3760); the crop wraps over the seam. `timestamp` is in
-    seconds from frame 0.
+    image: 480 x 480 x 3, uint8, RGB. left: left column of the crop in stitched pixels, [0, 3760); the crop wraps over
+    the seam. angle_deg: panorama angle of the centre. timestamp: seconds from frame 0.
     """
 
     sequence: str
@@ -68,7 +68,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Panorama:
-    """A whole stitched panorama as its stored JPEG bytes, 3760 x 480; `timestamp` is in seconds from frame 0."""
+    """A whole stitched panorama, 3760 x 480, as stored JPEG bytes. timestamp: seconds from frame 0."""
 
     sequence: str
     frame_index: int
@@ -79,7 +79,7 @@ class Panorama:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One line of a transcript; it names images by sequence, frame and angle and leaves out their bytes."""
+    """One line of a transcript. It names images by sequence, frame and angle, without their bytes."""
 
     kind: StepKind
     request: str
@@ -91,10 +91,12 @@ class Step:
 class Prediction:
     """A method's answer to one question, with its evidence and costs.
 
-    `n_observations` counts crops and panoramas. `answer` and `evidence` are scored separately and either may be
-    missing. `status` is "invalid" where one is missing because the model's output could not be read. `reason` is the
-    last refusal of the model's output, "" where what it proposed last was taken. `raw` is the model's last text.
-    `verdict` is None for a method without a world model.
+    status: "invalid" if answer or evidence is missing because the model's output could not be read.
+    answer, evidence: scored separately; either may be None.
+    raw: the last text of the model.
+    reason: the last refusal of the model's output, "" if its last proposal was accepted.
+    verdict: None for a method without a world model.
+    n_observations: crops and panoramas together.
     """
 
     status: Status
@@ -110,32 +112,48 @@ class Prediction:
 
 
 class Observe(Protocol):
-    """Returns the crop at a frame and angle; raises ObserveError for a request that is not allowed."""
+    """The function that returns one crop of a panorama."""
 
-    def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation: ...
+    def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
+        """Return the crop at a frame whose centre is at a panorama angle.
+
+        Raises:
+            ObserveError: the request is not allowed.
+        """
+        ...
 
 
 class GetPanorama(Protocol):
-    """Returns a whole panorama; raises ObserveError for a request that is not allowed."""
+    """The function that returns a whole panorama."""
 
-    def __call__(self, sequence: str, frame_index: int) -> Panorama: ...
+    def __call__(self, sequence: str, frame_index: int) -> Panorama:
+        """Return the panorama of a frame.
+
+        Raises:
+            ObserveError: the request is not allowed.
+        """
+        ...
 
 
 class Record(Protocol):
-    """Appends a step to the transcript of the current question."""
+    """The function that writes the transcript."""
 
-    def __call__(self, step: Step) -> None: ...
+    def __call__(self, step: Step) -> None:
+        """Append a step to the transcript of the current question."""
+        ...
 
 
 class RecordWrite(Protocol):
-    """Appends a write, accepted or refused, to the world model's record of the current question."""
+    """The function that writes the record of a world model."""
 
-    def __call__(self, write: Write) -> None: ...
+    def __call__(self, write: Write) -> None:
+        """Append a write, accepted or refused, to the record of the current question."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One question with everything that a method may use to answer it."""
+    """One question with all data and functions that a method may use to answer it."""
 
     question: Question
     sequence: SequenceInfo
@@ -146,17 +164,21 @@ class Task:
 
 
 class Method(Protocol):
-    """Answers questions. `answer` is called concurrently from several threads."""
+    """A method of a run. Several threads call `answer` at the same time."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the method in the run's manifest."""
+        ...
 
     def answer(self, task: Task) -> Prediction:
-        """Answer one question. An exception becomes an `error` prediction; it never ends the run."""
+        """Answer one question. An exception becomes an `error` prediction and does not end the run."""
         ...
 
 
 class ConfigurableMethod(Method, Protocol):
-    """A method whose settings the run's manifest stores: a run resumes only under equal settings."""
+    """A method with settings. The run's manifest stores them, and a run resumes only under equal settings."""
 
-    def settings(self) -> dict[str, Any]: ...
+    def settings(self) -> dict[str, Any]:
+        """Return the settings as JSON values by name."""
+        ...

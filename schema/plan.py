@@ -46,24 +46,24 @@ its value, and beliefs fulfil it as they are written.
 AttributeName = Annotated[str, msgspec.Meta(min_length=1, max_length=40, pattern="^[a-z][a-z0-9_]*$")]
 
 
-class _ReadRule(NamedTuple):
+class ReadRule(NamedTuple):
     """What a read needs of `answer`: its mode and, per time that it names, the kinds of event (none: any time)."""
 
     mode: AnswerMode
     times: tuple[tuple[Event, ...], ...]
 
 
-_READS: Final[dict[Read, _ReadRule]] = {
-    "action": _ReadRule("multiple_choice", ((),)),
-    "attribute": _ReadRule("multiple_choice", ((),)),
-    "presence": _ReadRule("multiple_choice", ((), ())),
-    "distance_change": _ReadRule("multiple_choice", ((), ())),
-    "next_action": _ReadRule("multiple_choice", (("end",),)),
-    "start": _ReadRule("frame", (("start",),)),
-    "span": _ReadRule("span", (("start",), ("end",))),
-    "start_view": _ReadRule("frame_viewpoint", (("start",),)),
-    "seconds_between": _ReadRule("number", (("start", "leaves"), ("start", "returns"))),
-    "count": _ReadRule("number", ((), ())),
+READS: Final[dict[Read, ReadRule]] = {
+    "action": ReadRule("multiple_choice", ((),)),
+    "attribute": ReadRule("multiple_choice", ((),)),
+    "presence": ReadRule("multiple_choice", ((), ())),
+    "distance_change": ReadRule("multiple_choice", ((), ())),
+    "next_action": ReadRule("multiple_choice", (("end",),)),
+    "start": ReadRule("frame", (("start",),)),
+    "span": ReadRule("span", (("start",), ("end",))),
+    "start_view": ReadRule("frame_viewpoint", (("start",),)),
+    "seconds_between": ReadRule("number", (("start", "leaves"), ("start", "returns"))),
+    "count": ReadRule("number", ((), ())),
 }
 
 
@@ -386,7 +386,7 @@ def _check_answer(plan: Plan, ids: list[str]) -> None:
         _known("answer.at", name, list(plan.times), "time")
         if plan.times[name].is_moment:
             raise PlanError("answer.at", f"{name!r} is some moment; use a stated frame, or an event")
-    rule = _READS[answer.read]
+    rule = READS[answer.read]
     if rule.mode != answer.mode:
         raise PlanError("answer.mode", f"{answer.mode!r} does not fit the read {answer.read!r}; use {rule.mode!r}")
     if len(times) != len(rule.times):

@@ -1,12 +1,12 @@
-"""What to use instead of words that a plan does not have: one line for each word that models use all the same."""
+"""Hints about words that a plan does not have although models use them: for each word, the term to use instead."""
 
 from __future__ import annotations
 
 import re
 from typing import Final, Literal
 
-Place = Literal["attribute", "relation", "read", "event", "key"]
-"""Where in a plan a word stands: the value of one of these fields, or a key of an object."""
+PlanPart = Literal["attribute", "relation", "read", "event", "key"]
+"""Part of a plan that has the word: the value of one of these fields, or a key of an object."""
 
 _ACTION: Final = '{"action": "sitting", "at": "t0"}'
 _THING: Final = '{"object": "bag", "verb": "holding", "at": "t0"}'
@@ -20,7 +20,7 @@ _SIDE: Final = '"first to the {side} of (robot view)" or "within 30 degrees to t
 _SECTOR: Final = '"sector" for the side of the robot, "distance" for how far away'
 FREE: Final = '{"attribute": "shirt", "value": "red", "at": "t0"} for what has no labels'
 
-_INSTEAD: Final[dict[Place, dict[str, str]]] = {
+_INSTEAD: Final[dict[PlanPart, dict[str, str]]] = {
     "attribute": {
         **dict.fromkeys(("action", "activity", "doing", "movement", "pose", "posture"), _ACTION),
         **dict.fromkeys(("object", "carrying", "handling", "holding", "item", "thing"), _THING),
@@ -80,22 +80,22 @@ _INSTEAD: Final[dict[Place, dict[str, str]]] = {
 _QUOTED: Final = re.compile(r"(unknown field|enum value) [`'](.*?)[`']")
 
 
-def hint(place: Place, word: str) -> str:
-    """What to use instead of a word, as the end of a message; "" for a word without an entry.
+def hint(part: PlanPart, word: str) -> str:
+    """Return the term to use instead of a word, as the end of a message; "" for a word without an entry.
 
     >>> hint("attribute", "sex"), hint("attribute", "shirt")
     ('; use "gender"', '')
     """
-    wanted = " ".join(word.lower().replace("_", " ").split())
-    return next((f"; use {use}" for known, use in _INSTEAD[place].items() if known.replace("_", " ") == wanted), "")
+    normal = " ".join(word.lower().replace("_", " ").split())
+    return next((f"; use {use}" for entry, use in _INSTEAD[part].items() if entry.replace("_", " ") == normal), "")
 
 
 def hint_for(field: str, message: str) -> str:
-    """What to use instead of the word that a decoder's message about a field names."""
-    found = _QUOTED.search(message)
-    if found is None:
+    """Return the hint for the word that a decoder's message names; `field` is the path of the field."""
+    match = _QUOTED.search(message)
+    if match is None:
         return ""
-    if found[1] == "unknown field":
-        return hint("key", found[2])
-    place = field.rpartition(".")[2]
-    return hint("read", found[2]) if place == "read" else hint("event", found[2]) if place == "event" else ""
+    if match[1] == "unknown field":
+        return hint("key", match[2])
+    part = field.rpartition(".")[2]
+    return hint("read", match[2]) if part == "read" else hint("event", match[2]) if part == "event" else ""

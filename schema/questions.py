@@ -1,4 +1,4 @@
-"""One question with everything that is stored of it: its row of `questions`, and its private row of `answers`."""
+"""A stored question: its row of `questions` and its private row of `answers`."""
 
 from __future__ import annotations
 
@@ -7,18 +7,23 @@ from typing import Any, Final, Self
 
 import msgspec
 
-from jrdb_avr.schema.answers import AnswerMode, Choice, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import AnswerMode, Choice
 from jrdb_avr.schema.labels import answer_of_choice
 
 PROFILE_KEY: Final = "profile"
-"""Key in the metadata of question files: the profile of a training set; absent from a benchmark."""
+"""Key in the metadata of question files: the profile of a training set. A benchmark lacks the key."""
 
 DISJOINT_KEY: Final = "disjoint_from"
-"""Likewise of a training set: the generation of the held-out questions that it keeps away from, or empty."""
+"""Key in the metadata of a training set: the generation of the held-out questions that it avoids, or ""."""
 
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One proof: whether it holds (None: it is not run), how the program's answer compares, and that answer."""
+    """One proof of a question.
+
+    holds: None if the proof was not run. outcome: the program's answer compared with the stored one. answer: the
+    program's answer.
+    """
 
     kind: str
     variant: str
@@ -28,7 +33,7 @@ class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A box that whoever answers must see; the decisive ones do not all lie in the view straight ahead."""
+    """A box that a method must see to answer. At least one decisive box is outside the view straight ahead."""
 
     node: str
     track: int
@@ -41,7 +46,7 @@ class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """A question: the columns of `questions`, then those of `answers`, whose JSON texts are read."""
+    """A question: the columns of `questions`, then the columns of `answers` with decoded JSON."""
 
     question_id: str
     sequence: str
@@ -64,24 +69,28 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
     needed: tuple[NeededBox, ...]
 
     @classmethod
-    def read(cls, row: Mapping[str, Any], own: Mapping[str, Any]) -> Self:
-        """The record of a row of `questions` and its row of `answers`. Raises msgspec.MsgspecError for a bad text."""
+    def read(cls, row: Mapping[str, Any], private: Mapping[str, Any]) -> Self:
+        """Return the record of a row of `questions` and its private row of `answers`.
+
+        Raises:
+            msgspec.MsgspecError: a JSON text of the row is malformed or has wrong types.
+        """
         texts = {}
         for name in _JSON_COLUMNS:
             try:
-                texts[name] = msgspec.json.decode(own[name])
+                texts[name] = msgspec.json.decode(private[name])
             except msgspec.DecodeError as error:
                 raise msgspec.DecodeError(f"{name}: {error}") from None
-        return msgspec.convert({**own, **row, **texts}, cls)
+        return msgspec.convert({**private, **row, **texts}, cls)
 
     def columns(self) -> dict[str, Any]:
-        """The columns of both tables."""
+        """Return the columns of both tables by name."""
         texts = {name: msgspec.json.encode(getattr(self, name)).decode() for name in _JSON_COLUMNS}
         return msgspec.structs.asdict(self) | texts
 
     @property
     def answer_text(self) -> str:
-        """What the true choice says, empty where there is no such choice, or the answer's JSON."""
+        """The text of the true choice, "" if the choice does not exist; for other answer modes the answer's JSON."""
         answer = decode_answer(self.answer_mode, self.answer)
         if not isinstance(answer, Choice):
             return self.answer

@@ -17,6 +17,7 @@ from typing import Final, Literal
 
 from msgspec.structs import replace
 
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import Use
@@ -24,14 +25,6 @@ from jrdb_avr.schema.relations import Use
 TimeProof = Literal["times", "program", "construction"]
 """What time.shift and time.drop move: the stated times after the description, for the same person; the whole program,
 with description and hops read again; or nothing, because the answer is itself a time."""
-
-_ANSWER_JSON: Final[dict[str, tuple[str, ...]]] = {
-    "frame": ('{"frame":', "start", "}"),
-    "span": ('{"start_frame":', "start", ',"end_frame":', "end", "}"),
-    "frame_viewpoint": ('{"frame":', "start", ',"angle_deg":', "angle", "}"),
-    "number": ('{"value":', "value", "}"),
-}
-"""Stored answers by mode: pieces of JSON with columns of candidates between them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +131,7 @@ class Template:
     @property
     def answer(self) -> tuple[str, ...] | None:
         """The stored answer's JSON as pieces and columns; None for an answer that is one of `choices`."""
-        return _ANSWER_JSON.get(self.spec.mode)
+        return MODES[self.spec.mode].stored_json
 
     @property
     def actions(self) -> int:

@@ -1,8 +1,7 @@
-"""Things and what people do with them, with the words of questions.
+"""Things, and verbs of handling them, with their phrases in questions.
 
-Categories of things are those of the panoptic layer, verbs those of the reasoning layer.
-
-The order of categories and verbs gives the codes of the marks in sample pictures: append only.
+The panoptic layer has the categories of things; the reasoning layer has the verbs. The marks in sample pictures encode
+both by their order here: append only.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ OBJECTS: Final = (
     *("big_vehicle", "chair/sofa", "pedestrian", "sign", "trolley", "pole/trafficcone", "bicyclist/rider", "table"),
     *("skateboard/segway/hoverboard", "glass", "door"),
 )
-"""The categories, in the standard numbering of the panoptic layer."""
+"""Categories in the standard numbering of the panoptic layer."""
 
 
 def _noun_phrase(category: str) -> str:
@@ -62,10 +61,10 @@ OBJECT_PHRASES: Final = {category: _noun_phrase(category) for category in OBJECT
     "bicyclist/rider": "a cyclist or rider",
     "glass": "a pane of glass",
 }
-"""Each category as a noun phrase; no two phrases are equal."""
+"""Noun phrases by category, all different."""
 
 PERSON_CATEGORIES: Final = frozenset({"pedestrian", "bicyclist/rider", "child"})
-"""Categories of people: the box layers track and count them."""
+"""Categories of people. The box layers track and count people, so these are not things."""
 
 VERBS: Final = (
     *("working", "opening", "closing", "entering", "exiting", "touching", "cleaning", "watering", "pruning"),
@@ -80,7 +79,7 @@ VERBS: Final = (
     *("understanding", "observing", "turning", "wearing", "adorning", "replacing", "matching", "collecting"),
     *("folding", "servicing", "feeding", "climbing", "going down", "going up"),
 )
-"""The verbs of the reasoning layer."""
+"""Verbs of the reasoning layer."""
 
 VERB_PHRASES: Final = {verb: verb for verb in VERBS} | {
     "working": "working at",
@@ -104,7 +103,7 @@ VERB_PHRASES: Final = {verb: verb for verb in VERBS} | {
     "attracting": "attracting attention with",
     "understanding": "trying to understand",
 }
-"""Each verb as it stands before a thing."""
+"""Phrases by verb, to be followed by a thing."""
 
 _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
     "finding sth": "finding_something",
@@ -116,9 +115,9 @@ CATEGORY_PREFIXES: Final = ("t_", "m_")
 
 
 def normal_category(name: str) -> str:
-    """The vocabulary's spelling of a category's name: lower case, no prefix, underscores between words.
+    """Return the spelling of a category's name in `OBJECTS`: lower case, without prefix, underscores between words.
 
-    Names outside `OBJECTS` come back in the same spelling.
+    A name outside `OBJECTS` gets the same spelling.
     """
     word = plain(name).replace(" ", "_")
     prefix = next((prefix for prefix in CATEGORY_PREFIXES if word.startswith(prefix)), "")
@@ -127,7 +126,7 @@ def normal_category(name: str) -> str:
 
 @functools.lru_cache(maxsize=10_000)
 def normal_verb(raw: str) -> str:
-    """The vocabulary's spelling of a verb; an unknown verb comes back in plain spelling.
+    """Return the spelling of a verb in `VERBS`; an unknown verb gets plain spelling.
 
     >>> normal_verb("looking_at"), normal_verb("finding something")
     ('looking at', 'finding_something')

@@ -1,16 +1,14 @@
-"""What the tests share: worlds made once per run, and the two costs of a load that few tests are about."""
+"""Settings and fixtures of all tests."""
 
 import fcntl
-import gc
 import os
 import shutil
 import signal
-import sys
 import tempfile
 from pathlib import Path
 
 import pytest
-from effort import DEEP, examples
+from environment import DEEP, examples
 from hypothesis import settings
 
 # Tables are as wide as a terminal says; the tests and the tour expect those of no terminal.
@@ -30,20 +28,7 @@ settings.load_profile("tests")
 
 
 # Fixtures of more than one file.
-pytest_plugins = ["asked_world", "small_demo"]
-
-DEAREST = """
-    keyframe_graph docs generate verify compiler generate_worlds evaluate_beliefs integrations_docs load_store
-    evaluate simulated validate leaks training rederive_agrees simulated_sample simulated_agent
-    inspect_ai learned extending replay beliefs engine_traps sample search_graph mcp hostile_scenes
-    report generate_oracle statements_by_name load_broken occlusion kill text_reader guard gymnasium
-    belief_reads view statistics preflight scoring pages awkward_cases world_model sample_images
-    world_model_hostile cli explore reference reference_hostile client belief_patterns load_facts reviews
-    belief_graph rederive_edges calibrate simulated_baselines driven markers handle gap pose habits social react
-    sample_formats human served huggingface
-"""
-"""Files of 2.5 seconds and more: begun first, so that the workers, who take a file at a time, end together."""
-
+pytest_plugins = ["painted", "small_demo"]
 
 MEMORY = Path("/dev/shm")
 """A file system in memory, where Linux has one."""
@@ -56,71 +41,28 @@ def pytest_configure():
         tempfile.tempdir = None
 
 
-WORKER = os.environ.get("PYTEST_XDIST_WORKER", "")
-
-
-def pytest_collection():
-    """Turn the garbage collector off while tests are collected: they stay to the end, and it would search them in vain.
-
-    Workers keep the modules that pytest has rewritten, which takes longer than all else, also where
-    PYTHONDONTWRITEBYTECODE is set.
-    """
-    if WORKER:
-        gc.disable()
-        sys.dont_write_bytecode = False
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(collector):
-    """Every second worker begins at the other end: where they meet, each finds what the other has rewritten."""
-    report = yield
-    if isinstance(collector, pytest.Directory) and WORKER[-1:] in ("1", "3", "5", "7", "9"):
-        report.result.reverse()
-    return report
-
-
-def pytest_collection_finish():
-    sys.dont_write_bytecode = "PYTHONDONTWRITEBYTECODE" in os.environ
-    gc.collect()
-    gc.freeze()
-    gc.enable()
-    gc.set_threshold(20_000, 20, 20)
-
-
-def pytest_unconfigure():
-    """Otherwise modules of C++ tell at the end what nobody has freed."""
-    gc.unfreeze()
-
-
-def pytest_collection_modifyitems(items):
-    rank = {name: place for place, name in enumerate(DEAREST.split())}
-    items.sort(key=lambda item: (rank.get(item.path.stem.removeprefix("test_"), len(rank)), item.path))
-
-
 @pytest.fixture(scope="session", autouse=True)
-def cheap_processes():
-    """Processes of the tests' own program start with everything imported, and graphs are built in the tests' process.
+def one_process():
+    """Write graphs and run Cypher statements in the tests' process: starting another takes longer than the work."""
+    from processes import run_statement_here
 
-    Commands that the tests run as processes start theirs from nothing, as users' do.
-    """
-    import warm
-
-    from jrdb_avr.agent.simulated import server
     from jrdb_avr.queries import workers
     from jrdb_avr.queries.graph import guard
 
-    workers.context = warm.context()
-    workers.run_alone = lambda function: function()
-    guard.run_child = warm.run_statement
-    server.start_process = warm.start_server
+    started = workers.run_alone, guard.run_child
+    workers.run_alone, guard.run_child = (lambda function: function()), run_statement_here
+    yield started
+    workers.run_alone, guard.run_child = started
 
 
-@pytest.fixture(scope="session", autouse=True)
-def no_waiting_for_the_disk():
-    """Files are not synced, which a load does so that they outlive a power cut."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda file: None)
-        yield
+@pytest.fixture
+def own_processes(one_process, monkeypatch):
+    """Start the processes that the program starts: for tests of what they withstand."""
+    from jrdb_avr.queries import workers
+    from jrdb_avr.queries.graph import guard
+
+    monkeypatch.setattr(workers, "run_alone", one_process[0])
+    monkeypatch.setattr(guard, "run_child", one_process[1])
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import json
 import os
 import re
 import shlex
@@ -12,14 +11,11 @@ import sys
 from pathlib import Path
 
 import cv2
-import entry
-import pyarrow as pa
+import processes
 import pytest
-from places import DOCS, ROOT
+from environment import DOCS, ROOT
 
-from jrdb_avr.agent.simulated import server
 from jrdb_avr.engine.local_server import LocalServer, Request
-from jrdb_avr.queries.graph import guard
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 TOUR = (DOCS / "tour.md").read_text(encoding="utf-8")
@@ -76,23 +72,10 @@ def here(command, printed):
     assert words[0] == "jrdb-avr" and not re.search(r"[$`;<>&*?]", re.sub(r"'[^']*'|\"[^\"$`]*\"", "", command)), (
         command
     )
-    code, out, err = (0, *printed[tuple(words[1:at])]) if tuple(words[1:at]) in printed else entry.run(*words[1:at])
+    code, out, err = (0, *printed[tuple(words[1:at])]) if tuple(words[1:at]) in printed else processes.run(*words[1:at])
     if words[at + 1 :]:
         out = subprocess.run(words[at + 1 :], input=out, capture_output=True, text=True, check=True).stdout
     return code, out + err
-
-
-@pytest.fixture
-def statements_here(monkeypatch):
-    """Cypher statements run within this process: those of the documentation crash nothing."""
-
-    def run_child(request, timeout_s):
-        table = guard._read(**json.loads(request))
-        with pa.BufferOutputStream() as out, pa.ipc.new_stream(out, table.schema) as writer:
-            writer.write_table(table)
-        return subprocess.CompletedProcess("statement", 0, out.getvalue())
-
-    monkeypatch.setattr(guard, "run_child", run_child)
 
 
 @contextlib.contextmanager
@@ -102,14 +85,14 @@ def served(command):
     at = words.index("--port") + 1
     named, words[at] = words[at], "0"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    with server.start_process([sys.executable, *words[1:]], **pipes) as process:
+    with subprocess.Popen([sys.executable, *words[1:]], **pipes) as process:
         try:
             yield named, re.search(r":(\d+)/v1", process.stdout.readline())[1]
         finally:
             process.kill()
 
 
-def test_the_tour_runs_as_written(tmp_path, monkeypatch, small_demo, statements_here):
+def test_the_tour_runs_as_written(tmp_path, monkeypatch, small_demo):
     monkeypatch.chdir(tmp_path)
     # The demo has run for all tests; nothing of it is written to.
     shutil.copytree(small_demo.folder, "demo-out")
@@ -133,7 +116,7 @@ def test_the_tour_runs_as_written(tmp_path, monkeypatch, small_demo, statements_
         assert all(int(number) > 0 for number in out.getvalue().split())
     for query, rows in zip(blocks(GRAPH, "cypher"), blocks(GRAPH, "text"), strict=True):
         sequence = ("--param", "sequence=sample-plaza-01_0") if "$" in query else ()
-        code, out, _ = entry.run("cypher", query, "--store", "demo-out/store", *sequence)
+        code, out, _ = processes.run("cypher", query, "--store", "demo-out/store", *sequence)
         assert code == 0 and kept("", rows.splitlines()) == kept("", out.splitlines()), query
     # The pictures are what the commands draw; JPEG decoders may differ slightly.
     made, shown = (cv2.imread(str(path / "look.png")).astype(int) for path in (tmp_path / "demo-out", DOCS))

@@ -1,4 +1,4 @@
-"""A template and a layer are added by the lists of `docs/architecture.md` alone, in an edited copy of the program."""
+"""A template, a layer and an answer mode are added by the lists of `docs/architecture.md` alone, in an edited copy."""
 
 import json
 import os
@@ -9,8 +9,8 @@ import subprocess
 import sys
 
 import pytest
-from lively_worlds import lively_world
-from places import DOCS, ROOT
+from environment import DOCS, ROOT
+from random_worlds import lively_world
 from worlds import load_world, person, write_root
 
 ARCHITECTURE = (DOCS / "architecture.md").read_text("utf-8")
@@ -50,6 +50,65 @@ def load_toys(path: Path, problems: Problems) -> LayerTables:
     return LayerTables({"toys": pa.Table.from_pylist(rows)}, {"toys": (frames, counts)})
 '''
 
+HEADING = """
+    Mode(
+        "heading",
+        Heading,
+        (Part("angle_deg", "angle", "direction of movement"),),
+        same=lambda given, truth, _second: float(angle_error(given.angle_deg, truth.angle_deg)) <= 20.0,
+        asks="angle",
+        words="towards {angle_deg}",
+        aim=0.25,
+        guessers=("constant",),
+        smallest_read="action",
+    ),
+"""
+
+HEADING_STRUCT = '''
+class Heading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The direction of a person's movement, in degrees."""
+
+    angle_deg: float
+
+
+'''
+
+PLAY_HEADING = """
+import json
+import numpy as np
+from jrdb_avr.agent.methods.episode import Episode
+from jrdb_avr.engine.pages.page import readable
+from jrdb_avr.schema.answer_modes import decode_answer, same_answer
+from jrdb_avr.schema.answers import Heading, encode_answer
+from jrdb_avr.schema.method import Observation, Question, SequenceInfo, Task
+
+question = Question(question_id="q", sequence="s", question="Where to?", choices=(), answer_mode="heading")
+task = Task(
+    question,
+    SequenceInfo("s", 15.0, 100, (0, 5)),
+    lambda sequence, frame_index, angle_deg: Observation(
+        sequence, frame_index, f"{frame_index:06d}", 0.0, angle_deg, 46.0, 0, np.zeros((480, 480, 3), np.uint8)
+    ),
+    None,
+    lambda step: None,
+    lambda write: None,
+)
+episode = Episode(task)
+seen = episode.observe(5, 180.0)
+schema = episode.answer_schema["properties"]["answer"]
+episode.submit({"angle_deg": 385.0}, [{"frame_id": seen.frame_id, "bbox": [427, 250, 573, 708]}])
+prediction = episode.finished()
+stored = encode_answer(prediction.answer)
+print(json.dumps({
+    "prompt": episode.prompt,
+    "schema": schema,
+    "status": prediction.status,
+    "stored": stored,
+    "scores": [same_answer(decode_answer("heading", stored), Heading(true)) for true in (10.0, 90.0)],
+    "page": readable("heading", stored, (), 15.0),
+}))
+"""
+
 PROGRAM = """
 import json, sys
 from jrdb_avr.engine.cli import main
@@ -67,7 +126,7 @@ ALONE = ("--workers", "1")
 def listed(what):
     """The files that the page lists for adding something; a folder stands for files in it."""
     entry = re.search(rf"^\*\*{what}\*\*(.*?)(?=^\*\*|\Z)", ARCHITECTURE, re.M | re.S)[1]
-    return set(re.findall(r"`((?:schema|loaders|queries|engine|agent)/[\w/.]*)`", entry))
+    return set(re.findall(r"`((?:schema|loaders|queries|engine|agent)/[\w/.<>]*)`", entry))
 
 
 class Copy:
@@ -91,23 +150,48 @@ class Copy:
         (self.root / name).write_text(whole.replace(before, text + before), "utf-8")
         self.edited.add(name)
 
-    def run(self, *commands):
-        """What each command of the copy prints; one process runs them all."""
+    def python(self, program, text=""):
+        """What a program over the copy prints."""
         done = subprocess.run(
-            [sys.executable, "-P", "-c", PROGRAM],
-            input="".join(json.dumps([str(part) for part in command]) + "\n" for command in commands),
+            [sys.executable, "-P", "-c", program],
+            input=text,
             capture_output=True,
             text=True,
             env=os.environ | {"PYTHONPATH": str(self.root.parent)},
             cwd=self.root.parent,
         )
         assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout.split("\0")[:-1]
+        return done.stdout
+
+    def run(self, *commands):
+        """What each command of the copy prints; one process runs them all."""
+        lines = (json.dumps([str(part) for part in command]) + "\n" for command in commands)
+        return self.python(PROGRAM, "".join(lines)).split("\0")[:-1]
 
 
 @pytest.fixture
 def copy(tmp_path):
     return Copy(tmp_path)
+
+
+def test_an_answer_mode_takes_a_struct_a_record_and_its_prompts(copy):
+    copy.insert("schema/answers.py", "]\n\nTIE: Final", ', "heading"')
+    copy.insert("schema/answers.py", "Answer = Choice |", HEADING_STRUCT.lstrip())
+    copy.insert("schema/answers.py", "Choice | FrameAnswer", "Heading | ")
+    copy.insert("schema/answer_modes.py", '        Mode(\n            "number",', HEADING)
+    copy.insert("schema/answer_modes.py", "    FrameViewpoint,\n    Number,\n", "    Heading,\n")
+    copy.add("agent/prompts/answer_heading.md", '{"angle_deg": 210.0}\nthe direction.\nLook twice.\n')
+    copy.add("agent/prompts/agent_reads_heading.md", "No read gives a heading.\n")
+    assert all(
+        any(name.startswith(place.partition("<")[0]) for place in listed("an answer mode")) for name in copy.edited
+    )
+
+    played = json.loads(copy.python(PLAY_HEADING))
+    assert '{"angle_deg": 210.0}' in played["prompt"] and "Look twice." in played["prompt"]
+    assert played["schema"]["required"] == ["angle_deg"]
+    assert (played["status"], played["stored"]) == ("answered", '{"angle_deg":25.0}')
+    assert played["scores"] == [True, False]
+    assert played["page"] == "towards 25.0\N{DEGREE SIGN}"
 
 
 @pytest.mark.slow

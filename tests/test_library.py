@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 import pytest
-from places import DOCS
+from environment import DOCS
 
 import jrdb_avr
 from jrdb_avr.engine.generate.run import Generation
@@ -22,14 +22,14 @@ from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.queries import display
 from jrdb_avr.queries.display import step_counter
 from jrdb_avr.queries.manifest import SequenceEntry
-from jrdb_avr.schema import answers, errors
+from jrdb_avr.schema import answer_modes, errors
 from jrdb_avr.schema.tables import RUNS
 
 ROOT = Path(jrdb_avr.__file__).parent
 PROMISED = (
     *("Store", "load", "generate", "validate", "evaluate", "score", "report", "Observer", "Rules", "Question"),
     *("Task", "Method", "Observation", "Prediction", "Evidence"),
-    *(kind.__name__ for kind in answers.ANSWER_TYPES.values()),
+    *(mode.type.__name__ for mode in answer_modes.MODES.values()),
     *(name for name, value in vars(errors).items() if isinstance(value, type) and value.__module__ == errors.__name__),
 )
 
@@ -67,7 +67,7 @@ def test_the_types_are_those_of_the_names():
 SNIPPET = """
 import jrdb_avr as avr
 store = avr.Store("store")
-reveal_type(avr.evaluate(store, "react", "marker", limit=2).predictions)
+reveal_type(avr.evaluate(store, "react", "marker", avr.EvaluateOptions(run=avr.RunOptions(resume=True))).predictions)
 reveal_type(avr.report(store).table("main"))
 reveal_type(avr.load("root", store).refused)
 reveal_type(avr.generate(store, avr.Rules()).faults)

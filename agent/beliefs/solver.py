@@ -27,14 +27,8 @@ from jrdb_avr.queries.compiler.believed import find_believed
 from jrdb_avr.queries.compiler.find import Agreed, Outcome, outcome_of_target
 from jrdb_avr.queries.compiler.reads import Queryable
 from jrdb_avr.queries.compiler.solve import PlanQuery, Solution, read_with
-from jrdb_avr.schema.answers import (
-    TIE,
-    Answer,
-    Choice,
-    decode_answer,
-    same_answer,
-    uninformed_answer,
-)
+from jrdb_avr.schema.answer_modes import MODES, decode_answer, same_answer
+from jrdb_avr.schema.answers import TIE, Answer, Choice
 from jrdb_avr.schema.beliefs import episode_key
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.labels import choice_of
@@ -193,13 +187,13 @@ class BeliefSolver:
         """Return an answer where nothing tells one, of a person who was seen."""
         assert belief.seen is not None, "somebody was seen"
         frame, (x, _, w, _) = belief.seen
-        return uninformed_answer(plan.answer.mode, frame, center_angle(x, w))
+        return MODES[plan.answer.mode].make((frame, frame), center_angle(x, w))
 
     def answer(self, plan: Plan, belief: Belief) -> Answer | None:
         """The answer that is read from the beliefs, None where there is none, or none of the choices says it."""
         if belief.outcome != "defined" or belief.answer is None:
             return None
-        if plan.answer.mode != "multiple_choice":
+        if not MODES[plan.answer.mode].is_choice:
             return decode_answer(plan.answer.mode, belief.answer)
         number = choice_of(belief.answer, self.choices)
         return None if number is None else Choice(number)

@@ -1,9 +1,8 @@
-"""Find how a model writes boxes: which reading explains its boxes of drawn rectangles?
+"""Find how a model writes boxes, from its boxes of drawn rectangles.
 
-The model gets pictures in which the place of the marked rectangle is known, and writes its box in the contract's own
-words. Each reading (order of the numbers, scale) of each key that it writes is compared with the known boxes. A reading
-is chosen only if it explains the replies and no other does nearly as well. No question, and no true box of one, is
-involved.
+The model gets pictures with a marked rectangle whose box is known, and writes that box in the contract's own words.
+Each reading (order of the numbers, scale) of each key is compared with the known boxes. A reading is chosen only if it
+explains the replies and no other reading does nearly as well. No question and no true box of a question is involved.
 """
 
 from __future__ import annotations
@@ -34,24 +33,26 @@ KEYS: Final = (CONTRACT_KEY, "bbox_2d", "box_2d", "box")
 BOX_REPLY_SCHEMA: Final = closed_object({"evidence_bboxes": EVIDENCE_SCHEMA})
 
 LEAST_REPLIES: Final = 10
-"""With one key, for a reading of that key to be chosen."""
+"""Minimum number of replies with a key, for a reading of that key to be chosen."""
 LEAST_READABLE: Final = 0.5
-"""Share of all replies that hold a box at all."""
+"""Minimum share of all replies that hold a box."""
 CLEAR: Final = 0.4
-"""Share of a key's replies that the chosen reading brings to an overlap of one half."""
+"""Minimum share of a key's replies whose box, under the chosen reading, has an IoU of at least 0.5."""
 LEAD: Final = 0.2
-"""By which that share exceeds that of every other reading, but for those that read the same boxes."""
+"""Minimum lead of that share over every reading that gives other boxes."""
 _SAME: Final = 0.9
 _IN_FLIGHT: Final = 8
 
-# The plainest first: of readings that read the same boxes, the first is chosen.
+# The simplest first, because it is chosen among readings that give the same boxes.
 _SCALES: Final[tuple[Scale, ...]] = ("thousandths", "pixels", "unit", "resized")
 _READINGS: Final = tuple(Reading(order, scale) for scale in _SCALES for order in get_args(Order))
 
 
 class Score(msgspec.Struct, frozen=True):
-    """How well a reading explains the `n` replies under a key: their overlap (IoU) with the known boxes, its median and
-    the share of 0.5 and more."""
+    """How well a reading explains the `n` replies under a key.
+
+    median_iou: the median IoU with the known boxes. share: the share of boxes with an IoU of at least 0.5.
+    """
 
     key: str
     order: Order
@@ -63,10 +64,10 @@ class Score(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """`STORE/conventions/<model>.json`: what was found of a model under one way of requesting boxes.
+    """The content of `STORE/conventions/<model>.json`: a model's readings under one way of requesting boxes.
 
-    `asked_sha256` covers every request, `asked` counts them. `boxes` and `scales` say how each chosen key is read, and
-    are empty where no reading was clearly best: `reason` then says so.
+    asked: the number of requests; asked_sha256: their hash. boxes, scales: how each chosen key is read, empty if no
+    reading was clearly best. reason: why none was chosen.
     """
 
     model: str
@@ -82,14 +83,21 @@ class Calibration(msgspec.Struct, frozen=True):
     reason: str = ""
 
     def convention(self, declared: Convention) -> Convention:
-        """The declared convention with the keys that were found read as was found."""
+        """Return a convention with the calibrated readings.
+
+        Args:
+            declared: The convention of the model's family.
+
+        Returns:
+            The declared convention, with the readings of this calibration in place of its own.
+        """
         return replace(
             declared, boxes={**declared.boxes, **self.boxes}, scales={**declared.scales, **self.scales}, calibrated=True
         )
 
 
 class _Written(NamedTuple):
-    """Four numbers that a model wrote under a key for the rectangle of a drawn picture."""
+    """The four numbers that a model wrote under a key for a drawn rectangle."""
 
     key: str
     numbers: list[float]
@@ -97,7 +105,19 @@ class _Written(NamedTuple):
 
 
 def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] = lambda steps: None) -> Calibration:
-    """Request `n` boxes and find the reading that explains them. Raises EndpointError."""
+    """Request boxes of drawn rectangles and find the reading that explains them.
+
+    Args:
+        client: The client of the model's server.
+        n: The number of pictures.
+        advance: Called with 1 after each reply.
+
+    Returns:
+        The calibration, with the reason if no reading was chosen.
+
+    Raises:
+        EndpointError: The server refuses a request or breaks.
+    """
     pictures = drawn_rectangles(n, SEED)
     requests = [request(drawn) for drawn in pictures]
 
@@ -136,46 +156,53 @@ def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] 
 
 
 def request(drawn: DrawnPicture) -> list[Message]:
-    """The messages that request the box of a picture's rectangle."""
+    """Return the messages that request the box of a rectangle.
+
+    Args:
+        drawn: The picture.
+
+    Returns:
+        One user message.
+    """
     return [Message("user", (render("calibrate", color=drawn.color, frame_id=FRAME_ID), drawn.picture, BOX_LINE))]
 
 
 def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Written | None:
-    """The box of a reply as it stands there; None where there is not exactly one of four finite numbers."""
+    """Return the numbers of a reply's box. Return None unless there is one box of four finite numbers."""
     try:
         boxes = reply_object(reply, convention).get("evidence_bboxes")
     except DecodeError:
         return None
     entry: Any = boxes[0] if isinstance(boxes, list) and len(boxes) == 1 else None
-    found = [(key, entry[key]) for key in KEYS if isinstance(entry, dict) and key in entry]
-    key, numbers = found[0] if len(found) == 1 else ("", None)
+    boxed = [(key, entry[key]) for key in KEYS if isinstance(entry, dict) and key in entry]
+    key, numbers = boxed[0] if len(boxed) == 1 else ("", None)
     if isinstance(numbers, list) and len(numbers) == 4 and all(finite(number) is not None for number in numbers):
         return _Written(key, numbers, drawn)
     return None
 
 
 class _Tried(NamedTuple):
-    """A reading of a key's replies: the boxes it gives (None: refused), and its score."""
+    """A reading of a key's replies: its boxes, None for a refused one, and its score."""
 
     boxes: list[Box | None]
     score: Score
 
-    def same(self, other: _Tried) -> bool:
-        """Whether the other reading gives the same boxes, as pixels do where the model's resizing changes little."""
+    def is_same(self, other: _Tried) -> bool:
+        """Return whether the other reading gives the same boxes, as pixels do if the resizing changes little."""
         overlaps = [iou(a, b) if a and b else float(a is b) for a, b in zip(self.boxes, other.boxes, strict=True)]
         return statistics.median(overlaps) >= _SAME
 
 
 def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple[list[Score], str]:
-    """Every reading's score, the chosen ones marked, and why none is to be chosen."""
+    """Return the score of every reading, with the chosen ones marked, and the reason if none may be chosen."""
     scores: list[Score] = []
     reasons = []
     for key in KEYS:
-        if boxes := [one for one in written if one.key == key]:
+        if boxes := [box for box in written if box.key == key]:
             readings = [_try(boxes, reading, convention) for reading in _READINGS]
             # A key with few replies keeps its declared reading.
             best, reason = _best(readings) if len(boxes) >= LEAST_REPLIES else (None, "")
-            scores += [msgspec.structs.replace(one.score, chosen=one is best) for one in readings]
+            scores += [msgspec.structs.replace(tried.score, chosen=tried is best) for tried in readings]
             reasons += [f"{key}: {reason}"] if reason else []
     if len(written) < LEAST_READABLE * n:
         reasons = [f"only {len(written)} of {n} replies hold a box: run preflight, and look at the model's replies"]
@@ -186,28 +213,28 @@ def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple
 
 
 def _best(readings: Sequence[_Tried]) -> tuple[_Tried | None, str]:
-    best = max(readings, key=lambda one: (one.score.share, one.score.median_iou))
-    # Of readings that give the same boxes the first, the plainest, is chosen; the others are no rivals.
-    best = next(one for one in readings if one is best or one.same(best))
+    best = max(readings, key=lambda tried: (tried.score.share, tried.score.median_iou))
+    # Readings that give the same boxes are not rivals: the first and simplest of them is chosen.
+    best = next(tried for tried in readings if tried is best or tried.is_same(best))
     name = f"{best.score.order} in {best.score.scale} explains {best.score.share:.0%} of {best.score.n}"
     if best.score.share < CLEAR:
         return None, f"no reading explains the boxes (the best, {name}): the declared convention stays"
     for rival in readings:
-        if rival is not best and not rival.same(best) and rival.score.share > best.score.share - LEAD:
-            other = f"{rival.score.order} in {rival.score.scale} {rival.score.share:.0%}"
-            return None, f"no reading is clearly the best ({name}, {other}): the declared convention stays"
+        if rival is not best and not rival.is_same(best) and rival.score.share > best.score.share - LEAD:
+            rival_name = f"{rival.score.order} in {rival.score.scale} {rival.score.share:.0%}"
+            return None, f"no reading is clearly the best ({name}, {rival_name}): the declared convention stays"
     return best, ""
 
 
 def _try(written: Sequence[_Written], reading: Reading, convention: Convention) -> _Tried:
-    boxes = [_box(one, reading, convention) for one in written]
-    overlaps = [iou(box, one.drawn.box) if box else 0.0 for box, one in zip(boxes, written, strict=True)]
+    boxes = [_box(numbers, reading, convention) for numbers in written]
+    overlaps = [iou(box, numbers.drawn.box) if box else 0.0 for box, numbers in zip(boxes, written, strict=True)]
     share, median = sum(overlap >= 0.5 for overlap in overlaps) / len(overlaps), round(statistics.median(overlaps), 4)
     return _Tried(boxes, Score(written[0].key, reading.order, reading.scale, len(written), median, share))
 
 
-def _box(one: _Written, reading: Reading, convention: Convention) -> Box | None:
+def _box(written: _Written, reading: Reading, convention: Convention) -> Box | None:
     try:
-        return place_box(one.numbers, one.drawn.size, reading, convention)
+        return place_box(written.numbers, written.drawn.size, reading, convention)
     except DecodeError:
         return None

@@ -23,7 +23,7 @@ from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
-from jrdb_avr.agent.model.options import DEFAULTS, Options
+from jrdb_avr.agent.model.options import DEFAULTS, EndpointOptions
 from jrdb_avr.agent.model.reply import ErrorReply, Reply, answer_text, read_completion, server_reason
 from jrdb_avr.agent.model.transport import (
     BOUNDS,
@@ -108,7 +108,7 @@ class Client:
         self,
         base_url: str,
         model: str,
-        options: Options = DEFAULTS,
+        options: EndpointOptions = DEFAULTS,
         *,
         convention: Convention = CONTRACT,
         cache: Path | None = None,
@@ -324,7 +324,7 @@ class Client:
         return reply
 
     def _refusal(self, response: httpx2.Response, status: int, message: str, code: object) -> Exception:
-        """Return the error that the HTTP status, message and code of a reply stand for."""
+        """Return the error for the HTTP status, message and code of a reply."""
         reason = f"HTTP {status}: {self._one_line(message.strip() or 'the server gives no reason')}"
         busy = status in _BUSY and code != _NO_CREDIT
         if busy or status >= 500:

@@ -1,9 +1,8 @@
-"""How each backbone writes boxes and thinking, as data that is chosen by the model's name before its first reply.
+"""The way each backbone writes boxes and thinking, as data that the model's name selects before its first reply.
 
-The contract of the prompts is the same for all: `bbox`, x1 y1 x2 y2, in thousandths of the image. A convention says
-under which other keys a backbone writes its boxes out of habit, and in which order and scale the numbers of each key
-are to be read. Nothing here is ever chosen by looking at a true box: a convention is declared, or found by
-`calibrate` on drawn rectangles that belong to no question.
+The contract of the prompts is the same for all: `bbox`, x1 y1 x2 y2, in thousandths of the image. Some backbones write
+boxes under other keys out of habit. A convention lists those keys, with the order and scale of their numbers. No true
+box decides about a convention: it is declared, or `calibrate` finds it on drawn rectangles.
 """
 
 from __future__ import annotations
@@ -15,18 +14,18 @@ from typing import Any, Final, Literal
 
 Order = Literal["xyxy", "yxyx"]
 Scale = Literal["thousandths", "unit", "pixels", "resized"]
-"""The numbers of full width and height: 1000, 1, the image's sides, or its sides after the model's own resizing."""
+"""The unit of a box: the full width is 1000, 1, the image's width, or its width after the model's own resizing."""
 
 SCALE: Final = 1000
 TOLERANCE: Final = 0.02
-"""Coordinates this far outside, as a share of a side, are clipped; farther ones are invalid."""
+"""Maximum distance of a coordinate outside the image, as a share of a side, at which it is clipped."""
 
 CONTRACT_KEY: Final = "bbox"
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How four numbers become a box."""
+    """The order and the scale of the four numbers of a box."""
 
     order: Order = "xyxy"
     scale: Scale = "thousandths"
@@ -36,12 +35,11 @@ class Reading:
 class Convention:
     """The declared convention of a backbone.
 
-    `boxes`: the accepted keys with the order of their numbers; `bbox` is the contract's, the others are aliases.
-    `scales`: of the keys whose numbers are no thousandths. `thinking`: (opening, closing) delimiters. `thinks`: whether
-    the chat template thinks by itself (None: not known). `switches`: whether `enable_thinking` in the request's
-    `chat_template_kwargs` turns thinking off and on. `multiple` and `image_pixels`: what the model's own
-    resizing makes of an image: sides as multiples, pixels at most (0: no such bound known). `calibrated` marks readings
-    that were found by `calibrate`, not declared.
+    boxes: the accepted keys with the order of their numbers; `bbox` is the contract's key. scales: the scale of each
+    key whose numbers are not thousandths. thinking: (opening, closing) delimiters. thinks: whether the chat template
+    thinks by itself; None if unknown. switches: whether `enable_thinking` in `chat_template_kwargs` controls thinking.
+    multiple, image_pixels: the model's own resizing, to sides that are multiples of a number of pixels, with a maximum
+    of pixels in all (0: unknown). calibrated: whether `calibrate` found the readings.
     """
 
     name: str
@@ -55,18 +53,33 @@ class Convention:
     calibrated: bool = False
 
     def reading(self, key: str) -> Reading:
-        """How to read a box written under a key; a key that is not declared is the contract's by another name."""
+        """Return how to read a box.
+
+        Args:
+            key: The key under which it is written; an undeclared key is read as the contract's.
+
+        Returns:
+            The order and scale of its numbers.
+        """
         known = key if key in self.boxes else CONTRACT_KEY
         return Reading(self.boxes[known], self.scales.get(known, "thousandths"))
 
     def resized(self, width: int, height: int) -> tuple[float, float]:
-        """Sides in pixels of an image of `width` x `height` after the model's own resizing."""
+        """Return the sides of an image after the model's own resizing.
+
+        Args:
+            width: The image's width in pixels.
+            height: The image's height in pixels.
+
+        Returns:
+            Width and height in pixels.
+        """
         shrink = min(1.0, (self.image_pixels / (width * height)) ** 0.5) if self.image_pixels else 1.0
         across, down = (max(round(side * shrink / self.multiple), 1) * float(self.multiple) for side in (width, height))
         return across, down
 
     def settings(self) -> dict[str, Any]:
-        """The convention in a run's manifest."""
+        """Return the convention as a run's manifest records it."""
         return {
             "name": self.name,
             "calibrated": self.calibrated,
@@ -79,7 +92,7 @@ class Convention:
 
 
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
-"""The convention of a model without a declared one."""
+"""The convention of a model whose family declares none."""
 
 # The default budget is 280 soft tokens of 48 x 48 pixels: a whole panorama shrinks to some 60 % a side.
 _GEMMA_4: Final = Convention(
@@ -95,7 +108,7 @@ _QWEN3_VL: Final = Convention(
     "qwen3-vl", {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"}, (("<think>", "</think>"),), thinks=False, multiple=32
 )
 _QWEN3_5: Final = replace(_QWEN3_VL, name="qwen3.5", thinks=True, switches=True)
-# A model of its own, whose template always begins to think.
+# This model is separate from Qwen3-VL, and its template always begins to think.
 _QWEN3_VL_THINKING: Final = replace(_QWEN3_VL, name="qwen3-vl-thinking", thinks=True)
 
 _FAMILIES: Final = (
@@ -107,6 +120,13 @@ _FAMILIES: Final = (
 
 
 def convention_of(model: str) -> Convention:
-    """The convention of a backbone whose name the model id holds, however it is spelled; CONTRACT for any other."""
+    """Return the convention of a model's family.
+
+    Args:
+        model: The model id, in any spelling.
+
+    Returns:
+        The family's convention; CONTRACT if the family is unknown.
+    """
     plain = re.sub(r"[\s_:/]+", "-", model.lower())
     return next((convention for pattern, convention in _FAMILIES if pattern.search(plain)), CONTRACT)

@@ -1,10 +1,9 @@
-"""Decode a model's reply: one strict contract, the same for every method.
+"""Decode a model's reply by one strict contract, the same for every method.
 
 A reply is one JSON object, in at most one code fence, after any thinking in declared delimiters. A box is four numbers
-under a key, read by the backbone's convention, which is fixed before the first reply. Decoding repairs and guesses
-nothing: a part that does not fit raises DecodeError with the reason, which the prediction stores, and reversed corners
-are never swapped. No function here takes the true answer or box. Answer and evidence are read independently, so one may
-be valid where the other is not.
+under a key. The backbone's convention, which is fixed before the first reply, says how to read them. Decoding repairs
+and guesses nothing: a part that does not fit raises DecodeError with the reason, and reversed corners are not swapped.
+No function here takes the true answer or box. Answer and evidence are read independently: one may be valid alone.
 """
 
 from __future__ import annotations
@@ -18,22 +17,29 @@ from typing import Any, Final
 
 from jrdb_avr.agent.model.conventions import CONTRACT, CONTRACT_KEY, SCALE, TOLERANCE, Convention, Reading
 from jrdb_avr.agent.model.reply import Reply, answer_text
-from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, AnswerMode, Choice, Span
+from jrdb_avr.schema.answer_modes import MODES, Kind, frames_of_answer
+from jrdb_avr.schema.answers import Answer, AnswerMode
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
 
 Size = tuple[int, int]
 """Width and height of an image in pixels."""
 
-# The numbers are not bounded: a server that keeps to the schema would bend a box of another scale into a wrong one,
-# where the decoder says that it lies outside.
+# The numbers have no bounds, because a server that enforces the schema would change a box of another scale into a wrong
+# box. The decoder reports that such a box is outside the image.
 BOX_SCHEMA: Final[dict[str, Any]] = {"type": "array", "minItems": 4, "maxItems": 4, "items": {"type": "integer"}}
 
 
 def box_key(entry: object, convention: Convention = CONTRACT, requested: str = CONTRACT_KEY) -> str:
-    """The key under which an object holds its box: the requested one, or the convention's alias if only that is there.
+    """Return the key under which an object holds its box.
 
-    For an object without one, or with several, this is the requested key, and `only_keys` refuses the object.
+    Args:
+        entry: An object of a reply.
+        convention: The convention, whose keys are accepted too.
+        requested: The key that the prompt requests.
+
+    Returns:
+        The only key for a box. If there is none, or several, the requested key, and `only_keys` refuses the object.
     """
     keys = [key for key in {requested: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
     return keys[0] if len(keys) == 1 else requested
@@ -42,17 +48,41 @@ def box_key(entry: object, convention: Convention = CONTRACT, requested: str = C
 def read_box(
     value: object, size: Size, convention: Convention = CONTRACT, key: str = CONTRACT_KEY, what: str = "box"
 ) -> Box:
-    """Four numbers, written under `key`, as a box in pixels of an image of this size. Raises DecodeError.
+    """Read a box of a reply.
 
-    Numbers outside the image by up to 2 % of its side are clipped; farther ones, and reversed or empty boxes, are
-    refused. A key that the convention does not know is read as the contract's own.
+    Args:
+        value: Four numbers.
+        size: Width and height of the image in pixels.
+        convention: The backbone's convention.
+        key: The key under which the numbers are written; an unknown key is read as the contract's.
+        what: The name of the box in errors.
+
+    Returns:
+        The box in pixels of the image. Numbers outside by up to 2 % of a side are clipped.
+
+    Raises:
+        DecodeError: The value is not four numbers, or the box is outside, reversed or empty.
     """
     reading = convention.reading(key)
     return place_box(_numbers(value, reading, what), size, reading, convention, what)
 
 
 def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention: Convention, what: str = "box") -> Box:
-    """Four numbers under one reading as a box in pixels of the image. Raises DecodeError, as `read_box`."""
+    """Convert four numbers to a box.
+
+    Args:
+        numbers: Four finite numbers.
+        size: Width and height of the image in pixels.
+        reading: The order and the scale of the numbers.
+        convention: The convention, for its resizing.
+        what: The name of the box in errors.
+
+    Returns:
+        The box in pixels of the image.
+
+    Raises:
+        DecodeError: The box is outside, reversed or empty.
+    """
     (width, height), (across, down) = size, full_sides(reading, convention, size)
     sides = (across, down) * 2 if reading.order == "xyxy" else (down, across) * 2
     pairs = list(zip(numbers, sides, strict=True))
@@ -69,33 +99,50 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
 
 
 def full_sides(reading: Reading, convention: Convention, size: Size) -> tuple[float, float]:
-    """The numbers that stand for the right and the lower edge of an image of this size."""
+    """Return the coordinates of the right and the lower edge of an image.
+
+    Args:
+        reading: The order and the scale of the numbers.
+        convention: The convention, for its resizing.
+        size: Width and height of the image in pixels.
+
+    Returns:
+        The coordinates in the unit of the reading.
+    """
     if reading.scale == "resized":
         return convention.resized(*size)
     return {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": size}[reading.scale]
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
-    """Whole numbers, as the contract asks; any finite ones where the convention's scale is 0..1."""
+    """Check four numbers: integers, as the contract requests, or any finite ones if the scale is 0 to 1."""
     whole = reading.scale != "unit"
     kinds = (int,) if whole else (int, float)
     numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
     if any(type(number) not in kinds for number in numbers):
         raise DecodeError(f"{what} must be a list of four {'integers' if whole else 'numbers'}")
-    # An integer that no float holds is finite, and told to lie outside.
+    # An integer too large for a float is finite; it is refused later because it is outside the image.
     if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
         raise DecodeError(f"{what} must be a list of four finite numbers")
     return numbers
 
 
 def write_box(box: Box, size: Size) -> list[int]:
-    """A box in image pixels as the four integers of the contract, clipped to the image."""
+    """Write a box as the contract has it.
+
+    Args:
+        box: The box in pixels of the image.
+        size: Width and height of the image in pixels.
+
+    Returns:
+        Left, top, right and bottom in thousandths of the image, clipped to it.
+    """
     corners = zip((box.x, box.y, box.x + box.w, box.y + box.h), size * 2, strict=True)
     return [min(max(round(v * SCALE / side), 0), SCALE) for v, side in corners]
 
 
 VERSION: Final = 1
-"""Of the contract and its reading, in every run's manifest: raised when a reply is read otherwise than before."""
+"""Version of the contract in every run's manifest; it is raised if a reply is read in another way than before."""
 
 # -- the reply as one object ------------------------------------------------------------------------------------------
 
@@ -103,7 +150,18 @@ _FENCE: Final = re.compile(r"```(?:json)?[ \t]*\r?\n", re.IGNORECASE)
 
 
 def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, Any]:
-    """The one JSON object of a reply. Raises DecodeError."""
+    """Read the JSON object of a reply.
+
+    Args:
+        reply: The reply.
+        convention: The convention, for the delimiters of thinking.
+
+    Returns:
+        The object.
+
+    Raises:
+        DecodeError: The reply is refused, cut off, empty, or not one JSON object.
+    """
     if reply.refusal:
         raise DecodeError(f"the model refused: {_plain(reply.refusal)}")
     if reply.finish_reason == "length":
@@ -150,7 +208,19 @@ def _object(text: str) -> dict[str, Any]:
 
 
 def only_keys(value: object, keys: Collection[str], what: str) -> dict[str, Any]:
-    """The value as an object with exactly these keys. Raises DecodeError naming the missing or extra ones."""
+    """Check that a value is an object with exactly these keys.
+
+    Args:
+        value: A value of a reply.
+        keys: The keys.
+        what: The name of the value in errors.
+
+    Returns:
+        The object.
+
+    Raises:
+        DecodeError: The value is not an object, or has missing or extra keys, which the message names.
+    """
     if not isinstance(value, dict):
         raise DecodeError(f"{what} must be an object with the keys {_listed(keys)}")
     missing, extra = sorted(set(keys) - set(value)), sorted(set(value) - set(keys))
@@ -166,12 +236,19 @@ def _listed(names: Collection[str]) -> str:
 
 
 def _plain(text: str) -> str:
-    """A model's word for a message: short, and printable ASCII whatever it holds."""
+    """Shorten a model's word for an error message, and escape it to printable ASCII."""
     return text[:40].encode("unicode_escape").decode()
 
 
 def read_each(*parts: Callable[[], Any]) -> tuple[tuple[Any, ...], tuple[str, ...]]:
-    """What each part of a reply is read as, None where it raises DecodeError, and the reasons of those."""
+    """Read the parts of a reply independently.
+
+    Args:
+        parts: A function per part, which may raise DecodeError.
+
+    Returns:
+        The value of each part, None for a failed one, and the reasons of the failures.
+    """
     values, faults = [], []
     for read in parts:
         try:
@@ -189,7 +266,14 @@ _DECIMAL: Final = re.compile(r"-?[0-9]{1,12}(\.[0-9]{1,12})?")
 
 
 def finite(value: object) -> float | None:
-    """A number of JSON; None for anything else, and for a number that is not finite or too large."""
+    """Return a JSON value as a finite number.
+
+    Args:
+        value: Any value of a reply.
+
+    Returns:
+        The number; None if the value is not a number, not finite or too large.
+    """
     try:
         number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
     except OverflowError:
@@ -198,14 +282,35 @@ def finite(value: object) -> float | None:
 
 
 def frame_id(value: object, what: str = "frame_id") -> int:
-    """The frame of a six-digit frame id."""
+    """Read a frame id.
+
+    Args:
+        value: A value of a reply.
+        what: The name of the value in errors.
+
+    Returns:
+        The frame.
+
+    Raises:
+        DecodeError: The value is not a string of six digits.
+    """
     if not (isinstance(value, str) and _FRAME_ID.fullmatch(value)):
         raise DecodeError(f'{what} must be a string of six digits, like "000150"')
     return int(value)
 
 
 def angle(value: object) -> float:
-    """A finite angle in degrees, wrapped to [0, 360)."""
+    """Read an angle.
+
+    Args:
+        value: A value of a reply.
+
+    Returns:
+        The angle in degrees, wrapped to [0, 360).
+
+    Raises:
+        DecodeError: The value is not a finite number.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise DecodeError("angle_deg must be a number of degrees")
     degrees = finite(value)
@@ -215,30 +320,42 @@ def angle(value: object) -> float:
 
 
 def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: int) -> Answer:
-    """The `answer` part of a reply. Raises DecodeError.
+    """Read the `answer` part of a reply.
 
-    multiple_choice: an integer 1..n_choices; frames: six digits below `frame_count`; value: a string such as "12.5".
+    Args:
+        value: The part: the number of a choice from 1, or an object with the parts of the mode.
+        mode: The question's answer mode.
+        n_choices: The number of choices.
+        frame_count: The number of frames of the sequence.
+
+    Returns:
+        The answer.
+
+    Raises:
+        DecodeError: The part does not fit the mode, the choices or the frames.
     """
-    if mode == "multiple_choice":
+    record = MODES[mode]
+    if record.is_choice:
         if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= n_choices:
             raise DecodeError(f"answer must be the number of a choice, an integer from 1 to {n_choices}")
-        return Choice(value)
-    part = only_keys(value, _ANSWER_KEYS[mode], "answer")
-    answer = ANSWER_TYPES[mode](*(_answer_value(key, part[key], frame_count) for key in _ANSWER_KEYS[mode]))
-    if isinstance(answer, Span) and answer.end_frame < answer.start_frame:
-        raise DecodeError("answer.end_frame must not lie before answer.start_frame")
+        return record.build(value)
+    keys = {part.key: part.kind for part in record.parts}
+    written = only_keys(value, keys, "answer")
+    answer = record.build(*(_answer_part(key, kind, written[key], frame_count) for key, kind in keys.items()))
+    frames = frames_of_answer(answer)
+    if frames != sorted(frames):
+        first, last = (key for key, kind in keys.items() if kind == "frame")
+        raise DecodeError(f"answer.{last} must not lie before answer.{first}")
     return answer
 
 
-def _answer_value(key: str, value: object, frame_count: int) -> Any:
-    """The value under a key of an answer: degrees, a decimal number, or a frame."""
-    match key:
-        case "angle_deg":
-            return angle(value)
-        case "value":
-            if not (isinstance(value, str) and _DECIMAL.fullmatch(value)):
-                raise DecodeError('answer.value must be a string with a decimal number, like "12.5"')
-            return float(value)
+def _answer_part(key: str, kind: Kind, value: object, frame_count: int) -> Any:
+    if kind == "angle":
+        return angle(value)
+    if kind == "decimal":
+        if not (isinstance(value, str) and _DECIMAL.fullmatch(value)):
+            raise DecodeError(f'answer.{key} must be a string with a decimal number, like "12.5"')
+        return float(value)
     frame = frame_id(value, f"answer.{key}")
     if frame >= frame_count:
         raise DecodeError(f"answer.{key} must be below {frame_count:06d}")
@@ -247,7 +364,7 @@ def _answer_value(key: str, value: object, frame_count: int) -> Any:
 
 @dataclass(frozen=True)
 class ImageBox:
-    """A box in an image that the model got: its frame, pixels of that image, and the key it was written under."""
+    """A box in an image that the model got: the frame, the box in pixels of that image, and its key in the reply."""
 
     frame: int
     box: Box
@@ -255,9 +372,19 @@ class ImageBox:
 
 
 def read_evidence(value: object, frames: Collection[int], size: Size, convention: Convention = CONTRACT) -> ImageBox:
-    """The one box of `evidence_bboxes`, in pixels of an image of this size. Raises DecodeError.
+    """Read the box of `evidence_bboxes`.
 
-    Its frame must be one of `frames`. Corners outside by up to 2 % are clipped; reversed or empty boxes are refused.
+    Args:
+        value: The part of the reply.
+        frames: The frames of the images at hand.
+        size: Width and height of these images in pixels.
+        convention: The backbone's convention.
+
+    Returns:
+        The box.
+
+    Raises:
+        DecodeError: The part is not a list of one box, its frame is not one of `frames`, or the box is invalid.
     """
     if not isinstance(value, list) or len(value) != 1:
         raise DecodeError("evidence_bboxes must be a list of exactly one box")
@@ -274,7 +401,14 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
 
 
 def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
-    """The JSON Schema of an object with exactly these keys."""
+    """Return the JSON Schema of an object with exactly these keys.
+
+    Args:
+        properties: The schema of each key.
+
+    Returns:
+        The schema.
+    """
     names = list(properties)
     return {"type": "object", "properties": properties, "required": names, "additionalProperties": False}
 
@@ -289,17 +423,24 @@ EVIDENCE_SCHEMA: Final[dict[str, Any]] = {
 }
 
 
-_ANSWER_KEYS: Final[dict[AnswerMode, dict[str, Any]]] = {
-    "frame": {"frame_id": FRAME_ID_SCHEMA},
-    "span": {"start_frame": FRAME_ID_SCHEMA, "end_frame": FRAME_ID_SCHEMA},
-    "frame_viewpoint": {"frame_id": FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}},
-    "number": {"value": {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"}},
+_PART_SCHEMAS: Final[dict[Kind, dict[str, Any]]] = {
+    "frame": FRAME_ID_SCHEMA,
+    "angle": {"type": "number"},
+    "decimal": {"type": "string", "pattern": r"^-?[0-9]+(\.[0-9]+)?$"},
 }
-"""The keys of an answer that is an object, in the order of its type's fields."""
 
 
 def answer_schema(mode: AnswerMode, choices: Sequence[str]) -> dict[str, Any]:
-    """The JSON Schema of `answer` in a mode."""
-    if mode == "multiple_choice":
+    """Return the JSON Schema of the `answer` part of a reply.
+
+    Args:
+        mode: The question's answer mode.
+        choices: The question's choices.
+
+    Returns:
+        The schema.
+    """
+    record = MODES[mode]
+    if record.is_choice:
         return {"type": "integer", "minimum": 1, "maximum": len(choices)}
-    return closed_object(_ANSWER_KEYS[mode])
+    return closed_object({part.key: _PART_SCHEMAS[part.kind] for part in record.parts})

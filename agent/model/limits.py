@@ -1,4 +1,4 @@
-"""A limit of requests and tokens a minute, kept by waiting before a request."""
+"""A limit of requests and tokens per minute, which makes requests wait."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MINUTE_S = 60.0
 
 @dataclass
 class Sent:
-    """A request: when it was sent, and its tokens, as they are expected until they are counted."""
+    """The time of a request, and its tokens: the expected ones until its reply counts them."""
 
     at: float
     tokens: float
@@ -21,8 +21,8 @@ class Sent:
 class RateLimit:
     """Admits at most `rpm` requests and `tpm` tokens in any minute; None for no limit.
 
-    The tokens of a request are known with its reply. Until then it counts for the mean of all replies: a minute may
-    hold more tokens than allowed by what requests in flight exceed the mean.
+    Until a request has its reply, it counts with the mean tokens of all replies. A minute may therefore hold too many
+    tokens if requests in flight exceed the mean.
     """
 
     def __init__(
@@ -35,7 +35,11 @@ class RateLimit:
         self._tokens = self._replies = 0
 
     def admit(self) -> Sent:
-        """Wait until a request may be sent, and count it."""
+        """Wait until a request may be sent, and count it.
+
+        Returns:
+            The record of the request, for `count`.
+        """
         while True:
             with self._lock:
                 now = self._clock()
@@ -47,7 +51,12 @@ class RateLimit:
             self._pause(wait)
 
     def count(self, sent: Sent, tokens: int) -> None:
-        """Count the tokens of a request that has its reply."""
+        """Count the tokens of a request that has its reply.
+
+        Args:
+            sent: The record of the request.
+            tokens: The tokens of request and reply.
+        """
         with self._lock:
             sent.tokens = tokens
             self._tokens += tokens
@@ -57,15 +66,15 @@ class RateLimit:
         return self._tokens / self._replies if self._replies else 0.0
 
     def _wait(self, now: float) -> float:
-        """Seconds to wait until the requests and tokens of the last minute are below the limits; 0.0 for no wait."""
+        """Return the seconds until the requests and tokens of the last minute are below the limits."""
         leaving = 0
         if self._rpm is not None:
             leaving = len(self._sent) + 1 - self._rpm
         if self._tpm is not None:
-            tokens = sum(one.tokens for one in self._sent) + self._mean()
-            for number, one in enumerate(self._sent):
+            tokens = sum(sent.tokens for sent in self._sent) + self._mean()
+            for count, sent in enumerate(self._sent, 1):
                 if tokens <= self._tpm:
                     break
-                tokens -= one.tokens
-                leaving = max(leaving, number + 1)
+                tokens -= sent.tokens
+                leaving = max(leaving, count)
         return 0.0 if leaving <= 0 else self._sent[leaving - 1].at + MINUTE_S - now

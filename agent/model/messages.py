@@ -1,4 +1,4 @@
-"""Messages to a model: text and pictures, in the forms that are sent, hashed and written to a transcript."""
+"""Messages to a model: text and pictures, as they are sent, hashed and written to a transcript."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ JPEG_QUALITY: Final = 95
 
 @dataclass(frozen=True)
 class Picture:
-    """JPEG bytes that are sent inline; `name` stands for them wherever bytes are left out.
+    """JPEG bytes that are sent inline.
 
-    uri, digest: of the bytes, made with the picture: a cached property would be made under a lock that all pictures of
-    a run share.
+    name: replaces the bytes in a transcript. uri, digest: the data URI and the sha256 of the bytes.
     """
 
     name: str
@@ -46,19 +45,37 @@ class Message:
 
     @property
     def text(self) -> str:
-        """The message as a person reads it, each picture as `[image SEQUENCE FRAME ANGLE]`."""
+        """The text of the message, with each picture as `[image SEQUENCE FRAME ANGLE]`."""
         return "\n".join(part if isinstance(part, str) else f"[image {part.name}]" for part in self.parts)
 
 
 def picture_of(seen: Observation | Panorama) -> Picture:
-    """A crop as JPEG of quality 95; a panorama as it is stored, its file's bytes not encoded anew."""
+    """Return an observation as a picture.
+
+    Args:
+        seen: A crop, which is encoded as JPEG of quality 95, or a panorama, whose stored bytes are sent.
+
+    Returns:
+        The picture.
+    """
     if isinstance(seen, Panorama):
         return Picture(f"{seen.sequence} {seen.frame_id} panorama", seen.jpeg)
     return jpeg_picture(f"{seen.sequence} {seen.frame_id} {seen.angle_deg:.12g}", seen.image)
 
 
 def jpeg_picture(name: str, image: Image) -> Picture:
-    """An RGB image as JPEG of quality 95. Raises ObserveError where it cannot be encoded."""
+    """Encode an image as JPEG of quality 95.
+
+    Args:
+        name: The name of the picture.
+        image: The RGB pixels.
+
+    Returns:
+        The picture.
+
+    Raises:
+        ObserveError: The image cannot be encoded.
+    """
     import cv2
 
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
@@ -69,10 +86,18 @@ def jpeg_picture(name: str, image: Image) -> Picture:
 
 
 def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Message]:
-    """The messages with no pictures but the last `most`, or all for None; the lines that place the others stay."""
+    """Leave out all pictures but the newest ones.
+
+    Args:
+        messages: A chat.
+        most: Maximum number of pictures; None keeps all.
+
+    Returns:
+        The chat, with the lines that announce the pictures left out.
+    """
     pictures = sum(isinstance(part, Picture) for message in messages for part in message.parts)
     left = 0 if most is None else pictures - most
-    found = []
+    kept = []
     for message in messages:
         parts: list[Part] = []
         for part in message.parts:
@@ -80,12 +105,19 @@ def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Me
                 left -= 1
             else:
                 parts.append(part)
-        found.append(Message(message.role, tuple(parts)))
-    return found
+        kept.append(Message(message.role, tuple(parts)))
+    return kept
 
 
 def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:
-    """The metadata of a picture that a model gets: where and when it was taken, nothing of what it shows."""
+    """Return the metadata of a picture that a model gets.
+
+    Args:
+        seen: A crop or a panorama.
+
+    Returns:
+        Its place and time, without any content.
+    """
     metadata = {"frame_id": seen.frame_id, "timestamp": round(seen.timestamp, 3)}
     if isinstance(seen, Panorama):
         return metadata
@@ -93,22 +125,50 @@ def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:
 
 
 def metadata_line(seen: Observation | Panorama) -> str:
-    """`metadata_of` as JSON on one line."""
+    """Return the metadata of a picture as one line of JSON.
+
+    Args:
+        seen: A crop or a panorama.
+
+    Returns:
+        The line.
+    """
     return msgspec.json.encode(metadata_of(seen)).decode()
 
 
 def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """Messages in the chat-completions form, pictures as data URIs."""
+    """Return messages in the chat-completions form.
+
+    Args:
+        messages: A chat.
+
+    Returns:
+        The messages, with pictures as data URIs.
+    """
     return [_message(message, lambda picture: picture.uri) for message in messages]
 
 
 def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """Messages in the chat-completions form with each picture's sha256 in place of its bytes."""
+    """Return messages in the chat-completions form, for a hash.
+
+    Args:
+        messages: A chat.
+
+    Returns:
+        The messages, with the sha256 of each picture in place of its bytes.
+    """
     return [_message(message, lambda picture: picture.digest) for message in messages]
 
 
 def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
-    """Messages as a person reads them: each picture as `[image SEQUENCE FRAME ANGLE]`, from which it can be redrawn."""
+    """Return messages for a transcript.
+
+    Args:
+        messages: A chat.
+
+    Returns:
+        Role and text of each message; a picture is named, so that it can be drawn again.
+    """
     return [{"role": message.role, "content": message.text} for message in messages]
 
 

@@ -1,20 +1,17 @@
-"""Request settings of a model's server, and the request that they make.
-
-They are part of a run's manifest and never change while it runs. Of keys and headers they hold the names of environment
-variables, never the values.
-"""
+"""Options of a model's server, and the parts of a request that follow from them."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, get_args
 
 from jrdb_avr.agent.model.conventions import Convention
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.option import option
 
 ResponseFormat = Literal["json_schema", "json_object", "none"]
 Thinking = Literal["off", "on", "template"]
@@ -37,39 +34,62 @@ _OWNED: Final = {
     "max_completion_tokens": "--max-tokens and --token-parameter",
     "response_format": "--response-format",
 }
-"""Keys of a request that an extra body may not hold, and the option that sets each."""
+"""Keys of a request that an extra body must not hold, with the option that sets each."""
 
 _HEADER: Final = re.compile(r"[A-Za-z0-9!#$%&'*+.^_`|~-]+")
 _OWN_HEADERS: Final = ("content-type", "content-length", "host", "accept-encoding", "transfer-encoding", "connection")
 
 
 @dataclass(frozen=True)
-class Options:
-    """Request settings of a server, stored in a run's manifest and never changed while it runs.
+class EndpointOptions:
+    """Options of a model's server and of its requests.
 
-    `response_format`: what makes the reply JSON: the schema itself, the promise of some JSON object, or the prompt
-    alone. `thinking`: off or on, or as the server's template has it. `max_tokens` bounds a reply, thinking included;
-    `token_parameter` is its name in the request, "auto" the one that the server takes. `temperature`: None sends none.
-    `extra_body`: further keys of every request. `timeout_s` bounds each wait for a reply; `retries` is how often a
-    broken try is repeated. `headers`: names of further headers and of the environment variables that hold their values;
-    `api_key_env`: that of the key. `rpm`, `tpm`: most requests and tokens a minute. `price` in dollars, and `max_cost`,
-    at which a run stops. Raises InputError for values that no request can have.
+    The manifest of a run stores them, and a resumed run needs equal ones, except for the address, the keys and the
+    limits. The class holds names of environment variables in place of keys.
+
+    Raises:
+        InputError: No request can have these values.
     """
 
-    response_format: ResponseFormat = "json_schema"
-    thinking: Thinking = "off"
-    max_tokens: int = 2048
-    timeout_s: float = 300.0
-    retries: int = 4
-    temperature: float | None = 0
-    token_parameter: TokenParameter = AUTO
-    extra_body: Mapping[str, Any] = field(default_factory=dict)
-    headers: Mapping[str, str] = field(default_factory=dict)
-    api_key_env: str = KEY_VARIABLE
-    rpm: int | None = None
-    tpm: int | None = None
-    price: Price | None = None
-    max_cost: float | None = None
+    base_url: str | None = option(None, "Address of an OpenAI-compatible server, such as http://localhost:8000/v1.")
+    response_format: ResponseFormat = option(
+        "json_schema",
+        "How replies become JSON: by the schema itself, by a promise of some JSON object, or by the prompt alone.",
+        choices=RESPONSE_FORMATS,
+    )
+    thinking: Thinking = option(
+        "off",
+        "Whether the model thinks before it replies; 'template' leaves this to the server.",
+        choices=THINKING,
+    )
+    max_tokens: int = option(2048, "Maximum tokens of a reply, thinking included.", minimum=16, maximum=1 << 20)
+    timeout_s: float = option(300.0, "Seconds to wait for a reply.", flag="timeout", minimum=1, maximum=86_400)
+    retries: int = option(4, "Repetitions of a call that the transport or the server broke.", minimum=0, maximum=100)
+    temperature: float | None = option(0, "Sampling temperature; 'none' leaves it to the server.")
+    token_parameter: TokenParameter = option(
+        AUTO,
+        "Name of the reply limit in a request; 'auto' takes the newer name if the server refuses the older.",
+        choices=TOKEN_PARAMETERS,
+    )
+    extra_body: Mapping[str, Any] = option({}, "Further keys of every request, as a JSON object.")
+    headers: Mapping[str, str] = option(
+        {}, "A header of every request, with its value in an environment variable. May be repeated.", flag="header"
+    )
+    api_key_env: str = option(KEY_VARIABLE, "Environment variable that holds the key.")
+    rpm: int | None = option(None, "Maximum requests per minute.", minimum=1)
+    tpm: int | None = option(None, "Maximum tokens per minute, read and written.", minimum=1)
+    price: Price | None = option(
+        None,
+        "TOML file of prices: a table per model with input and output, in dollars per million tokens.",
+        flag="prices",
+    )
+    max_cost: float | None = option(
+        None,
+        "Stop when the calls of the run have cost this much, by --prices; --resume with a higher maximum continues. "
+        "Calls in flight may exceed it. --resume does not count replies that were cut off or refused.",
+        minimum=0,
+        metavar="DOLLARS",
+    )
 
     def __post_init__(self) -> None:
         if self.temperature is not None and not 0 <= self.temperature < math.inf:
@@ -83,24 +103,45 @@ class Options:
         for name in self.headers:
             if not _HEADER.fullmatch(name) or name.lower() in _OWN_HEADERS:
                 raise InputError(f"--header {name!a}: no header of this name can be set", field="headers")
+        if math.isnan(self.timeout_s):
+            raise InputError("--timeout is a number of seconds", field="timeout_s")
+        if self.max_cost is not None and not self.max_cost > 0:
+            raise InputError("--max-cost is a number of dollars above 0", field="max_cost")
         if self.max_cost is not None and self.price is None:
             raise InputError("--max-cost needs the model's price: name it in a file, --prices FILE", field="max_cost")
 
     @property
     def names_itself(self) -> bool:
-        """Whether the client finds the name of the reply's limit."""
+        """Whether the client finds the name of the reply limit by itself."""
         return self.token_parameter == AUTO
 
     def settings(self, convention: Convention) -> dict[str, Any]:
-        """The options in a run's manifest, as plain JSON."""
-        return asdict(self) | {"chat_template_kwargs": self.template(convention)}
+        """Return the options without the address, as plain JSON for the manifest of a run.
+
+        Args:
+            convention: The convention of the model.
+
+        Returns:
+            The options by name, and the `chat_template_kwargs` that are sent.
+        """
+        own = {name: value for name, value in asdict(self).items() if name != "base_url"}
+        return own | {"chat_template_kwargs": self.template(convention)}
 
     def request(self, model: str, convention: Convention, schema: Mapping[str, Any] | None) -> dict[str, Any]:
-        """A request without its messages. The limit of a reply is called `max_tokens` where the name is "auto"."""
+        """Return a request without its messages.
+
+        Args:
+            model: The id of the model.
+            convention: The convention of the model.
+            schema: The JSON schema of the reply, if any.
+
+        Returns:
+            The request. If `token_parameter` is "auto", the key of the reply limit is `max_tokens`.
+        """
         name = "max_tokens" if self.names_itself else self.token_parameter
         request: dict[str, Any] = {"model": model}
         if self.temperature is not None:
-            # Whole numbers as such: a call is stored under the bytes of its request.
+            # A call is stored under the bytes of its request, so 0 and 0.0 must be equal there.
             whole = int(self.temperature) == self.temperature
             request["temperature"] = int(self.temperature) if whole else self.temperature
         request[name] = self.max_tokens
@@ -109,17 +150,38 @@ class Options:
         return request | dict(self.extra_body) | ({} if schema is None else self.response(schema))
 
     def thinks(self, convention: Convention) -> bool | None:
-        """Whether replies are declared to hold thinking; None where nothing is declared."""
+        """Return whether replies are declared to hold thinking.
+
+        Args:
+            convention: The convention of the model.
+
+        Returns:
+            The declared value, or None if the model declares nothing.
+        """
         return convention.thinks if self.thinking == "template" else self.thinking == "on"
 
     def template(self, convention: Convention) -> dict[str, Any]:
-        """The request's `chat_template_kwargs`: sent only where they change what the template does by itself."""
+        """Return the `chat_template_kwargs` of a request.
+
+        Args:
+            convention: The convention of the model.
+
+        Returns:
+            The arguments, empty if the template does the same by default.
+        """
         thinks = self.thinking == "on"
         changes = convention.switches and self.thinking != "template" and convention.thinks != thinks
         return {"enable_thinking": thinks} if changes else {}
 
     def response(self, schema: Mapping[str, Any]) -> dict[str, Any]:
-        """The request's `response_format` for a schema; empty where none is sent."""
+        """Return the `response_format` of a request.
+
+        Args:
+            schema: The JSON schema of the reply.
+
+        Returns:
+            The key and its value, empty if the prompt alone asks for JSON.
+        """
         if self.response_format == "none":
             return {}
         form: dict[str, Any] = {"type": self.response_format}
@@ -128,4 +190,4 @@ class Options:
         return {"response_format": form}
 
 
-DEFAULTS: Final = Options()
+DEFAULTS: Final = EndpointOptions()

@@ -17,23 +17,42 @@ from jrdb_avr.schema.errors import InputError
 
 @dataclass(frozen=True)
 class Price:
-    """Dollars per million tokens that a model reads (`input`) and writes (`output`)."""
+    """The price in dollars of a million tokens that a model reads (`input`) or writes (`output`)."""
 
     input: float
     output: float
 
     def cost(self, prompt_tokens: int, completion_tokens: int) -> float:
-        """Dollars of so many tokens."""
+        """Return the cost of tokens.
+
+        Args:
+            prompt_tokens: The tokens that the model reads.
+            completion_tokens: The tokens that it writes.
+
+        Returns:
+            The cost in dollars.
+        """
         return (prompt_tokens * self.input + completion_tokens * self.output) / 1e6
 
 
 def read_price(path: Path, model: str) -> Price:
-    """The price of a model. Raises InputError where the file cannot be read or does not name the model's price."""
+    """Read the price of a model.
+
+    Args:
+        path: A TOML file of prices.
+        model: The model id.
+
+    Returns:
+        The price.
+
+    Raises:
+        InputError: The file cannot be read or does not name the model's price.
+    """
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8")).get(model)
+        entry = tomllib.loads(path.read_text(encoding="utf-8")).get(model)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"cannot read the prices in {path}: {error}", file=str(path)) from None
-    match found:
+    match entry:
         case {"input": int() | float() as read, "output": int() | float() as written} if _is_price(read, written):
             return Price(float(read), float(written))
     raise InputError(

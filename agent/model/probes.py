@@ -1,8 +1,8 @@
-"""Pictures and requests that probe a server: drawn pictures with known contents, none of them a question's.
+"""Drawn pictures that probe a server; their contents are known, and none belongs to a question.
 
-Each picture shows, on a plain background, one *marked* rectangle: it has a colour that a prompt can name, and holds a
-mark of `schema.markers`, whose black and white grid a person, a model and the simulated model can all tell from the
-plain shapes round it. Everything follows from a seed. The last line of a probe's prompt identifies it.
+Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name, and
+holds a mark of `schema.markers`. The mark's black and white grid distinguishes it from the plain shapes around it, for
+a person, a model and the simulated model. Everything follows from a seed. The last line of a prompt identifies a probe.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ CROP_LINE: Final = "The picture's frame, as one JSON object:"
 
 CROP_SIZE: Final = (CROP, CROP)
 PANORAMA_SIZE: Final = (WIDTH, HEIGHT)
-"""Width and height of the pictures that methods send."""
+"""Width and height in pixels of a panorama that a method sends."""
 
 CORNERS: Final = {
     f"{down} {across}": Box(x, y, 150, 190)
     for down, y in (("upper", 15), ("lower", CROP - 205))
     for across, x in (("left", 15), ("right", CROP - 165))
 }
-"""A rectangle in each corner of a crop."""
+"""A rectangle in each corner of a crop, in pixels."""
 
 _COLORS: Final = {
     "red": (185, 30, 30),
@@ -53,7 +53,7 @@ _TRIES: Final = 200
 
 @dataclass(frozen=True)
 class DrawnPicture:
-    """A picture with a marked rectangle: its width and height, and the rectangle's box and colour."""
+    """A picture with a marked rectangle: width and height, and the rectangle's box and colour, in pixels."""
 
     picture: Picture
     size: tuple[int, int]
@@ -63,14 +63,19 @@ class DrawnPicture:
 
 @functools.cache
 def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
-    """A picture with a marked rectangle in its place, or without any shape.
+    """Draw a picture with a marked rectangle, or without any shape.
 
-    The pixels of a panorama differ slightly, so that its file is as large as a real one's (650 kB).
+    Args:
+        size: Width and height in pixels. A panorama gets noise, so that its file is as large as a real one (650 kB).
+        box: The rectangle in pixels, or None.
+
+    Returns:
+        The picture.
     """
     image = _plain(*size)
     if size == PANORAMA_SIZE:
         grain = np.random.default_rng(0).integers(-_GRAIN, _GRAIN + 1, (HEIGHT, WIDTH, 1), dtype=np.int8)
-        # Sums of bytes wrap round: a negative grain darkens.
+        # Because sums of bytes wrap, a negative grain darkens.
         image += grain.view(np.uint8)
     if box is not None:
         _marked(image, box, "red", 0)
@@ -78,7 +83,15 @@ def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
 
 
 def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
-    """`n` pictures, crop- and panorama-shaped in turn, each with one marked rectangle among plain shapes."""
+    """Draw pictures with one marked rectangle among plain shapes.
+
+    Args:
+        n: The number of pictures, crops and panoramas in turn.
+        seed: The seed of everything random.
+
+    Returns:
+        The pictures.
+    """
     rng = random.Random(seed)  # noqa: S311
     return [_drawn(rng, number, *(PANORAMA_SIZE if number % 2 else CROP_SIZE)) for number in range(n)]
 
@@ -88,7 +101,7 @@ def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPic
     color, *others = rng.sample(sorted(_COLORS), len(_COLORS))
     taken: list[Box] = []
     for _ in range(1 + _DISTRACTORS * (1 if width == height else 3)):
-        if (box := _place(rng, width, height, taken)) is None:
+        if (box := _free_box(rng, width, height, taken)) is None:
             break
         taken.append(box)
     for box in taken[1:]:
@@ -97,8 +110,8 @@ def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPic
     return DrawnPicture(jpeg_picture(f"drawn {number:03d} {width}x{height}", image), (width, height), taken[0], color)
 
 
-def _place(rng: random.Random, width: int, height: int, taken: Sequence[Box]) -> Box | None:
-    """A free place; None where none is found."""
+def _free_box(rng: random.Random, width: int, height: int, taken: Sequence[Box]) -> Box | None:
+    """Return a random box apart from all others. Return None if the tries find none."""
     for _ in range(_TRIES):
         w, h = rng.randint(*_SIDE_PX), rng.randint(*_HEIGHT_PX)
         x, y = rng.randint(0, width - w), rng.randint(0, height - h)
@@ -128,8 +141,8 @@ def _shape(image: MarkImage, box: Box, color: str, round_: bool) -> None:
 def _marked(image: MarkImage, box: Box, color: str, identity: int) -> None:
     _shape(image, box, color, False)
     draw(image, box, Mark(identity))
-    # The mark's frame has a colour of its own: the rectangle keeps the one that the prompt names. A plate comes no
-    # nearer to the edge than two pixels.
+    # The mark's frame has another colour than the prompt names, so the outermost two pixels, which no mark reaches, get
+    # the rectangle's colour again.
     x, y, w, h = (int(v) for v in box)
     for thick in range(2):
         image[[y + thick, y + h - 1 - thick], x : x + w] = _COLORS[color]

@@ -10,13 +10,19 @@ from importlib.resources import files
 from string import Template
 from typing import NamedTuple
 
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import AnswerMode
 
 
 def render(name: str, **slots: object) -> str:
-    """The prompt `prompts/<name>.md` with its slots filled, without a newline at the end.
+    """Fill in a prompt.
 
-    Slots are filled once: a `$` in a question's text stays what it is.
+    Args:
+        name: The prompt's file is `prompts/<name>.md`.
+        slots: The values of its slots. A `$` in a value is not a slot.
+
+    Returns:
+        The text without a newline at the end.
     """
     return _template(name).substitute({key: str(value) for key, value in slots.items()})
 
@@ -35,18 +41,40 @@ class ModeText(NamedTuple):
 
 
 def mode_text(mode: AnswerMode, frame_count: int) -> ModeText:
-    """The three lines of `prompts/answer_<mode>.md`."""
-    slots = {} if mode in ("multiple_choice", "number") else {"last_frame": f"{frame_count - 1:06d}"}
+    """Return the prompt lines of an answer mode, the three lines of `prompts/answer_<mode>.md`.
+
+    Args:
+        mode: The answer mode.
+        frame_count: The number of frames of the sequence.
+
+    Returns:
+        The lines.
+    """
+    has_frames = any(part.kind == "frame" for part in MODES[mode].parts)
+    slots = {"last_frame": f"{frame_count - 1:06d}"} if has_frames else {}
     return ModeText(*render(f"answer_{mode}", **slots).split("\n"))
 
 
 def choice_lines(choices: Sequence[str]) -> str:
-    """The choices as numbered lines, from 1."""
+    """Number the choices of a question.
+
+    Args:
+        choices: The choices.
+
+    Returns:
+        A line per choice, numbered from 1.
+    """
     return "\n".join(f"{number}. {choice}" for number, choice in enumerate(choices, 1))
 
 
 def frame_ranges(frames: Sequence[int]) -> str:
-    """Ascending frames as ranges of one step each; `read_frame_ranges` is the inverse.
+    """Write frames as ranges; `read_frame_ranges` is the inverse.
+
+    Args:
+        frames: Ascending frames.
+
+    Returns:
+        Ranges of one step each, with commas between.
 
     >>> frame_ranges([0, 5, 10, 15, 16])
     '000000 to 000015 in steps of 5, 000016'
@@ -59,7 +87,7 @@ def frame_ranges(frames: Sequence[int]) -> str:
         while end + 1 < len(frames) and frames[end + 1] - frames[end] == step:
             end += 1
         if end - start == 1:
-            # Two frames are no range: the second may begin a longer one.
+            # Because the second of two frames may begin a longer range, the first stays alone.
             end = start
         first, last = f"{frames[start]:06d}", f"{frames[end]:06d}"
         parts.append(first if end == start else f"{first} to {last} in steps of {step}")
@@ -71,7 +99,14 @@ _RANGE = re.compile(r"(\d{6})(?: to (\d{6}) in steps of ([1-9]\d{0,6}))?")
 
 
 def read_frame_ranges(text: str) -> list[int]:
-    """The frames of a text that `frame_ranges` wrote."""
+    """Read the frames of a text that `frame_ranges` wrote.
+
+    Args:
+        text: The ranges.
+
+    Returns:
+        The frames.
+    """
     matches = [_RANGE.fullmatch(part) for part in text.split(", ")]
     spans = [
         range(int(m[1]), int(m[2]) + 1, int(m[3])) if m[2] else range(int(m[1]), int(m[1]) + 1) for m in matches if m

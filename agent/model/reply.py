@@ -1,4 +1,4 @@
-"""A server's reply: its fields, how to read it or the reason of an error from a body, and its text without thinking."""
+"""Read a server's reply: its fields, the reason of an error, and its text with and without thinking."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _LONGEST_NAME: Final = 200
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One reply: text fields as sent, why it stopped, token counts, and the model id that it names.
+    """One reply: text fields as sent, the finish reason, token counts, and the model id that it names.
 
-    `refusal` holds the text of a model that declines to answer.
+    refusal: the text of a model that declines to answer.
     """
 
     content: str = ""
@@ -34,7 +34,7 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class ErrorReply(ValueError):  # noqa: N818 - it is a reply
-    """A reply that reports an error in place of a completion; `code` is the error's own."""
+    """A reply that reports an error in place of a completion, with the error's code."""
 
     def __init__(self, reason: str, code: object = None) -> None:
         super().__init__(reason)
@@ -54,63 +54,54 @@ class _Choice(msgspec.Struct):
     error: Any = None
 
 
-class _Failure(msgspec.Struct):
-    """The error fields of a reply's body, whatever its HTTP status."""
-
-    error: Any = None
-    object: Any = None
-
-    @property
-    def reports_error(self) -> bool:
-        return bool(self.error) or self.object == "error"
-
-
-class _Completion(_Failure, kw_only=True):
+class _Completion(msgspec.Struct):
     choices: list[_Choice]
     model: str | None = None
     usage: Any = None
 
 
-# Made at import: threads that meet a type first at the same time crash the decoder.
-_COMPLETION: Final = msgspec.json.Decoder(_Completion)
-_FAILURE: Final = msgspec.json.Decoder(_Failure)
+# Converted at import, because threads that meet a type first at the same time crash the decoder.
+msgspec.convert({"choices": []}, _Completion)
 
 _FAILED: Final = ("error", "abort")
-"""Finish reasons of a reply that the server itself broke off."""
+"""Finish reasons of a reply that the server aborted."""
 
 _ENDS: Final = {
-    "stop": "stop",
-    "length": "length",
-    "eos": "stop",
-    "eos_token": "stop",
-    "end_turn": "stop",
-    "stop_sequence": "stop",
-    "max_tokens": "length",
-    "max_output_tokens": "length",
-    "model_length": "length",
+    **dict.fromkeys(("stop", "eos", "eos_token", "end_turn", "stop_sequence"), "stop"),
+    **dict.fromkeys(("length", "max_tokens", "max_output_tokens", "model_length"), "length"),
     "safety": "content_filter",
 }
-"""Finish reasons of other protocols, which some servers pass on, in the words of chat completions."""
+"""Finish reasons of chat completions for those of other protocols, which some servers pass on."""
 
 
 def read_completion(data: bytes) -> Reply:
-    """The first choice of a chat completion. Raises ErrorReply for an error, ValueError for anything else."""
+    """Read the first choice of a chat completion.
+
+    Args:
+        data: The body of the reply.
+
+    Returns:
+        The reply.
+
+    Raises:
+        ErrorReply: The body reports an error.
+        ValueError: The body is not a chat completion.
+    """
     try:
-        completion = _COMPLETION.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        if _tells_failure(data):
-            raise ErrorReply(*server_reason(data)) from None
+        body = msgspec.json.decode(data)
+        if isinstance(body, dict) and (body.get("error") or body.get("object") == "error"):
+            raise ErrorReply(*server_reason(data))
+        completion = msgspec.convert(body, _Completion)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(str(error) or "nested too deep") from None
-    if completion.reports_error:
-        raise ErrorReply(*server_reason(data))
     if not completion.choices:
         raise ValueError("it holds no choice")
     choice = completion.choices[0]
     ended = (choice.finish_reason or "").strip()
     ended = _ENDS.get(ended.lower(), ended)
     if choice.error or ended in _FAILED:
-        words, code = _reason(choice.error)
-        raise ErrorReply(words or f"the reply ended with finish_reason {ended!a}", code)
+        reason, code = _reason(choice.error)
+        raise ErrorReply(reason or f"the reply ended with finish_reason {ended!a}", code)
     text = choice.message
     content, thinking = _parts(text.content)
     return Reply(
@@ -125,16 +116,20 @@ def read_completion(data: bytes) -> Reply:
 
 
 def server_reason(data: bytes) -> tuple[str, object]:
-    """The reason that the body of an error gives, its text where it gives none that is known, and the error's code.
+    """Find the reason in the body of an error, under `error`, `message`, `detail` or `msg`, nested in any way.
 
-    Known are `error`, `message`, `detail` and `msg`, one within the other, and the first element of a list of them.
+    Args:
+        data: The body of the reply.
+
+    Returns:
+        The reason, or the whole text if none is found, and the error's code.
     """
     text = data.decode(errors="replace")
     try:
-        words, code = _reason(msgspec.json.decode(data))
+        reason, code = _reason(msgspec.json.decode(data))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return text, None
-    return text if words is None else words, code
+    return text if reason is None else reason, code
 
 
 def _reason(value: object) -> tuple[str | None, object]:
@@ -143,25 +138,18 @@ def _reason(value: object) -> tuple[str | None, object]:
             return value, None
         case [first, *_]:
             return _reason(first)
-        case {"msg": str(fault), "loc": [*place]}:
-            return f"{'.'.join(map(str, place))}: {fault}", None
+        case {"msg": str(fault), "loc": [*path]}:
+            return f"{'.'.join(map(str, path))}: {fault}", None
         case dict():
-            found = [_reason(value.get(key)) for key in ("error", "message", "detail", "msg")]
-            codes = [value.get("code"), *(code for _, code in found)]
-            words = next((words for words, _ in found if words is not None), None)
-            return words, next((code for code in codes if code is not None), None)
+            nested = [_reason(value.get(key)) for key in ("error", "message", "detail", "msg")]
+            codes = [value.get("code"), *(code for _, code in nested)]
+            reason = next((reason for reason, _ in nested if reason is not None), None)
+            return reason, next((code for code in codes if code is not None), None)
     return None, None
 
 
-def _tells_failure(data: bytes) -> bool:
-    try:
-        return _FAILURE.decode(data).reports_error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return False
-
-
 def _parts(content: str | list[Any] | None) -> tuple[str, str]:
-    """The text of a reply, and the thinking in it: some servers send both as a list of parts."""
+    """Return the text and the thinking of a reply, which some servers send as a list of parts."""
     if not isinstance(content, list):
         return content or "", ""
     texts: list[str] = []
@@ -180,21 +168,25 @@ def _parts(content: str | list[Any] | None) -> tuple[str, str]:
 
 
 def _text(value: object) -> str:
-    """A field that some servers fill with other things than text."""
+    """Return a text field, or "" if the server fills it with another type."""
     return value if isinstance(value, str) else ""
 
 
 def _tokens(usage: object, name: str) -> int:
-    """A count of tokens; 0 where the server sends none, or nonsense: a good reply is not refused for it."""
+    """Return a count of tokens. Return 0 if it is missing or nonsense, because the reply itself may be good."""
     count = usage.get(name) if isinstance(usage, dict) else None
     return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
 
 
 def answer_text(reply: Reply, convention: Convention) -> str:
-    """The reply's text after any thinking; empty where it only thinks, or holds nothing.
+    """Return the text of a reply without its thinking.
 
-    Some servers file the whole reply under `reasoning`: its text counts past a closing delimiter, never the thinking
-    itself.
+    Args:
+        reply: The reply. Some servers send the whole reply as `reasoning`; then the text after a delimiter counts.
+        convention: The convention, for the delimiters of thinking.
+
+    Returns:
+        The text, empty if the reply only thinks.
     """
     text = _after_thinking(reply.content, convention)
     if not text and any(close in reply.reasoning for _, close in convention.thinking):
@@ -203,14 +195,22 @@ def answer_text(reply: Reply, convention: Convention) -> str:
 
 
 def thinking_text(reply: Reply, convention: Convention) -> str:
-    """The thinking in a reply, without delimiters; empty where there is none, or an empty block of it."""
+    """Return the thinking of a reply.
+
+    Args:
+        reply: The reply.
+        convention: The convention, for the delimiters of thinking.
+
+    Returns:
+        The thinking without delimiters, or "".
+    """
     for text in (reply.content, reply.reasoning):
         for opening, closing in convention.thinking:
-            # The opening delimiter may stand in the server's template instead of the reply.
+            # The opening delimiter may be in the server's template and missing in the reply.
             before, closed, _ = text.rpartition(closing)
             inner = before if closed else text if text.lstrip().startswith(opening) else ""
-            if words := inner.replace(opening, "").strip():
-                return words
+            if thinking := inner.replace(opening, "").strip():
+                return thinking
     return reply.reasoning.strip() if not any(close in reply.reasoning for _, close in convention.thinking) else ""
 
 
@@ -221,22 +221,21 @@ def _after_thinking(text: str, convention: Convention) -> str:
 
 
 def _without_blocks(text: str, opening: str, closing: str) -> str:
-    """The text outside of thinking; empty where the reply only thinks.
+    """Return the text outside of thinking, empty if the reply only thinks.
 
-    Text before a block stays: a reply that answers, thinks and answers again holds two answers. The opening delimiter
-    may stand in the server's template instead of the reply: then everything before the closing one is thinking. A
-    delimiter that is never closed begins no thinking after text.
+    Text before a block stays, because a reply that answers, thinks and answers again has two answers. If the opening
+    delimiter is missing, everything before the closing one is thinking. An unclosed delimiter after text is text.
     """
     texts: list[str] = []
     start, thinks = 0, False
     # One pass: replies are long, and the delimiters in them many.
-    for found in re.finditer(f"{re.escape(opening)}|{re.escape(closing)}", text):
-        if found[0] == closing:
+    for match in re.finditer(f"{re.escape(opening)}|{re.escape(closing)}", text):
+        if match[0] == closing:
             if not thinks:
                 texts = []
-            start, thinks = found.end(), False
+            start, thinks = match.end(), False
         elif not thinks:
-            texts.append(text[start : found.start()])
-            start, thinks = found.start(), True
-    words = "".join(texts)
-    return words if thinks and not words.strip() else words + text[start:]
+            texts.append(text[start : match.start()])
+            start, thinks = match.start(), True
+    outside = "".join(texts)
+    return outside if thinks and not outside.strip() else outside + text[start:]

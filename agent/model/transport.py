@@ -183,15 +183,25 @@ class _BoundedStream:
 # -- address and key --------------------------------------------------------------------------------------------------
 
 _SECRETIVE: Final = re.compile(r"#|^([^/]*//)?[^/?]*@")
-"""Parts of an address that may hold a password: user info, fragment."""
+"""Pattern of the parts of an address that may hold a password: user info and fragment."""
 
 _SECRET_NAME: Final = re.compile(r"(?i)key|token|secret|pass|pw|sig|auth|cred|code")
 _LONGEST_VALUE: Final = 40
-"""Longest value of a query's parameter; longer ones may be keys."""
+"""Maximum length of a query's value; a longer one may be a key."""
 
 
 def checked_url(base_url: str) -> str:
-    """The address without a slash at its end. Raises EndpointError for one that cannot be used or holds a password."""
+    """Check a server's address.
+
+    Args:
+        base_url: The address.
+
+    Returns:
+        The address without a slash at its end.
+
+    Raises:
+        EndpointError: The address cannot be used, or holds a password.
+    """
     import httpx2
 
     query = base_url.partition("?")[2].partition("#")[0]
@@ -217,7 +227,15 @@ def checked_url(base_url: str) -> str:
 
 
 def address_of(base_url: str, path: str) -> str:
-    """Join a path to a base address; the base address's query stays at the end."""
+    """Join a path to a base address.
+
+    Args:
+        base_url: The address, whose query stays at the end.
+        path: The path, beginning with a slash.
+
+    Returns:
+        The full address.
+    """
     parts = urlsplit(base_url)
     return parts._replace(path=parts.path + path).geturl()
 
@@ -231,7 +249,17 @@ def _is_loopback(base_url: str) -> bool:
 
 
 def environment_key(variable: str) -> str:
-    """The key that an environment variable holds. Raises EndpointError, without it, for one that no header can hold."""
+    """Read a key from the environment.
+
+    Args:
+        variable: The name of the environment variable.
+
+    Returns:
+        The key, or "".
+
+    Raises:
+        EndpointError: A header cannot hold the key. The message does not contain it.
+    """
     key = os.environ.get(variable, "").strip()
     if not all("!" <= character <= "~" for character in key):
         raise EndpointError(
@@ -241,7 +269,18 @@ def environment_key(variable: str) -> str:
 
 
 def environment_header(name: str, variable: str) -> str:
-    """A header's value from the environment. Raises EndpointError where there is none, or no header can hold it."""
+    """Read the value of a header from the environment.
+
+    Args:
+        name: The header.
+        variable: The name of the environment variable.
+
+    Returns:
+        The value.
+
+    Raises:
+        EndpointError: The variable has no value, or a header cannot hold it. The message does not contain it.
+    """
     value = os.environ.get(variable, "").strip()
     if not value or not all(" " <= character <= "~" for character in value):
         raise EndpointError(f"--header {name}={variable}: ${variable} holds no value that a header can have")
@@ -249,27 +288,47 @@ def environment_header(name: str, variable: str) -> str:
 
 
 def secrets_of(key: str, headers: Iterable[str]) -> list[str]:
-    """The texts that must not be shown: the key, and header values with their words; the longest first."""
+    """List the texts that messages must not show.
+
+    Args:
+        key: The server's key.
+        headers: The values of further headers.
+
+    Returns:
+        The key, the values and their longer words, the longest first.
+    """
     words = {word for value in headers for word in (value, *value.split()) if len(word) >= _SECRET // 2}
     return sorted({key, *words} - {""}, key=lambda word: (-len(word), word))
 
 
 def secret_pattern(secrets: Sequence[str]) -> re.Pattern[bytes] | None:
-    """Matches secrets in a reply, also with JSON's escapes, as some servers write / and +; None without a long one.
+    """Return a pattern that matches secrets in a reply, also with JSON's escapes.
 
-    Also matches an escaped backslash, as group 1, so that its second half is not taken for the escape of a secret.
+    Args:
+        secrets: The secrets; short ones are left out.
+
+    Returns:
+        The pattern; None without a long secret. Its group 1 matches an escaped backslash, whose second half would
+        otherwise look like the escape of a secret.
     """
     long = ["".join(map(_forms, secret)) for secret in secrets if len(secret) >= _SECRET]
     return re.compile(("|".join(long) + r"|(\\\\)").encode()) if long else None
 
 
 def _forms(character: str) -> str:
-    """A character as a server may write it."""
+    """Return a pattern of the ways in which a server may write a character."""
     return rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))"
 
 
 def retry_after(value: str | None) -> float | None:
-    """Seconds of a Retry-After header; None where it names none."""
+    """Read a Retry-After header.
+
+    Args:
+        value: The header's value, or None.
+
+    Returns:
+        The seconds; None if the header does not state them.
+    """
     try:
         seconds = float(value or "")
     except ValueError:

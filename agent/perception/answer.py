@@ -17,7 +17,8 @@ from jrdb_avr.agent.perception.readings import is_value
 from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, slot_supports
 from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tracks, settled
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
-from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Number, Span, uninformed_answer
+from jrdb_avr.schema.answer_modes import MODES
+from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.beliefs import free_value
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, choice_of
 from jrdb_avr.schema.method import Verdict
@@ -71,7 +72,8 @@ def conclude(
     described = [tracks.nearest_looked(at) for at in frames_of(plan, plan.target)]
     box_frame, box = _evidence(tracks, who, frame, described)
     if answer is None:
-        answer = uninformed_answer(plan.answer.mode, frame, expected_place(tracks.people[who], frame).angle)
+        angle = expected_place(tracks.people[who], frame).angle
+        answer = MODES[plan.answer.mode].make((frame, frame), angle)
     return Conclusion(answer, who, box_frame, box, _verdict(plan, tracks, best[who], state, box))
 
 
@@ -204,19 +206,11 @@ class _Reader:
         state = _weakest("open" if one is None else one.state for one in found)
         frame = next((one.high for one in found if one is not None and one.high is not None), self._described())
         first, last = round(moments[0]), round(moments[-1])
-        answer: Answer
-        match self.plan.answer.mode:
-            case "frame":
-                answer = FrameAnswer(first)
-            case "frame_viewpoint":
-                answer = FrameViewpoint(first, expected_place(self.tracks.people[self.who], first).angle)
-            case "span":
-                answer = Span(first, max(first, last))
-            case _:
-                seen = [one is not None and one.high is not None for one in found]
-                passed = (moments[-1] - moments[0]) / FPS
-                least = _LIKELY_S if not seen[-1] else 1.0
-                answer = Number(max(passed, least) if seen[0] else _LIKELY_S)
+        seen = [one is not None and one.high is not None for one in found]
+        passed = (moments[-1] - moments[0]) / FPS
+        seconds = max(passed, 1.0 if seen[-1] else _LIKELY_S) if seen[0] else _LIKELY_S
+        angle = expected_place(self.tracks.people[self.who], first).angle
+        answer = MODES[self.plan.answer.mode].make((first, max(first, last)), angle, seconds)
         return ReadAnswer(answer, frame, state)
 
     def _moment(self, place: int, bracket: Bracket | None) -> float:

@@ -10,11 +10,13 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from jrdb_avr.agent.beliefs.arguments import printable
-from jrdb_avr.agent.methods.attempt import Attempt, heading
+from jrdb_avr.agent.methods.attempt import Attempt
+from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.prompts import frame_ranges, render
 from jrdb_avr.agent.reference.tool_calls import compact_json
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.labels import (
     ACTION_PHRASES,
@@ -31,6 +33,7 @@ from jrdb_avr.schema.labels import (
 )
 from jrdb_avr.schema.method import Task
 from jrdb_avr.schema.plan import (
+    READS,
     AnswerSpec,
     Condition,
     Node,
@@ -112,20 +115,19 @@ def make_plan(
 def smallest_plan(task: Task) -> Plan:
     """A plan of the target alone, of whom nothing is said, with the read that the answer's mode implies."""
     mode, frames = task.question.answer_mode, task.sequence.frames or (0,)
+    read = MODES[mode].smallest_read
     times = {"t0": Time(frame=frames[0])}
+    at: list[str] = []
     # Which action is meant is not known, nor which people are counted: the commonest stand for them.
-    start = {"t1": Time(event="start", of="a", action="walking", after="t0")}
-    answer = AnswerSpec(mode, "action", "a", "t0")
-    match mode:
-        case "frame" | "frame_viewpoint":
-            times |= start
-            answer = AnswerSpec(mode, "start" if mode == "frame" else "start_view", "a", "t1")
-        case "span":
-            times |= start | {"t2": Time(event="end", of="a", action="walking", after="t1")}
-            answer = AnswerSpec(mode, "span", "a", ("t1", "t2"))
-        case "number":
-            times["t1"] = Time(frame=frames[-1])
-            answer = AnswerSpec(mode, "count", "a", ("t0", "t1"), "conversation")
+    for events in READS[read].times:
+        if events:
+            time = Time(event=events[0], of="a", action="walking", after=f"t{len(times) - 1}")
+        else:
+            time = Time(frame=frames[-1 if at else 0])
+        at.append(f"t{len(times)}" if events or at else "t0")
+        times[at[-1]] = time
+    names = at[0] if len(at) == 1 else tuple(at)
+    answer = AnswerSpec(mode, read, "a", names, "conversation" if read == "count" else None)
     return Plan("a", "a", times, (Node("a", ()),), (), answer)
 
 

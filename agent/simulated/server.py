@@ -204,10 +204,6 @@ class _Handler(BaseHTTPRequestHandler):
         """Print nothing: a line per request on stderr would break the progress bar of a run."""
 
 
-start_process: Any = subprocess.Popen
-"""Starts the server's process; tests put a faster start in its place."""
-
-
 @contextmanager
 def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[str]:
     """Serve from a child process while a `with` block lasts, and yield the base URL; `log` and `knobs` as in `Server`.
@@ -219,8 +215,9 @@ def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[s
         command += ["--log", str(log)]
     command += [part for setting in settings(knobs) for part in ("--knob", setting)]
     # The process ends when the pipe to its standard input closes, however this process ends.
-    with start_process(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
+            assert process.stdout is not None, "its output is a pipe"
             line = process.stdout.readline()
             if not line.startswith(READY):
                 raise EndpointError(

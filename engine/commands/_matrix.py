@@ -1,4 +1,4 @@
-"""Several runs in one command: the options of each, from a TOML file.
+"""Read the options of several runs from a TOML file.
 
     [[run]]
     method = ["react", "agent"]
@@ -11,8 +11,8 @@
     base-url = "https://api.openai.com/v1"
     temperature = "none"
 
-A key is an option's long name, and stands in place of that of the command line. A list is a run for each value, unless
-the option may be repeated.
+A key is the long name of an option and replaces the value of the command line. A list makes a run per value, unless the
+option may be repeated.
 """
 
 from __future__ import annotations
@@ -20,23 +20,33 @@ from __future__ import annotations
 import itertools
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._endpoint import REQUEST
+from jrdb_avr.agent.model.options import EndpointOptions
+from jrdb_avr.engine.commands._declared import build
 from jrdb_avr.schema.errors import InputError, did_you_mean
 
 _SHARED: Final = ("store", "matrix", "json", "csv", "help")
-"""Options of the command as a whole."""
+"""Options of the whole command, which no run may set."""
 
 
 def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The options of each run, by the names of the command's parameters. `shared`: those of the command line.
+    """Read the options of each run.
 
-    Raises InputError where the file cannot be read, UsageError for an option that is none or has a wrong value.
+    Args:
+        path: The TOML file.
+        ctx: The context of the command, which has the options.
+        shared: Values of the command line, by parameter.
+
+    Returns:
+        The values of each run, by parameter.
+
+    Raises:
+        InputError: The file cannot be read.
+        UsageError: An option is unknown or has a wrong value.
     """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("run")
@@ -55,7 +65,7 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
 
 
 def _crossed(ctx: click.Context, table: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """A table with one value in place of each list, for all combinations."""
+    """Yield the table with one value in place of each list, for all combinations."""
     choices = [
         value if isinstance(value, list) and not _parameter(ctx, key).multiple else [value]
         for key, value in table.items()
@@ -68,22 +78,22 @@ def _run(ctx: click.Context, shared: Mapping[str, Any], values: Mapping[str, Any
     found = {}
     for key, value in values.items():
         parameter = _parameter(ctx, key)
-        # Like the texts of a command line.
+        # The types of options read texts, as of a command line.
         plain = value if isinstance(value, bool | dict | list) else str(value)
         found[str(parameter.name)] = parameter.process_value(ctx, plain)
-    request = {name: found.pop(name) for name in REQUEST if name in found}
-    if "headers" in request:
-        request["headers"] = dict(request["headers"])
-    return {**shared, **found, "options": replace(shared["options"], **request)}
+    merged = {**shared, **found}
+    # Here, so that the error names the run.
+    build(EndpointOptions, merged)
+    return merged
 
 
 def _parameter(ctx: click.Context, key: str) -> click.Option:
-    """The parameter of an option's long name without dashes."""
+    """Return the option with a long name, given without dashes."""
     options = {
-        flag.removeprefix("--"): one
-        for one in ctx.command.params
-        if isinstance(one, click.Option)
-        for flag in one.opts
+        flag.removeprefix("--"): parameter
+        for parameter in ctx.command.params
+        if isinstance(parameter, click.Option)
+        for flag in parameter.opts
         if flag.removeprefix("--") not in _SHARED
     }
     if key not in options:

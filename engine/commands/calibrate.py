@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._endpoint import endpoint_options
+from jrdb_avr.engine.commands._declared import endpoint_options
 from jrdb_avr.engine.commands._options import form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
@@ -23,9 +23,9 @@ Example:
 
 @click.command(epilog=_EXAMPLE)
 @store_option()
-@endpoint_options()
+@endpoint_options
 @form_option
-def command(store: Store, model: str, base_url: str | None, options: Any, form: RowFormat) -> None:
+def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
     """Find out in which order and scale a model writes boxes, from 50 drawn rectangles that belong to no question.
 
     What is found is stored, and taken by every later run of the model with the same response format and thinking. Exit
@@ -43,8 +43,8 @@ def command(store: Store, model: str, base_url: str | None, options: Any, form: 
     if not store.question_path("questions").exists():
         # A machine without labels has questions and no manifest; a folder with neither is a mistyped one.
         store.manifest()
-    with serving(model, base_url) as url, progress_bar() as progress:
-        client = Client(url, model, options, convention=convention_of(model))
+    with serving(model, endpoint.base_url) as url, progress_bar() as progress:
+        client = Client(url, model, endpoint, convention=convention_of(model))
         for check in preflight(client):
             if not check.passed:
                 note(f"warning: {check.line}")

@@ -31,7 +31,7 @@ Example:
 @click.argument("root", required=False, type=click.Path(path_type=Path))
 @store_option()
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")
-@click.option("--verify", is_flag=True, help="Compare every file with what was loaded, and the graph with the tables.")
+@click.option("--verify", is_flag=True, help="Compare the store's files with what was loaded.")
 @pairs_option(
     "--layer-dir",
     "layer_dirs",

@@ -64,14 +64,31 @@ def _signature(name: str, value: Any) -> str:
     if isinstance(value, type) and (issubclass(value, Exception) or getattr(value, "_is_protocol", False)):
         return ""
     signature = inspect.signature(value)
+    parameters = [_short(own) for own in signature.parameters.values()]
     # Annotations are texts, which print with quotes.
-    lines = [re.sub(r": '([^']*)'", r": \1", f"    {own},\n") for own in signature.parameters.values()]
+    lines = [re.sub(r": '([^']*)'", r": \1", f"    {own},\n") for own in parameters]
     star = next((i for i, own in enumerate(signature.parameters.values()) if own.kind is own.KEYWORD_ONLY), None)
     if star is not None:
         lines.insert(star, "    *,\n")
     end = f" -> {signature.return_annotation}" if inspect.isfunction(value) else ""
     inside = f"\n{''.join(lines)}" if lines else ""
     return f"```python\n{name}({inside}){end}\n```\n\n"
+
+
+def _short(parameter: inspect.Parameter) -> inspect.Parameter:
+    """Return the parameter with `Class()` for the default if that is an options object without set fields."""
+    kind = type(parameter.default)
+    if not kind.__name__.endswith("Options") or parameter.default != kind():
+        return parameter
+    return parameter.replace(default=_Text(f"{kind.__name__}()"))
+
+
+class _Text(str):
+    """A text whose representation is itself."""
+
+    __slots__ = ()
+
+    __repr__ = str.__str__
 
 
 def _doc(value: Any) -> str:

@@ -42,8 +42,8 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
     from jrdb_avr.engine.report.people import HUMAN
     from jrdb_avr.engine.run.evaluate import default_run_id
     from jrdb_avr.engine.run.human import HumanDesk
+    from jrdb_avr.engine.run.options import QuestionSelection
     from jrdb_avr.engine.run.playing import played_run
-    from jrdb_avr.engine.run.selection import QuestionSelection
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     run_id = default_run_id(HUMAN, name) if run_id is None else run_id

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._endpoint import endpoint_options
+from jrdb_avr.engine.commands._declared import endpoint_options
 from jrdb_avr.engine.commands._options import form_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows
 
@@ -18,9 +18,9 @@ Example:
 
 
 @click.command(epilog=_EXAMPLE)
-@endpoint_options()
+@endpoint_options
 @form_option
-def command(model: str, base_url: str | None, options: Any, form: RowFormat) -> None:
+def command(model: str, endpoint: Any, form: RowFormat) -> None:
     """Check a model's server: text, JSON schema, pictures, system message, thinking, and the largest requests.
 
     'evaluate' makes the same checks before a run, warns of failed ones and records them. Exit code 1 where one fails
@@ -32,8 +32,8 @@ def command(model: str, base_url: str | None, options: Any, form: RowFormat) -> 
     from jrdb_avr.engine.run.endpoint import serving
     from jrdb_avr.schema.errors import EndpointError
 
-    with serving(model, base_url) as url:
-        checks = preflight(Client(url, model, options, convention=convention_of(model)))
+    with serving(model, endpoint.base_url) as url:
+        checks = preflight(Client(url, model, endpoint, convention=convention_of(model)))
     rows: list[dict[str, Any]] = []
     for check in checks:
         remedy = "" if check.passed else check.remedy

@@ -10,7 +10,8 @@ import pyarrow as pa
 
 from jrdb_avr.engine.generate.conditions import FALSE, TRUE, UNSURE
 from jrdb_avr.engine.generate.scene import NOBODY, Scene
-from jrdb_avr.schema.answers import FrameViewpoint, same_answer
+from jrdb_avr.schema.answer_modes import same_answer
+from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 

@@ -24,6 +24,7 @@ import pyarrow as pa
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
 from jrdb_avr.engine.generate.distractors import Choices
 from jrdb_avr.engine.generate.near_duplicates import Person, Subject, Taken, near_frames
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.templates import TEMPLATES
@@ -127,7 +128,7 @@ def _options(table: pa.Table, rows: Sequence[int], name: str, seed: int) -> Iter
         times, answer = line["times"], line["answer_text"]
         person = line["sequence"], line["target_track"]
         subject = Subject(person, form.name, tuple(line["read_frames"]), line["event"])
-        bin_or_text = answer if mode == "multiple_choice" else answer_bin(mode, answer, times, read)
+        bin_or_text = answer if MODES[mode].is_choice else answer_bin(mode, answer, times, read)
         cell = " | ".join(line["stated"]), tuple(wait_bin(time - times[0]) for time in times[1:])
         cell = known.setdefault(cell, cell)
         drawn = hashlib.sha256(f"{seed} {line['key']}".encode()).digest()

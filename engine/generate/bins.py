@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
-from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Number, Span, decode_answer
+from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
+from jrdb_avr.schema.answers import Number
 from jrdb_avr.schema.rules import FPS, frames
-
-OFFSET_EDGES_S: Final = (3.0, 6.0, 10.0, 15.0, 21.0)
-GAP_EDGES_S: Final = (5.0, 10.0, 20.0, 40.0)
 
 
 def wait_bin(wait: int) -> int:
@@ -22,11 +19,11 @@ def wait_bin(wait: int) -> int:
 def answer_bin(mode: str, answer: str, times: Sequence[int], read: str) -> int:
     """Bin of a stored answer: of an event's offset from the first stated time, or of a gap's seconds; a count is its
     own."""
-    match decode_answer(mode, answer):
-        case FrameAnswer(frame) | FrameViewpoint(frame) | Span(frame):
-            return int(np.searchsorted(OFFSET_EDGES_S, (frame - times[0]) / FPS, side="right"))
-        case Number(value):
-            return int(value) if read == "count" else int(np.searchsorted(GAP_EDGES_S, value, side="right"))
+    stored, edges = decode_answer(mode, answer), MODES[mode].bin_edges_s
+    if frames := frames_of_answer(stored):
+        return int(np.searchsorted(edges, (frames[0] - times[0]) / FPS, side="right"))
+    if isinstance(stored, Number):
+        return int(stored.value) if read == "count" else int(np.searchsorted(edges, stored.value, side="right"))
     return 0
 
 
@@ -38,6 +35,6 @@ def bin_name(mode: str, read: str, number: int) -> str:
     """
     if read == "count":
         return str(number)
-    edges = (0.0, *(GAP_EDGES_S if mode == "number" else OFFSET_EDGES_S))
+    edges = (0.0, *MODES[mode].bin_edges_s)
     above = f"{edges[number + 1]:g}" if number + 1 < len(edges) else "inf"
     return f"[{edges[number]:g}, {above})"

@@ -24,12 +24,10 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
-from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, Span, decode_answer, encode_answer, same_answer
+from jrdb_avr.schema.answer_modes import MODES, decode_answer, mode_of, same_answer
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, Span, encode_answer
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.wording.text import form_of, parse, stated_actions, stated_frames
-
-AIMS: Final = {"multiple_choice": 0.35, "frame": 0.25, "span": 0.25, "frame_viewpoint": 0.25, "number": 0.58}
-"""The most that a blind guesser should score, by answer mode; counts have no aim."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +59,7 @@ class QuestionText:
     @property
     def asks(self) -> str:
         """The kind of answer in a word or two; of a template's forms a count is judged unlike seconds."""
-        if self.mode == "number":
-            return "count" if self.read == "count" else "seconds"
-        return {"multiple_choice": "choice", "frame_viewpoint": "frame and angle"}.get(self.mode, self.mode)
+        return "count" if self.read == "count" else MODES[self.mode].asks
 
     @property
     def bin(self) -> str:
@@ -115,20 +111,20 @@ def blind_check(questions: Sequence[QuestionText], learned: Guesser | None = Non
 
 
 def _check(group: list[QuestionText], learned: Guesser | None) -> dict[str, Any]:
-    mode, n = group[0].mode, len(group)
+    mode, n = MODES[group[0].mode], len(group)
     scores: dict[str, float | None] = dict.fromkeys(("uniform", "most_frequent", "by_choice", "constant", "offset"))
-    if mode == "multiple_choice":
+    if "uniform" in mode.guessers:
         scores["uniform"] = sum(1 / len(q.choices) for q in group) / n
         scores["most_frequent"] = max(Counter(question.chosen for question in group).values()) / n
         scores["by_choice"] = _by_choice(group)
-    else:
+    if "constant" in mode.guessers:
         scores["constant"] = _best(group, [0] * n)
-    if mode not in ("multiple_choice", "number"):
+    if "offset" in mode.guessers:
         positions = range(min(len(q.times) for q in group))
         scores["offset"] = max(_best(group, [q.times[position] for q in group]) for position in positions)
     scores["text_only"] = _text_only(group)
     scores["learned"] = None if learned is None else learned(group)
-    aim = None if group[0].read == "count" else AIMS[mode]
+    aim = None if group[0].read == "count" else mode.aim
     above = [name for name, score in scores.items() if score is not None and aim is not None and score > aim]
     within = None if aim is None else not above
     return {"n": n, **scores, "aim": aim, "within_aim": within, "reason": _reason(group, above) if above else None}
@@ -143,7 +139,7 @@ def _reason(group: Sequence[QuestionText], above: Sequence[str]) -> str:
     n = len(group)
     parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
     if set(above) - {"by_choice", "text_only", "learned"}:
-        choice = group[0].mode == "multiple_choice"
+        choice = MODES[group[0].mode].is_choice
         commonest = Counter(question.chosen if choice else question.bin for question in group)
         name, count = min(commonest.items(), key=lambda item: (-item[1], item[0]))
         what = f"are {name!r}" if choice else f"lie in {name} s"
@@ -222,7 +218,7 @@ def _matching_spans(guesses: Sequence[Answer], answers: Sequence[Answer]) -> lis
 
 def _moved(answer: Answer, frames: int) -> Answer:
     """An answer with its frames counted from another one."""
-    frames_of = {name: getattr(answer, name) for name in answer.__struct_fields__ if name.endswith("frame")}
+    frames_of = {name: getattr(answer, name) for name, kind in mode_of(answer).fields if kind == "frame"}
     return msgspec.structs.replace(answer, **{name: frame + frames for name, frame in frames_of.items()})
 
 
@@ -247,7 +243,7 @@ def _text_only(group: Sequence[QuestionText]) -> float:
     @functools.cache
     def learned(sequence: str, level: int, key: Hashable) -> Counter[str] | Answer | None:
         others = [question for question in pools[level, key] if question.sequence != sequence]
-        if group[0].mode == "multiple_choice":
+        if MODES[group[0].mode].is_choice:
             return Counter(question.chosen for question in others)
         return best_guess([_moved(q.answer, -q.times[0]) for q in others]) if others else None
 

@@ -16,7 +16,7 @@ from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.engine.generate.keyframes import shift_frames
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints, coded, ints, masked, match_rows
-from jrdb_avr.schema.answers import same_answer
+from jrdb_avr.schema.answer_modes import same_answer
 from jrdb_avr.schema.arrays import Bools
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates
 from jrdb_avr.engine.generate.context import SearchContext
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Span, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer, frames_of_answer
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.errors import AvrError, StoreError
 from jrdb_avr.schema.plan import parse_plan
@@ -59,11 +59,7 @@ def _extent(record: QuestionRecord) -> Extent:
     tracks = {track for name, track in record.bindings.items() if name in nodes}
     frames = [frame for name, frame in record.bindings.items() if name not in nodes]
     frames += [box.frame for box in record.needed]
-    match decode_answer(record.answer_mode, record.answer):
-        case FrameAnswer(frame) | FrameViewpoint(frame):
-            frames.append(frame)
-        case Span(start, end):
-            frames += [start, end]
+    frames += frames_of_answer(decode_answer(record.answer_mode, record.answer))
     return Extent(tuple(sorted(tracks | {box.track for box in record.needed})), min(frames), max(frames))
 
 

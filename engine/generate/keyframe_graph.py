@@ -2,14 +2,12 @@
 
 Workers make the rows of a sequence, one process copies them. Twice: the statements of `queries/search` run over what
 was copied first, side by side, and what they find is copied as edges. Each time the graph file is copied, written and
-renamed in, so that a kill leaves a whole one. The stamp, `Keyframes`, is written last: the rules, and the
-digests by which `load --verify` compares every table with the rows that were copied.
+renamed in, so that a kill leaves a whole one. The stamp, `Keyframes`, is written last: the rules.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -25,11 +23,10 @@ from jrdb_avr.engine.generate.fork_join import find_joins
 from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.relations import RELATION_BITS, RELATIONS
 from jrdb_avr.engine.generate.scene import UNDECIDED, Ints, coded, ints, load_scene
-from jrdb_avr.loaders.digests import digests_of, staged_digests
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
-from jrdb_avr.loaders.verify import FILE, checks_of
+from jrdb_avr.loaders.verify import checks_of
 from jrdb_avr.queries.display import Progress, step_counter
-from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of
+from jrdb_avr.queries.graph.file import is_as_built
 from jrdb_avr.queries.graph.handle import Graph, build_graph, held_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
@@ -74,12 +71,11 @@ def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progre
 def stored_layer(store: Store, rules: Rules) -> dict[str, int]:
     """The first id of each sequence of the stored layer; none where it is not the one of these rules and sequences.
 
-    Raises as `ensure_layer`. A file that is not as it was built, as agents wrote into it or it was damaged, is read
-    whole first, in a process of its own.
+    Raises as `ensure_layer`. A file that is not as it was built is verified first: agents wrote into it, or it is
+    damaged.
     """
     # Before the graph is open here: closing the file would drop the engine's lock on it.
-    intact = check_fingerprint(store.graph_path) == fingerprint_of(store.graph_path)
-    if not intact and any(check.fault for check in checks_of(store) if check.what != FILE):
+    if not is_as_built(store.graph_path) and any(check.fault for check in checks_of(store)):
         raise StoreError(f"{store.graph_path} is damaged: run 'jrdb-avr load --verify --store {store.path}'")
     with Graph.open(store.graph_path, read_only=True) as graph:
         lows, stamped = layer_stamp(graph)
@@ -151,7 +147,7 @@ def _copy_tables(jobs: Sequence[LayerJob]) -> None:
 
 
 def _copy_derived(jobs: Sequence[LayerJob]) -> None:
-    """Copy the tables that statements found, and the stamp, with digests of all tables and of itself."""
+    """Copy the tables that statements found, and the stamp."""
     stage = jobs[0].store / STAGE
     with _extended(jobs) as graph:
         copy_staged(graph, stage, DERIVED, [job.sequence for job in jobs])
@@ -160,11 +156,7 @@ def _copy_derived(jobs: Sequence[LayerJob]) -> None:
             {"sequence": job.sequence, "low": job.low, "high": job.low + SPAN, "rules_hash": digest, "rules": text}
             for job in jobs
         ]
-        stamp = pa.Table.from_pylist(rows)
-        tables = {folder.name: staged_digests(folder) for folder in sorted(stage.iterdir())}
-        tables["Keyframes"] = digests_of(stamp)
-        texts = [json.dumps({name: found.get(job.sequence) for name, found in tables.items()}) for job in jobs]
-        graph.copy("Keyframes", stamp.append_column("digests", [texts]))
+        graph.copy("Keyframes", pa.Table.from_pylist(rows))
 
 
 def _extended(jobs: Sequence[LayerJob]) -> contextlib.AbstractContextManager[Graph]:

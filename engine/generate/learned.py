@@ -19,7 +19,8 @@ import numpy as np
 
 from jrdb_avr.engine.generate.bins import wait_bin
 from jrdb_avr.engine.generate.blind import Guesser, QuestionText
-from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, same_answer
+from jrdb_avr.schema.answer_modes import MODES, same_answer
+from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import FPS
 
@@ -121,17 +122,18 @@ def _folds(sequences: Sequence[str]) -> Any:
 
 def _values(question: QuestionText) -> list[float]:
     """An answer as the numbers that are learned."""
-    t0 = question.times[0]
-    match question.answer:
-        case FrameAnswer(frame):
-            return [_log(frame - t0)]
-        case Span(start, end):
-            return [_log(start - t0), _log(end - start)]
-        case FrameViewpoint(frame, angle):
-            return [_log(frame - t0), math.cos(math.radians(angle)), math.sin(math.radians(angle))]
-        case Number(value):
-            return [math.log(max(value, _LEAST_S))]
-    raise AssertionError("choices are ranked")
+    before, values = question.times[0], []
+    for name, kind in MODES[question.mode].fields:
+        value = getattr(question.answer, name)
+        if kind == "frame":
+            values.append(_log(value - before))
+            before = value
+        elif kind == "angle":
+            values += [math.cos(math.radians(value)), math.sin(math.radians(value))]
+        else:
+            assert kind == "decimal", "choices are ranked"
+            values.append(math.log(max(value, _LEAST_S)))
+    return values
 
 
 def _log(frames: int) -> float:
@@ -140,12 +142,13 @@ def _log(frames: int) -> float:
 
 def _answer(question: QuestionText, values: Sequence[float]) -> Answer:
     """The answer that such numbers mean for a question."""
-    first = question.times[0] + round(FPS * math.exp(values[0]))
-    match question.answer:
-        case FrameAnswer():
-            return FrameAnswer(first)
-        case Span():
-            return Span(first, first + round(FPS * math.exp(values[1])))
-        case FrameViewpoint():
-            return FrameViewpoint(first, math.degrees(math.atan2(values[2], values[1])) % 360)
-    return Number(math.exp(values[0]))
+    rest, before = iter(values), question.times[0]
+    fields: list[float] = []
+    for _, kind in MODES[question.mode].fields:
+        value = next(rest)
+        if kind == "frame":
+            before += round(FPS * math.exp(value))
+            fields.append(before)
+        else:
+            fields.append(math.degrees(math.atan2(next(rest), value)) % 360 if kind == "angle" else math.exp(value))
+    return MODES[question.mode].build(*fields)

@@ -36,10 +36,10 @@ from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
 from jrdb_avr.engine.generate.sequence import SequenceJob
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.files import write_atomic
+from jrdb_avr.queries.files import file_hash, write_atomic
 from jrdb_avr.queries.graph.handle import held_graph
 from jrdb_avr.queries.manifest import Manifest
-from jrdb_avr.queries.store import Store, file_hash
+from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_sequences
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY

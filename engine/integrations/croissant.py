@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
 
-from jrdb_avr.queries.store import file_hash
+from jrdb_avr.queries.files import file_hash
 from jrdb_avr.schema.card import CITE, HOME, RAI, SAMPLE, SUMMARY, SYNTHETIC, TITLE, Source, sentence
 from jrdb_avr.schema.tables import ABOUT, CANARY, QUESTIONS, column
 

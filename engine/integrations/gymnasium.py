@@ -11,7 +11,7 @@ and is spent. The reward is 0, or with `reward` the score of the prediction at t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
@@ -22,6 +22,7 @@ from gymnasium import spaces
 from jrdb_avr.agent.methods.episode import BUDGET, Episode, most_moves
 from jrdb_avr.engine.run.bench import Bench
 from jrdb_avr.engine.run.judge import Judge
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import InputError, RefusedError
 from jrdb_avr.schema.method import Image, Observation
 from jrdb_avr.schema.panorama import CROP
@@ -135,18 +136,15 @@ class QuestionEnv(gymnasium.Env):
         """The numbers as the contract writes an answer of the question's mode."""
         episode = self._playing()
         last = self.bench.sequences[episode.question.sequence].frame_count
-        first, second = (f"{_place(number, last):06d}" for number in numbers)
-        match episode.question.answer_mode:
-            case "multiple_choice":
-                return 1 + _place(numbers[0], len(episode.question.choices))
-            case "frame":
-                return {"frame_id": first}
-            case "span":
-                return {"start_frame": first, "end_frame": second}
-            case "frame_viewpoint":
-                return {"frame_id": first, "angle_deg": _angle(numbers[1])}
-            case "number":
-                return {"value": f"{LARGEST * float(numbers[0]):.6f}"}
+        mode = MODES[episode.question.answer_mode]
+        if mode.is_choice:
+            return 1 + _place(numbers[0], len(episode.question.choices))
+        write: dict[str, Callable[[Any], object]] = {
+            "frame": lambda number: f"{_place(number, last):06d}",
+            "angle": _angle,
+            "decimal": lambda number: f"{LARGEST * float(number):.6f}",
+        }
+        return {part.key: write[part.kind](number) for part, number in zip(mode.parts, numbers, strict=False)}
 
     def _observation(self) -> dict[str, Any]:
         episode, seen = self._playing(), self._seen

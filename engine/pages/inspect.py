@@ -18,7 +18,8 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import Choice, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError, ObserveError
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.method import Image

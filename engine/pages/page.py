@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -16,7 +16,7 @@ from jrdb_avr.engine.report.formats import cell
 from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.engine.text_table import clean
 from jrdb_avr.queries.files import write_bytes
-from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import Plan
@@ -102,19 +102,16 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
 
     `unit` follows a number, as `unit_of` names it.
     """
-    match read_answer(mode, text):
-        case None:
-            return text or ""
-        case Choice(choice):
-            return f"{choice}: {choices[choice - 1] if 1 <= choice <= len(choices) else 'no such choice'}"
-        case FrameAnswer(frame):
-            return _at(frame, fps)
-        case Span(first, last):
-            return f"from {_at(first, fps)} to {_at(last, fps)}"
-        case FrameViewpoint(frame, angle):
-            return f"{_at(frame, fps)}, angle {angle:.1f}\N{DEGREE SIGN}"
-        case Number(value):
-            return f"{value:.2f}".removesuffix(".00") + (f" {unit}" if unit else "")
+    if (answer := read_answer(mode, text)) is None:
+        return text or ""
+    write: dict[str, Callable[[Any], str]] = {
+        "choice": lambda choice: f"{choice}: {choices[choice - 1] if choice <= len(choices) else 'no such choice'}",
+        "frame": lambda frame: _at(frame, fps),
+        "angle": lambda angle: f"{angle:.1f}\N{DEGREE SIGN}",
+        "decimal": lambda value: f"{value:.2f}".removesuffix(".00") + (f" {unit}" if unit else ""),
+    }
+    record = MODES[mode]
+    return record.words.format_map({name: write[kind](getattr(answer, name)) for name, kind in record.fields})
 
 
 def unit_of(plan: Plan) -> str:

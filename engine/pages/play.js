@@ -104,12 +104,8 @@
 
   // -- the answer ------------------------------------------------------------------------------------------------------
 
-  const FIELDS = {
-    frame: [["frame_id", "frame"]],
-    frame_viewpoint: [["frame_id", "frame"], ["angle_deg", "angle in degrees"]],
-    span: [["start_frame", "first frame"], ["end_frame", "last frame"]],
-    number: [["value", "number"]],
-  };
+  /** The parts of the answer that are typed; a choice is picked. */
+  const typed = () => play.fields.filter((part) => part.kind !== "choice");
   const field = (key) => byId("fields").querySelector(`[name="${key}"]`);
   const fields = () => {
     const parts = play.choices.map((text, place) => {
@@ -117,13 +113,13 @@
       label.append(made("input", { type: "radio", name: "choice", value: String(place + 1) }), ` ${place + 1}. ${text}`);
       return label;
     });
-    for (const [key, word] of FIELDS[play.mode] ?? []) {
+    for (const { key, kind, label: word } of typed()) {
       const label = made("label", {}, `${word} `);
       label.append(made("input", { type: "text", inputMode: "decimal", name: key, autocomplete: "off" }));
-      if (key !== "value") {
-        const use = made("button", { type: "button" }, key === "angle_deg" ? "direction of the strip" : "frame of the slider");
+      if (kind !== "decimal") {
+        const use = made("button", { type: "button" }, kind === "angle" ? "direction of the strip" : "frame of the slider");
         use.addEventListener("click", () => {
-          field(key).value = key === "angle_deg" ? angle.toFixed(1) : play.frames[at];
+          field(key).value = kind === "angle" ? angle.toFixed(1) : play.frames[at];
           ready();
         });
         label.append(" ", use);
@@ -134,16 +130,16 @@
   };
   /** The answer in the contract's form; null where a part is missing or is no number. */
   const answer = () => {
-    if (play.mode === "multiple_choice") {
+    if (!typed().length) {
       const chosen = byId("fields").querySelector("input:checked");
       return chosen && Number(chosen.value);
     }
     const found = {};
-    for (const [key] of FIELDS[play.mode]) {
+    for (const { key, kind } of typed()) {
       const text = field(key).value.trim();
-      const whole = key !== "value" && key !== "angle_deg";
+      const whole = kind === "frame";
       if (!(whole ? /^\d{1,6}$/ : /^-?\d+(\.\d+)?$/).test(text)) return null;
-      found[key] = whole ? frameId(text) : key === "value" ? text : Number(text);
+      found[key] = whole ? frameId(text) : kind === "decimal" ? text : Number(text);
     }
     return found;
   };

@@ -15,6 +15,7 @@ from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, 
 from jrdb_avr.engine.pages.svg import shortened
 from jrdb_avr.engine.report.traces import Look, StoredRow, Trace, Transcript
 from jrdb_avr.engine.report.truth import read_answer
+from jrdb_avr.schema.answer_modes import frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice
 from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.errors import ObserveError
@@ -114,8 +115,7 @@ def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
 def _frames(mode: str, text: str | None) -> list[int]:
     """The frames that an answer names; none where it names none or is unreadable."""
     answer = read_answer(mode, text)
-    values = {} if answer is None else msgspec.structs.asdict(answer)
-    return [value for name, value in values.items() if name.endswith("frame")]
+    return [] if answer is None else frames_of_answer(answer)
 
 
 def _way(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:

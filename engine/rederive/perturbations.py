@@ -19,7 +19,8 @@ from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.plan import ResolvedPlan, find_people, join
 from jrdb_avr.engine.rederive.reads import reading_of
 from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, Outcome, Undefined
-from jrdb_avr.schema.answers import FrameViewpoint, decode_answer, same_answer
+from jrdb_avr.schema.answer_modes import decode_answer, same_answer
+from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.arrays import Bools
 from jrdb_avr.schema.panorama import CROP, WIDTH, crop_left
 from jrdb_avr.schema.plan import Edge, Plan, Time

@@ -10,7 +10,7 @@ import numpy as np
 
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, percent_of
 from jrdb_avr.engine.report.truth import read_answer
-from jrdb_avr.schema.answers import same_answer
+from jrdb_avr.schema.answer_modes import same_answer
 
 HUMAN: Final = "human"
 """The method of a run that `play` made; who played, its model says."""

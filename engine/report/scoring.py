@@ -15,7 +15,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.truth import FRAME_LIMIT, Truth, frame_key, read_answer, row_numbers
-from jrdb_avr.schema.answers import TIE, same_answer
+from jrdb_avr.schema.answer_modes import same_answer
+from jrdb_avr.schema.answers import TIE
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import WIDTH

@@ -10,7 +10,8 @@ import pyarrow.compute as pc
 
 from jrdb_avr.queries.questions import fitted, in_order
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import ANSWER_TYPES, Answer, decode_answer
+from jrdb_avr.schema.answer_modes import MODES, decode_answer
+from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import DecodeError, StoreError
 from jrdb_avr.schema.tables import QUESTIONS
@@ -51,7 +52,7 @@ class Truth:
         self.ids = questions["question_id"].combine_chunks()
         answers = answers.take(pa.array(find_rows(answers["question_id"], self.ids, "answers")))
         self.modes: list[str] = questions["answer_mode"].to_pylist()
-        if not ANSWER_TYPES.keys() >= set(self.modes):
+        if not MODES.keys() >= set(self.modes):
             raise StoreError("the questions name an unknown answer mode: generate again")
         decoded = map(read_answer, self.modes, answers["answer"].to_pylist())
         self.answers = [answer for answer in decoded if answer is not None]

@@ -17,7 +17,7 @@ from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.calibrate import Calibration
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
-from jrdb_avr.agent.model.options import DEFAULTS, Options
+from jrdb_avr.agent.model.options import DEFAULTS, EndpointOptions
 from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.agent.simulated.knobs import Knobs, profile_of
 from jrdb_avr.queries.store import Store, is_plain_name, write_json
@@ -35,7 +35,7 @@ class Endpoint:
         calibration: Calibration | None,
         model: str,
         base_url: str,
-        options: Options = DEFAULTS,
+        options: EndpointOptions = DEFAULTS,
         cache: Path | None = None,
         method: str | None = None,
         strict: bool = False,

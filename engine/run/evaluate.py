@@ -1,10 +1,10 @@
-"""Evaluate a method: have it answer a store's questions, with everything it does on record.
+"""Evaluate a method: let it answer questions of a store, and record everything it does.
 
     runs/<run_id>/                    manifest, journal and tables (`Run`)
     runs/<run_id>/calls.jsonl         model calls that finished cleanly
 
-A run killed at any point loses nothing that is in the journal; resumed, it answers what is not, and what ended in an
-error. Only the public question tables and the panoramas are read.
+A run that is killed loses nothing that is in the journal. A resumed run answers the remaining questions and those that
+ended in an error. Only the public tables of questions and the panoramas are read.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import contextlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +23,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
-from jrdb_avr.agent.model.options import DEFAULTS, Options
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.reference.method import Policy
 from jrdb_avr.agent.simulated.knobs import PERFECT, Knobs, profile_of, turned
@@ -46,8 +45,8 @@ from jrdb_avr.engine.run.methods import (
     open_world,
 )
 from jrdb_avr.engine.run.opaque import key_fingerprint
+from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions, MethodOptions
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
-from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
@@ -60,9 +59,9 @@ _TOKENS: Final = ("prompt_tokens", "completion_tokens")
 
 @dataclass(frozen=True, repr=False)
 class RunResult(Displayed):
-    """A finished run: its id and its rows of `predictions`. `synthetic`: of the built-in model or the sample world.
+    """Result of a run: its id and its rows of `predictions`.
 
-    `price`: the model's, if it is known.
+    `synthetic` marks runs of the simulated model or on the sample world. `price` is the price of the model, if known.
     """
 
     run_id: str
@@ -71,7 +70,7 @@ class RunResult(Displayed):
     price: Price | None = None
 
     def row(self) -> dict[str, Any]:
-        """Counts by status, sums of calls, looks and tokens, mean seconds, and the dollars of the tokens if known."""
+        """Return counts by status, sums of calls, looks and tokens, mean seconds, and dollars if a price is known."""
         status = self.predictions["status"].to_pylist()
         sums = {name.removeprefix("n_"): pc.sum(self.predictions[name]).as_py() or 0 for name in _SUMS}
         return {
@@ -84,7 +83,14 @@ class RunResult(Displayed):
         }
 
     def commonest_reason(self, status: str) -> tuple[str, int]:
-        """The commonest reason of a status, "error" or "invalid", and its number of questions; "" and 0 without any."""
+        """Return the most frequent reason of a status.
+
+        Args:
+            status: "error" or "invalid".
+
+        Returns:
+            The reason and its number of questions; "" and 0 if no question has the status.
+        """
         ended = self.predictions.filter(pc.equal(self.predictions["status"], status))
         found = Counter(ended["reason"].to_pylist()).most_common(1)
         return found[0] if found else ("", 0)
@@ -101,158 +107,185 @@ def evaluate(
     store: Store | str | Path,
     method: str | Method,
     model: str = NO_MODEL,
+    options: EvaluateOptions = DEFAULTS,
     *,
-    base_url: str | None = None,
-    options: Options = DEFAULTS,
-    marker: Knobs | None = None,
-    run_id: str | None = None,
-    questions: QuestionSelection | Iterable[str] | None = None,
-    limit: int | None = None,
-    concurrency: int = 16,
-    resume: bool = False,
-    images: str | Path | None = None,
-    world_db: Path | None = None,
-    opaque: bool = False,
-    policy: Policy | None = None,
-    history: int | None = None,
-    strict_preflight: bool = False,
-    epoch: int | None = None,
     progress: Progress | None = None,
     live_scores: Callable[[LiveScore], None] | None = None,
 ) -> RunResult:
-    """Have a method answer questions of a store, and record every step in `runs/<run_id>/`.
+    """Let a method answer questions of a store, and record every step in `runs/<run_id>/`.
 
-    `method`: a name of `METHODS`, a custom one as "FILE.py:NAME" or "MODULE:NAME", or a method itself. `model`: the
-    server's id for it, at `base_url`; "simulated" or "simulated:PROFILE" is the built-in one, which reads marks, and
-    `marker` stands in place of its profile's knobs. `questions`: ids, or a `QuestionSelection`; all without, at most
-    `limit`. `resume` finishes a run, and enlarges it where more questions are selected. `images` and `world_db` stand
-    in for the store's panoramas and graph. `opaque`: whether the method gets opaque names of sequences (`run.opaque`).
-    `policy`: who chooses the looks of agent and agent-no-world: the harness, as "driven", if none is named. `history`:
-    how many of the newest pictures react, or agent-no-world under "model", sends in each turn; all without.
-    `strict_preflight`: whether a failed check of the server refuses the run; else it is a warning, and in the manifest.
-    `epoch`: the number of the run among those that answer the same questions again, which ends its id; the simulated
-    model's seed moves with it. `live_scores` is called from another thread with the scores so far.
-    Problems that do not end the run are AvrWarnings.
+    A problem that does not end the run is an AvrWarning.
 
-    Raises InputError, StoreError or EndpointError before the first question where something does not fit.
+    Args:
+        store: The store, or its folder; a public store is enough (`export --public`).
+        method: A method, a name of `METHODS`, or "FILE.py:NAME" or "MODULE:NAME" of a method of your own.
+        model: The id of the model at its server. "simulated" or "simulated:PROFILE" is the built-in model, "none" no
+            model.
+        options: All further options.
+        progress: Called with steps of the run.
+        live_scores: Called from another thread with the scores so far.
 
-        evaluate("store", "react", "simulated:noisy", limit=20)
+    Returns:
+        The run and its predictions.
+
+    Raises:
+        InputError: Arguments or options are wrong or contradict each other.
+        StoreError: The store or the run does not fit.
+        EndpointError: The server cannot be used.
+
+    Example:
+        evaluate("store", "react", "simulated", EvaluateOptions(selection=QuestionSelection(limit=20)))
     """
     store = Store.of(store)
-    check_arguments(method, model, base_url, marker is not None, world_db, policy, history)
-    simulated = profile_of(model)
-    knobs = marker or simulated or PERFECT
-    if epoch is not None:
-        knobs = msgspec.structs.replace(knobs, seed=knobs.seed + epoch - 1)
-    name = method if isinstance(method, str) else method.name
-    player = player_of(name, policy)
-    run_id = default_run_id(player, model) if run_id is None else run_id
-    # Before the epoch, which would make a name of none.
-    folder = store.run_path(run_id)
-    if epoch is not None:
-        run_id = f"{run_id}-{epoch}"
-        folder = store.run_path(run_id)
-    image_root = find_images(store, images)
-    chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
-    bench = Bench(store, chosen, image_root, opaque)
+    check_options(method, model, options)
+    own, files, knobs = options.method, options.run, _knobs(model, options)
+    run_id = name_run(store, method, model, options)
+    image_root = find_images(store, files.images)
+    chosen, selection = run_questions(store, run_id, options.selection, files.resume, image_root)
+    bench = Bench(store, chosen, image_root, own.opaque)
     with contextlib.ExitStack() as stack:
         run = stack.enter_context(Run(store, run_id))
-        calls = folder / "calls.jsonl"
-        world = stack.enter_context(_world(store, run_id, name, world_db, run))
+        world = stack.enter_context(_open_world(store, run, method, files.world_db))
         endpoint = None
         if model != NO_MODEL:
-            url = stack.enter_context(serving(model, base_url, folder / "marker.jsonl", knobs))
-            calibration = read_calibration(store, model)
-            endpoint = Endpoint(calibration, model, url, options, calls, player, strict_preflight)
-            for line in endpoint.warnings:
-                warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=2)
-        own = _make(method, endpoint, world, policy, history)
-        manifest = run.start(
-            own.name,
-            model,
-            [question.question_id for question in chosen],
-            {
-                "method": own.settings(),
-                **({} if endpoint is None else endpoint.settings),
-                **({"marker": turned(knobs)} if simulated is not None and knobs != PERFECT else {}),
-                **({"opaque": key_fingerprint(store)} if opaque else {}),
-                **({"epoch": epoch} if epoch is not None else {}),
-            },
-            simulated is not None or bench.synthetic,
-            selection,
-        )
+            endpoint = stack.enter_context(_connect(run, method, model, options, knobs))
+        player = _make(method, endpoint, world, own)
+        settings = {
+            "method": player.settings(),
+            **({} if endpoint is None else endpoint.settings),
+            **({"marker": turned(knobs)} if knobs not in (None, PERFECT) else {}),
+            **({"opaque": key_fingerprint(store)} if own.opaque else {}),
+            **({} if files.epoch is None else {"epoch": files.epoch}),
+        }
+        ids = [question.question_id for question in chosen]
+        manifest = run.start(player.name, model, ids, settings, knobs is not None or bench.synthetic, selection)
         if live_scores is not None:
             run.listeners.append(stack.enter_context(report_scores(store, run.finished.values(), live_scores)))
-        advance = step_counter(progress, f"{name}, {model}", len(chosen))
+        advance = step_counter(progress, f"{_name(method)}, {model}", len(chosen))
         see = bench.observer
-        answer_all(own, bench.questions, bench.sequences, see, see.stored, run, concurrency, advance)
+        answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance)
         if world is not None:
-            # Before the tables: a run that has predictions is complete.
+            # Before the tables, because a run with predictions is complete.
             add_world_counts(store, run_id, world.graph.counts)
         predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):
             warnings.warn(changed, AvrWarning, stacklevel=2)
-    return RunResult(run_id, predictions, manifest.synthetic, options.price)
+    return RunResult(run_id, predictions, manifest.synthetic, options.endpoint.price)
 
 
-def _make(
-    method: str | Method,
-    endpoint: Endpoint | None,
-    world: WorldModel | None,
-    policy: Policy | None,
-    history: int | None,
-) -> ConfigurableMethod:
-    """Return the method to run. Raise InputError if a custom method cannot be made."""
-    if not isinstance(method, str):
-        return CustomMethod(type(method).__name__, method)
-    if is_custom(method):
-        return load_custom_method(method, None if endpoint is None else endpoint.client)
-    assert endpoint is not None, "built-in methods need a model: check_arguments"
-    return make_method(method, endpoint.client, endpoint.convention, world, policy, history)
+def check_options(method: str | Method, model: str, options: EvaluateOptions) -> None:
+    """Check that the arguments of `evaluate` do not contradict each other.
 
+    Args:
+        method: As for `evaluate`.
+        model: As for `evaluate`.
+        options: As for `evaluate`.
 
-def check_arguments(
-    method: str | Method,
-    model: str,
-    base_url: str | None,
-    noisy: bool,
-    world_db: Path | None,
-    policy: Policy | None = None,
-    history: int | None = None,
-) -> None:
-    """Raises InputError, in the words of the command's options, for arguments that contradict each other."""
+    Raises:
+        InputError: They do; the message names the options of the command line.
+    """
+    own, endpoint, selection = options.method, options.endpoint, options.selection
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
         raise InputError(f"{method!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in METHODS:
         raise InputError(f"--model none: {method} needs a model", field="model")
-    if noisy and (profile_of(model) is None or base_url is not None):
+    if own.marker is not None and (profile_of(model) is None or endpoint.base_url is not None):
         raise InputError(
             "--marker sets how the simulated model plays: give it with --model simulated or marker alone",
             field="marker",
         )
-    chosen = policy or default_policy(method)
-    if chosen != "model" and method not in DRIVABLE:
+    policy = own.policy or default_policy(method)
+    if policy != "model" and method not in DRIVABLE:
         raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
-    if history is not None and (method not in CHATS or chosen != "model"):
+    if own.history is not None and (method not in CHATS or policy != "model"):
         raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
-    if world_db is not None and method not in WORLD_METHODS:
+    if options.run.world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
+    if selection.shard is not None and not 1 <= selection.shard[0] <= selection.shard[1]:
+        raise InputError("--shard I/N: I is a number from 1 to N", field="shard")
 
 
-def player_of(method: str, policy: Policy | None) -> str:
-    """A method's name, with the policy behind it where that is not the method's own."""
+def name_run(store: Store, method: str | Method, model: str, options: EvaluateOptions) -> str:
+    """Return the id of a run, with its shard and its epoch at the end.
+
+    Args:
+        store: The store of the run.
+        method: As for `evaluate`.
+        model: As for `evaluate`.
+        options: As for `evaluate`.
+
+    Returns:
+        The id; the same arguments give the same id, so that the run can be resumed.
+
+    Raises:
+        InputError: The id of the options is not a plain name.
+    """
+    run_id = options.run.run_id
+    if run_id is None:
+        run_id = default_run_id(name_player(_name(method), options.method.policy), model)
+    # Before the suffixes, because they would make an empty id valid.
+    store.run_path(run_id)
+    shard, epoch = options.selection.shard, options.run.epoch
+    run_id += "" if shard is None else f"-{shard[0]}of{shard[1]}"
+    return run_id + ("" if epoch is None else f"-{epoch}")
+
+
+def name_player(method: str, policy: Policy | None) -> str:
+    """Return the name of a method, followed by its policy if that is not the default policy of the method."""
     return method if policy in (None, default_policy(method)) else f"{method}-{policy}"
 
 
 def default_run_id(method: str, model: str) -> str:
-    """The name of a run without one: the same arguments name the same run, so that it can be resumed."""
-    own = f"{Path(method).name.replace('.py:', '-')}-{model}"
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", own).strip("-")[:80]
+    """Return the id of a run from the names of its method and its model."""
+    text = f"{Path(method).name.replace('.py:', '-')}-{model}"
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:80]
+
+
+def _name(method: str | Method) -> str:
+    return method if isinstance(method, str) else method.name
+
+
+def _knobs(model: str, options: EvaluateOptions) -> Knobs | None:
+    """Return the knobs of a simulated model, with the epoch added to their seed; None for another model."""
+    if (profile := profile_of(model)) is None:
+        return None
+    knobs = options.method.marker or profile
+    epoch = options.run.epoch
+    return knobs if epoch is None else msgspec.structs.replace(knobs, seed=knobs.seed + epoch - 1)
 
 
 @contextlib.contextmanager
-def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: Run) -> Iterator[WorldModel | None]:
-    """The run's world model with the facts of the journal; None for a method without one."""
+def _connect(
+    run: Run, method: str | Method, model: str, options: EvaluateOptions, knobs: Knobs | None
+) -> Iterator[Endpoint]:
+    """Yield the checked server of a model; warn of failed checks."""
+    folder, endpoint = run.store.run_path(run.run_id), options.endpoint
+    with serving(model, endpoint.base_url, folder / "marker.jsonl", knobs) as url:
+        calibration = read_calibration(run.store, model)
+        player = name_player(_name(method), options.method.policy)
+        found = Endpoint(
+            calibration, model, url, endpoint, folder / "calls.jsonl", player, options.run.strict_preflight
+        )
+        for line in found.warnings:
+            warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=4)
+        yield found
+
+
+def _make(
+    method: str | Method, endpoint: Endpoint | None, world: WorldModel | None, options: MethodOptions
+) -> ConfigurableMethod:
+    """Return the method to run. Raise InputError if a method of the user cannot be made."""
+    if not isinstance(method, str):
+        return CustomMethod(type(method).__name__, method)
+    if is_custom(method):
+        return load_custom_method(method, None if endpoint is None else endpoint.client)
+    assert endpoint is not None, "built-in methods need a model: check_options"
+    return make_method(method, endpoint.client, endpoint.convention, world, options.policy, options.history)
+
+
+@contextlib.contextmanager
+def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | None) -> Iterator[WorldModel | None]:
+    """Yield the world model of a run with the facts of its journal; None for a method without a world model."""
     if method not in WORLD_METHODS:
         yield None
         return
@@ -262,7 +295,7 @@ def _world(store: Store, run_id: str, method: str, world_db: Path | None, run: R
         )
     path = world_db or store.graph_path
     try:
-        with open_world(path, run_id, world_rows(run_id, run.finished)) as world:
+        with open_world(path, run.run_id, world_rows(run.run_id, run.finished)) as world:
             yield world
     except LockedError as error:
         raise LockedError(

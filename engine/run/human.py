@@ -6,6 +6,7 @@ and budget. Only the public half of the store is read, and no response says whet
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ from jrdb_avr.engine.local_server import Request, Response
 from jrdb_avr.engine.run.bench import Bench
 from jrdb_avr.engine.run.playing import Play, due_questions
 from jrdb_avr.engine.run.run import Run
+from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.method import Observation
 
@@ -99,7 +101,7 @@ class HumanDesk:
                 "question_id": question.question_id,
                 "question": question.question,
                 "choices": question.choices,
-                "mode": question.answer_mode,
+                "fields": [dataclasses.asdict(part) for part in MODES[question.answer_mode].parts],
                 "rule": text.rule,
                 "advice": text.advice,
                 "frames": info.frames,

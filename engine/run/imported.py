@@ -12,8 +12,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.prediction_lines import LARGEST_FILE, parse_lines, read_regular
+from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.run import has_manifest
-from jrdb_avr.engine.run.selection import QuestionSelection, matching
+from jrdb_avr.engine.run.selection import matching
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store

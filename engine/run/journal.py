@@ -22,7 +22,8 @@ import msgspec
 import pyarrow as pa
 
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_groups
-from jrdb_avr.schema.answers import decode_answer, encode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.beliefs import Write
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.method import Prediction, Question, Status, Step, Verdict

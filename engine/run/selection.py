@@ -1,121 +1,110 @@
-"""Choose the questions of a run: by id, family, template and sequence, at most so many of each template or in all.
-
-The same selection of the same questions is always the same list, and a larger `limit` or `per_template` only adds to
-it, so that a run can grow.
-"""
+"""Select the questions of a run, by `QuestionSelection`."""
 
 from __future__ import annotations
 
 import hashlib
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import msgspec
-
-from jrdb_avr.queries.questions import QuestionRow
+from jrdb_avr.engine.run.options import QuestionSelection
+from jrdb_avr.queries.questions import HIDDEN, QuestionRow
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_mean
 
-
-class QuestionSelection(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Which questions a run answers; without arguments all of them.
-
-    questions, families, templates, sequences: names, of which a question needs one of each that is not empty.
-    per_template, limit: at most so many of each template, and in all, of those that have panoramas; with both, `limit`
-    takes the same number of each template, as far as there are so many. seed: draws them at random; without one the
-    first are taken, in the order of `questions` or of the file.
-    """
-
-    questions: tuple[str, ...] = ()
-    families: tuple[str, ...] = ()
-    templates: tuple[str, ...] = ()
-    sequences: tuple[str, ...] = ()
-    per_template: int | None = None
-    limit: int | None = None
-    seed: int | None = None
-
-    @classmethod
-    def of(cls, questions: QuestionSelection | Iterable[str] | None, limit: int | None = None) -> QuestionSelection:
-        """A selection itself, or that of some ids; `limit` goes before the selection's own."""
-        if not isinstance(questions, QuestionSelection):
-            ids = None if questions is None else tuple(dict.fromkeys(questions))
-            if ids == ():
-                raise InputError("no question is named", field="questions")
-            questions = cls(questions=ids or ())
-        return questions if limit is None else msgspec.structs.replace(questions, limit=limit)
-
-    def record(self) -> dict[str, Any]:
-        """What was chosen, as plain JSON for the manifest; empty for all questions."""
-        found: dict[str, Any] = msgspec.to_builtins(self)
-        return found
-
-
-_COLUMN: Final = {
+_COLUMNS: Final = {
     "questions": "question_id",
     "families": "family",
     "templates": "template",
     "sequences": "sequence",
 }
-"""Per field of names: the column of questions that it restricts."""
+"""Column of the questions by option of names."""
 
 
 def select_questions(
     questions: Sequence[QuestionRow], selection: QuestionSelection, image_root: str | None
 ) -> list[QuestionRow]:
-    """The selected questions among those whose sequence has a folder with panoramas under `image_root`.
+    """Select questions whose sequence has panoramas.
 
-    Numbers are counted after questions without panoramas are left out, of which a warning tells. Raises InputError for
-    an unknown name, StoreError where no question is left.
+    Questions without panoramas are left out first, with a warning; maximum numbers count the others.
+
+    Args:
+        questions: All questions of the store, in the order of its file.
+        selection: The options.
+        image_root: Folder with one folder of panoramas per sequence.
+
+    Returns:
+        The selected questions, in the order of the ids of the selection, of the draw, or of the file. They may be
+        none only if the selection is a shard.
+
+    Raises:
+        InputError: The selection has an unknown name, or needs columns that the store lacks.
+        StoreError: No question remains.
     """
-    candidates = matching(questions, selection)
-    found = _with_panoramas(candidates, image_root)
+    if selection.per_template is not None:
+        _check_columns(questions, "template")
+    found = _with_panoramas(matching(questions, selection), image_root)
     if selection.seed is not None:
         found.sort(key=lambda question: _draw(selection.seed, question))
     if selection.per_template is not None:
         counts: Counter[str] = Counter()
-        ranked = sorted(((_counted(counts, own.template), own) for own in found), key=itemgetter(0))
-        found = [own for rank, own in ranked if rank <= selection.per_template]
-    return found[: selection.limit]
+        ranked = sorted(((_count(counts, row.template), row) for row in found), key=itemgetter(0))
+        found = [row for rank, row in ranked if rank <= selection.per_template]
+    found = found[: selection.limit]
+    if selection.shard is None:
+        return found
+    # All sequences of the store: more questions must not move a sequence to another shard.
+    number, shards = selection.shard
+    members = set(sorted({row.sequence for row in questions})[number - 1 :: shards])
+    return [row for row in found if row.sequence in members]
 
 
 def matching(questions: Sequence[QuestionRow], selection: QuestionSelection) -> list[QuestionRow]:
-    """The questions of the selection's names, in the order of its ids or of the file, and however many.
+    """Return all questions that match the names of a selection.
 
-    Raises InputError for an unknown name.
+    Args:
+        questions: All questions of the store, in the order of its file.
+        selection: The options.
+
+    Returns:
+        The questions, in the order of the ids of the selection or of the file.
+
+    Raises:
+        InputError: The selection has an unknown name, or needs columns that the store lacks.
     """
-    for field, column in _COLUMN.items():
-        names, known = getattr(selection, field), {getattr(own, column): None for own in questions}
+    for field, column in _COLUMNS.items():
+        names, known = getattr(selection, field), {getattr(row, column): None for row in questions}
+        if names:
+            _check_columns(questions, column)
         if unknown := [name for name in names if name not in known]:
             which = f"{len(unknown)} of {len(names)} {field}" if len(names) > 1 else column.replace("_", " ")
-            # An id is like every other.
+            # Ids are too much alike for a suggestion.
             near = "" if field == "questions" else did_you_mean(unknown[0], known)
-            raise InputError(
-                f"{which} {unknown[0][:60]!r} is not in the store's questions{near}",
-                field=column,
-            )
+            raise InputError(f"{which} {unknown[0][:60]!r} is not in the store's questions{near}", field=column)
     if selection.questions:
-        by_id = {own.question_id: own for own in questions}
+        by_id = {row.question_id: row for row in questions}
         questions = [by_id[name] for name in dict.fromkeys(selection.questions)]
-    return [
-        own
-        for own in questions
-        if all(
-            not getattr(selection, field) or getattr(own, _COLUMN[field]) in getattr(selection, field)
-            for field in _COLUMN
+    required = [(column, getattr(selection, field)) for field, column in _COLUMNS.items() if getattr(selection, field)]
+    return [row for row in questions if all(getattr(row, column) in names for column, names in required)]
+
+
+def _check_columns(questions: Sequence[QuestionRow], column: str) -> None:
+    if column in HIDDEN and not any(getattr(row, column) for row in questions):
+        raise InputError(
+            f"the questions of a public store have no {column}: select by --sequence, --questions or --limit",
+            field=column,
         )
-    ]
 
 
-def _counted(counts: Counter[str], name: str) -> int:
+def _count(counts: Counter[str], name: str) -> int:
     counts[name] += 1
     return counts[name]
 
 
 def _draw(seed: int | None, question: QuestionRow) -> bytes:
-    """The question's place in a draw: the same for any others beside it."""
+    """Return the sort key of a question in a draw; it does not depend on the other questions."""
     return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 

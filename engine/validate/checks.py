@@ -27,7 +27,8 @@ from jrdb_avr.engine.validate.replay import differences, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.queries.workers import Executor
-from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, FrameViewpoint, Span, decode_answer
+from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
+from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
 from jrdb_avr.schema.labels import answer_of_choice, overlapping
 from jrdb_avr.schema.panorama import Box
@@ -288,7 +289,7 @@ class _QuestionCheck:
         own = frames == self.annotations.boxes(record.target_track)
         self.check("evidence", own, f"not the boxes of person {record.target_track}")
         self.check("rules", record.rules == rules_hash(self.rules), f"generated under rules {record.rules}")
-        fine = count == len(set(record.choices)) == (CHOICE_COUNT if mode == "multiple_choice" else 0)
+        fine = count == len(set(record.choices)) == (CHOICE_COUNT if MODES[mode].is_choice else 0)
         self.check("choices", fine, f"choices {list(record.choices)} for an answer of mode {mode}")
         poses = set(map(answer_of_choice, record.choices))
         both = sorted(pose for pose in poses if overlapping(pose) & poses)
@@ -353,14 +354,11 @@ class _QuestionCheck:
 
 
 def _inside(answer: Answer, choices: int, frame_count: int) -> bool:
-    match answer:
-        case Choice(number):
-            return number <= choices
-        case FrameAnswer(frame) | FrameViewpoint(frame):
-            return frame < frame_count
-        case Span(start, end):
-            return start <= end < frame_count
-    return answer.value > 0
+    if isinstance(answer, Choice):
+        return answer.choice <= choices
+    if frames := frames_of_answer(answer):
+        return frames == sorted(frames) and frames[-1] < frame_count
+    return not isinstance(answer, Number) or answer.value > 0
 
 
 # -- all questions together ----------------------------------------------------------------------------------------
@@ -378,7 +376,7 @@ def _check_selection(report: Validation, records: Sequence[QuestionRecord], rule
     _check_alike(report, records, rules)
     chosen: dict[str, Counter[str]] = defaultdict(Counter)
     for record in records:
-        if record.answer_mode == "multiple_choice":
+        if MODES[record.answer_mode].is_choice:
             chosen[record.template][record.answer_text] += 1
     for template, counts in sorted(chosen.items()):
         ((commonest, count),) = counts.most_common(1)
@@ -396,10 +394,9 @@ def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: R
         except AvrError:
             continue  # A fault of `plans`.
         times = [plan.times[name] for name in plan.answer.times]
-        match decode_answer(record.answer_mode, record.answer):
-            case FrameAnswer(frame) | FrameViewpoint(frame) | Span(frame):
-                start = record.sequence, record.target_track, times[0].action, frame
-                starts[start].append(record.question_id)
+        if frames := frames_of_answer(decode_answer(record.answer_mode, record.answer)):
+            start = record.sequence, record.target_track, times[0].action, frames[0]
+            starts[start].append(record.question_id)
         stated = tuple(time.frame for time in times if time.frame is not None)
         if len(stated) == len(times):
             reads[record.sequence, record.target_track, record.template].append((record.question_id, stated))

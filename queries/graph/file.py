@@ -1,9 +1,9 @@
 """The graph file with its side files: the fingerprint and the lock.
 
-The engine has no page checksums, and opens a truncated or replaced file without an error. The fingerprint
-`<graph>.json` is written when the graph is built. It shows whether the file is complete and has the tables of this
-program. Its checksum needs a read of the whole file, so only `load --verify` compares it. The fingerprint is not in the
-manifest, because two builds of the same scene differ in their bytes.
+The engine has no page checksums and opens a file that was cut short or swapped without an error. The fingerprint,
+`<graph>.json`, is written when the file is built. It shows whether the file is whole and has this program's tables.
+`load --verify` compares its hash with the file. The hash is not in the manifest, because two builds of the same scene
+differ in their bytes, and manifests of equal stores are equal.
 
 The lock is on a side file, `<graph>.lock`, and admits one writer or any number of readers.
 """
@@ -15,12 +15,13 @@ import fcntl
 import os
 import shutil
 import time
-import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Final
 
 import msgspec
 
+from jrdb_avr.queries.files import file_hash
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
@@ -44,18 +45,14 @@ _LEAST_FREE: Final = 32 << 20
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
-_CHUNK: Final = 1 << 20
-
 
 class Fingerprint(msgspec.Struct, frozen=True):
-    """Version of the tables, size in bytes and CRC-32 of a graph file when it was built.
-
-    The CRC-32 excludes the first page, which the engine rewrites when it opens the file for writing.
-    """
+    """A graph file as built: version of its tables, size in bytes, sha256, and rows per table."""
 
     storage_version: int
     size: int
-    crc32: int
+    sha256: str
+    rows: dict[str, int]
 
 
 def fingerprint_path(graph: Path) -> Path:
@@ -68,14 +65,14 @@ def building_path(graph: Path) -> Path:
     return graph.with_name(f".{graph.name}.building")
 
 
-def fingerprint_of(file: Path) -> Fingerprint:
-    """Compute the fingerprint of a finished graph file. Raises OSError."""
-    with file.open("rb") as stream:
-        stream.seek(PAGE)
-        checksum = 0
-        while chunk := stream.read(_CHUNK):
-            checksum = zlib.crc32(chunk, checksum)
-        return Fingerprint(STORAGE_VERSION, stream.tell(), checksum)
+def fingerprint_of(file: Path, rows: Mapping[str, int]) -> Fingerprint:
+    """Return the fingerprint of a finished graph file with its rows per table. Raises OSError."""
+    return Fingerprint(STORAGE_VERSION, file.stat().st_size, file_hash(file), dict(rows))
+
+
+def is_as_built(graph: Path) -> bool:
+    """Return whether a graph file has the hash in its fingerprint. Raises as `check_fingerprint`."""
+    return check_fingerprint(graph).sha256 == file_hash(graph)
 
 
 def check_fingerprint(graph: Path) -> Fingerprint:
@@ -203,15 +200,18 @@ def check_room(graph: Path) -> None:
             )
 
 
-def publish(temporary: Path, graph: Path) -> None:
-    """Rename a finished graph file, and write its fingerprint. Raises StoreError if the disk refuses."""
+def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
+    """Rename a finished graph file with these rows per table, and write its fingerprint.
+
+    Raises StoreError if the disk refuses.
+    """
     try:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
         # Remove the old log first, because the engine would replay it into the new file.
         for suffix in _SIDE_FILES:
             graph.with_name(graph.name + suffix).unlink(missing_ok=True)
-        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary)))
+        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary, rows)))
         temporary.replace(graph)
         _rename_fingerprint(graph)
     except OSError as error:

@@ -174,6 +174,15 @@ class Graph:
         """Return the names of the graph's tables."""
         return set(self.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
 
+    def row_counts(self) -> dict[str, int]:
+        """Return the rows of each table."""
+        counts = {}
+        tables = self.query("CALL show_tables() RETURN name, type", ordered=False).to_pylist()
+        for name, kind in sorted((table["name"], table["type"]) for table in tables):
+            pattern = f"(n:`{name}`)" if kind == "NODE" else f"()-[r:`{name}`]->()"
+            counts[name] = int(self.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py())
+        return counts
+
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
         """Return the engine's plan of a statement. Raises QueryError if it cannot be planned."""
         text, values = bind(cypher, params or {})
@@ -388,7 +397,8 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
         with Graph(SharedDatabase(database)) as graph:
             yield graph
             graph.execute("CHECKPOINT")
-        publish(temporary, target)
+            rows = graph.row_counts()
+        publish(temporary, target, rows)
 
 
 def remove_graph(path: str | Path) -> None:

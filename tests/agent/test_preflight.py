@@ -8,10 +8,10 @@ import pytest
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, completion, images, schema_of, seeing, texts
 
-from jrdb_avr.agent.methods.attempt import PANORAMAS
+from jrdb_avr.agent.methods.requests import PANORAMAS
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.preflight import CROPS, SENDERS, preflight, require
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
@@ -25,7 +25,9 @@ NAMES += ["finish", "tokens", "model"]
 
 def checks(script, model="fake", **options):
     with FakeServer(script) as server:
-        client = Client(server.url, model, Options(**options), convention=convention_of(model), pause=lambda s: None)
+        client = Client(
+            server.url, model, EndpointOptions(**options), convention=convention_of(model), pause=lambda s: None
+        )
         found = preflight(client)
     return {check.name: check for check in found}, server
 
@@ -461,5 +463,5 @@ def marker(**knobs):
 )
 def test_the_marker_passes_by_what_it_sees(knobs, options, wrong):
     with marker(**knobs) as url:
-        found = preflight(Client(url, "marker", Options(**options)))
+        found = preflight(Client(url, "marker", EndpointOptions(**options)))
     assert [check.name for check in found if not check.passed] == wrong

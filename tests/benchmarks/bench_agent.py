@@ -44,6 +44,7 @@ from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.methods import default_policy
+from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.questions import read_question_rows, read_questions
@@ -156,8 +157,12 @@ def make_run(run: Run) -> None:
     run.path.mkdir(parents=True, exist_ok=True)
     world = run.path / "world.kuzu" if method in ("agent", "agent-passive") else None
     marker = msgspec.structs.replace(run.knobs, seed=run.seed)
-    names = {"run_id": run.run_id, "questions": run.questions, "policy": policy or None, "resume": True}
-    evaluate(Store(run.store), method, "simulated", marker=marker, world_db=world, **names)
+    options = EvaluateOptions(
+        selection=QuestionSelection(questions=run.questions),
+        method=MethodOptions(policy=policy or None, marker=marker),
+        run=RunOptions(run_id=run.run_id, resume=True, world_db=world),
+    )
+    evaluate(Store(run.store), method, "simulated", options)
     if world is not None:
         # The run's own tables hold all of it.
         for path in run.path.glob("world.kuzu*"):

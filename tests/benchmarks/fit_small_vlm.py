@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import pyarrow.compute as pc
@@ -25,6 +25,7 @@ from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.paper import MAIN
 from jrdb_avr.engine.report.scored_runs import SCORES
 from jrdb_avr.engine.run.evaluate import evaluate
+from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.queries.questions import read_questions
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_sequences
@@ -69,8 +70,12 @@ class Job:
         about = hashlib.sha256(repr((settings(self.knobs), self.questions)).encode()).hexdigest()[:10]
         run_id, store = f"fit-{self.method}-{about}-{code_hash(self.method)}", Store(self.store)
         if not (store.run_path(run_id) / "predictions.parquet").exists():
-            named: dict[str, Any] = {"run_id": run_id, "questions": self.questions, "resume": True}
-            evaluate(store, self.method, "simulated", marker=self.knobs, **named)
+            options = EvaluateOptions(
+                selection=QuestionSelection(questions=self.questions),
+                method=MethodOptions(marker=self.knobs),
+                run=RunOptions(run_id=run_id, resume=True),
+            )
+            evaluate(store, self.method, "simulated", options)
         scores = report(store, [run_id]).scores
         return tuple(100 * pc.mean(scores[f"{name}_score"]).as_py() for name in SCORES)
 

@@ -20,7 +20,7 @@ from mutate import mutate
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.reply import thinking_text
 from jrdb_avr.engine.run.methods import CHATS, DRIVABLE, METHODS, POLICIES, WORLD_METHODS, make_method
 from jrdb_avr.queries.beliefs.graph import WorldGraph
@@ -145,7 +145,7 @@ class Chat(Client):
 
     def __init__(self, convention):
         super().__init__(
-            "http://127.0.0.1:9/v1", "m", Options(retries=1), convention=convention, pause=lambda seconds: None
+            "http://127.0.0.1:9/v1", "m", EndpointOptions(retries=1), convention=convention, pause=lambda seconds: None
         )
         self.bodies = []
         self.rng = Random(0)

@@ -13,10 +13,8 @@ from pathlib import Path
 from random import Random
 
 import limits
-import warm
 from sample_store import contents, sample_store
 
-from jrdb_avr.queries.graph import guard
 from jrdb_avr.queries.graph.guard import check_cypher, query_graph
 from jrdb_avr.queries.named import FOLDERS
 from jrdb_avr.queries.sql import query_tables
@@ -95,10 +93,8 @@ def statement(rng, language):
 
 
 def prepare(folder):
-    """Make the store, and start the process that others are forked from."""
-    store, _ = sample_store(folder)
-    guard.run_child = warm.run_statement
-    query_graph(store.graph_path, "MATCH (p:Person) RETURN count(*)")
+    """Make the store."""
+    sample_store(folder)
 
 
 def run_case(seed, number, folder, save):

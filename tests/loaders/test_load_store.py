@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import random
 import resource
 import shutil
-import signal
-import time
 from functools import cache
 from pathlib import Path
 
 import pytest
-import warm
-from entry import run
-from quick_store import without_graph
+from loaded_stores import without_graph
+from processes import COMMAND, run, run_program, started
 from random_worlds import random_world
 from worlds import load_reported, load_world, person, person_3d, write_root
 
@@ -188,14 +184,8 @@ def test_a_killed_load_is_repaired_by_running_it_again(tmp_path, loaded_one):
     store = Store(tmp_path / "store")
     arguments = ("load", loaded_one.path.parent / "root", "--store", store.path, "--workers", 1)
     for sign in (".loading/annotations", ".graph.kuzu.building"):
-        process = warm.started(warm.command_line, *arguments, folder=tmp_path)
-        while process.is_alive() and not (store.path / sign).exists():
-            time.sleep(0.005)
-        assert process.is_alive(), sign
-        # With the process that it has started for the graph.
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.join()
+        with started(COMMAND, *arguments, until=lambda _, sign=sign: (store.path / sign).exists()) as process:
+            assert process.poll() is None, sign
     assert run(*arguments)[0] == 0
     assert store.manifest() == loaded_one.manifest()
     same(store, loaded_one)
@@ -287,7 +277,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_old_store(tmp_path, loaded_one, 
     large = {f"yard-{i}": {"2d": {f: crowd(f, people) for f in range(40)}} for i in range(2)}
     root = write_root(tmp_path / "large", large)
     size = {resource.RLIMIT_FSIZE: limit_kb << 10}
-    result = warm.run(warm.command_line, "load", root, "--store", store.path, "--workers", 1, limit=size)
+    result = run_program(COMMAND, "load", root, "--store", store.path, "--workers", 1, limits=size)
     said = result.stderr.decode()
     assert result.returncode == 1, said
     assert len(said.strip().splitlines()) == 1 and said.startswith("jrdb-avr: ")
@@ -307,7 +297,7 @@ def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
     root = write_root(tmp_path / "root", {"yard-1": GOOD})
     store = Store(tmp_path / "store")
     with store.writing("load"):
-        result = warm.run(warm.command_line, "load", root, "--store", store.path)
+        result = run_program(COMMAND, "load", root, "--store", store.path)
     assert result.returncode == 1
     said = result.stderr.decode()
     assert f"process {os.getpid()}" in said and len(said.strip().splitlines()) == 1

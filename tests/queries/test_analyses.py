@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 
 import msgspec
 import pytest
-from known_runs import BOX, ELSEWHERE, Benchmark, table
+from scored_runs import BOX, ELSEWHERE, Benchmark, table
 
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.scoring import score_predictions
@@ -167,56 +167,6 @@ def test_invalid_reasons(world):
     assert {row["reason"] for row in found} == {"frame # is wrong"}
 
 
-def shares(rows):
-    """The figures of some scores; a question without a prediction has a row of zeros."""
-    right = sum(row["answer_score"] for row in rows)
-    unfounded = right - combined(rows)
-    return {
-        "n": len(rows),
-        **{name: percent(rows, name) for name in ("answer", "evidence", "combined")},
-        "hallucination": round(100 * unfounded / right, 2) if right else None,
-        "invalid": round(100 * sum(row["invalid"] for row in rows) / len(rows), 2),
-    }
-
-
-GROUPS = {"chain_2hop": "chain", "chain_fork_join": "chain", "chain_hybrid": "hybrid"}
-
-
-@pytest.mark.parametrize("dimension", ["template", "family", "group"])
-def test_scores_by(world, dimension):
-    _, questions, _, scores, _ = world
-    value = {
-        row["question_id"]: row.get(dimension) or GROUPS.get(row["family"], row["family"].replace("_", " "))
-        for row in questions
-    }
-    own = by_run(scores, lambda row: (row["run_id"], value[row["question_id"]]))
-    found = ask(world, f"scores_by_{dimension}")
-    assert {(row.pop("run_id"), row.pop(dimension)): row for row in found} == {
-        key: shares(rows) for key, rows in own.items()
-    }
-
-
-def test_hallucination(world):
-    _, _, predictions, scores, _ = world
-    sound = Counter(row["run_id"] for row in predictions if row["status"] != "error")
-    found = {row.pop("run_id"): row for row in ask(world, "hallucination")}
-    assert found == {
-        run: shares(rows) | {"errors": round(100 * (64 - sound[run]) / 64, 2)} for run, rows in by_run(scores).items()
-    }
-    assert found["three"]["errors"] == round(100 * 3 / 64, 2)
-
-
-def test_ablation(world):
-    own = by_run(world[3])
-    heads = {
-        "one": {"active": "on", "world_model": "on", "policy": "model"},
-        "two": {"active": "off", "world_model": "on", "policy": "model"},
-    }
-    assert ask(world, "ablation") == [
-        heads[run] | {"run_id": run, "model": "m", "label": ""} | shares(own[run]) for run in ("two", "one")
-    ]
-
-
 def test_cost(world):
     _, _, predictions, scores, _ = world
     own, spent = by_run(scores), by_run(predictions)
@@ -251,9 +201,6 @@ def test_wrong_choices(world):
         ("scores_by_group", "group"),
         ("scores_by_family", "family"),
         ("scores_by_template", "template"),
-        ("cost", "cost"),
-        ("wrong_choices", "wrong_choices"),
-        ("evidence_failures", "evidence_failures"),
     ],
 )
 def test_figures_are_those_of_report(world, query, name):

@@ -1,11 +1,10 @@
 """The handle on the world tables: what it refuses, where it lives, and what it leaves of the scene."""
 
 import os
-import time
 
 import pytest
-import warm
-from world_play import SCENE, believe, beside_scene, tables_of
+from processes import run_program
+from world_calls import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs import graph as beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
@@ -208,7 +207,7 @@ def test_a_file_that_is_no_graph_is_refused(tmp_path):
 def test_a_graph_has_one_writer(scene):
     with WorldGraph.open(scene):
         code = f"from jrdb_avr.queries.beliefs.graph import WorldGraph; WorldGraph.open({str(scene)!r})"
-        done = warm.run(warm.script, code)
+        done = run_program(code)
     assert f"process {os.getpid()}" in done.stderr.decode().splitlines()[-1]
     with Graph.open(scene, read_only=True), pytest.raises(LockedError):
         WorldGraph.open(scene)
@@ -220,37 +219,6 @@ def test_closing_twice_is_harmless_and_what_comes_later_is_told():
     world.close()
     with pytest.raises(QueryError, match="closed"):
         world.query("MATCH (n:Entity) RETURN count(*) AS n")
-
-
-KILLED = """
-from world_play import believe
-from jrdb_avr.queries.beliefs.graph import WorldGraph
-world = WorldGraph.open({path!r})
-for number in range(1000):
-    believe(world, number)
-    print(number, flush=True)
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_writer_leaves_a_graph_that_opens(scene, tmp_path):
-    before = scene_rows(scene)
-    said = tmp_path / "out"
-    said.touch()
-    process = warm.started(warm.script, KILLED.format(path=str(scene)), folder=tmp_path)
-    while process.is_alive() and "3\n" not in said.read_text():
-        time.sleep(0.01)
-    process.kill()
-    process.join()
-    assert "3\n" in said.read_text()
-    assert scene_rows(scene) == before, "a reader opens it as it was left"
-    with WorldGraph.open(scene) as world:
-        kept = tables_of(world)
-        believe(world, 1)
-        assert len(tables_of(world)["Related"]) == len(kept["Related"])
-    # Nothing that was written is lost, and what was under way is there in whole writes.
-    assert len(kept["Episode"]) >= 4 and len(kept["Related"]) >= 4
-    assert scene_rows(scene) == before
 
 
 def test_statements_of_many_texts_do_not_pile_up(monkeypatch):

@@ -9,8 +9,8 @@ import sys
 from types import SimpleNamespace
 
 import pytest
-from entry import run
-from extras import needs
+from environment import needs
+from processes import run
 
 from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.errors import InputError, StoreError

@@ -6,20 +6,15 @@ import random
 import re
 from collections import Counter, defaultdict
 
-import pyarrow as pa
 import pytest
-from lively_worlds import form, lively_world, sociable_world
-from oracle_people import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES
-from oracle_questions import World
-from oracle_words import AGES, VERBS
-from other_words import in_other_words
-from quick_store import memory_store
-from random_worlds import random_world
+from loaded_stores import memory_store
+from oracle_candidates import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES, World
+from oracle_files import AGES, VERBS
+from random_worlds import form, in_other_words, lively_world, random_world, sociable_world
 
 from jrdb_avr.loaders.graph import build_scene
-from jrdb_avr.queries.compiler.clauses import in_column, in_rows, unless_both_listed, unless_listed
 from jrdb_avr.queries.compiler.find import compile_find, outcome_of_people
-from jrdb_avr.queries.compiler.mapping import SCENE, SchemaMapping
+from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
@@ -100,18 +95,6 @@ def test_conditions_of_every_kind_hold_fail_or_are_unknown_as_by_brute_force(sit
 
 
 READ_A = {"mode": "multiple_choice", "read": "action", "at": "t0"}
-
-
-def test_descriptions_of_several_conditions_are_found(sites):
-    for site in sites[:1]:
-        cases = [
-            (conditions, frame)
-            for frame, track in site.moments()
-            if frame % 15 == 0 and (conditions := site.world.description(frame, track)) and len(conditions) > 1
-        ][:25]
-        plans = [planned(site, conditions, {"t0": frame}, READ_A) for conditions, frame in cases]
-        for (conditions, frame), solution in zip(cases, site.solve(plans), strict=True):
-            assert found(solution) == site.world.fits(conditions, frame)
 
 
 def test_edges_of_every_kind_lead_where_brute_force_says(sites):
@@ -602,49 +585,6 @@ def test_statements_stop_in_time(sites):
 
 
 WIDE = "within 90 degrees to the left of (robot view)"
-
-
-def test_another_namespace_is_another_mapping():
-    """Beliefs are rows of one frame; what was not seen is never false."""
-
-    def belief(name):
-        return unless_listed(
-            in_rows(f"({{n}})-[r:Has {{{{name: '{name}'}}}}]->(x:Attribute)", {"x.value": "v"}), "false"
-        )
-
-    beliefs = SchemaMapping(
-        pattern="({n}:Entity)-[{s}:Sighted]->(:Look)",
-        there="{n}.episode = {scope} AND {s}.at = {t}",
-        who="{n}.id",
-        conditions={"pose": belief("pose"), "gender": in_column("{n}.gender")},
-        edges={"social": unless_both_listed(in_rows("({n})-[r:Related]->({m})", {"r.label": "v"}), "false")},
-        reads="scene",
-    )
-    with Graph.memory() as graph:
-        for statement in (
-            "CREATE NODE TABLE Entity(id INT64 PRIMARY KEY, episode STRING, gender STRING)",
-            "CREATE NODE TABLE Look(id INT64 PRIMARY KEY)",
-            "CREATE NODE TABLE Attribute(id INT64 PRIMARY KEY, value STRING)",
-            "CREATE REL TABLE Sighted(FROM Entity TO Look, at INT64)",
-            "CREATE REL TABLE Has(FROM Entity TO Attribute, name STRING, first INT64, last INT64, certain BOOLEAN)",
-            "CREATE REL TABLE Related(FROM Entity TO Entity, label STRING, first INT64, last INT64, certain BOOLEAN)",
-        ):
-            graph.execute(statement)
-        graph.copy("Entity", pa.table({"id": [1, 2, 3], "episode": ["e", "e", "other"], "gender": ["male"] * 3}))
-        graph.copy("Look", pa.table({"id": [0]}))
-        graph.copy("Attribute", pa.table({"id": [0], "value": ["sitting"]}))
-        graph.copy("Sighted", pa.table({"from": [1, 2, 3], "to": [0, 0, 0], "at": [15, 15, 15]}))
-        held = {"first": [15], "last": [15], "certain": [True]}
-        graph.copy("Has", pa.table({"from": [1], "to": [0], "name": ["pose"], **held}))
-        graph.copy("Related", pa.table({"from": [1], "to": [2], "label": ["conversation"], **held}))
-        nodes = [{"id": "a", "conditions": [{"action": "sitting", "at": "t0"}]}, {"id": "b", "conditions": []}]
-        find = compile_find(two_nodes(nodes=nodes), beliefs)
-        assert find.cypher.count("MATCH (n0:Entity)") == 1
-        rows = graph.query(find.cypher, {"plans": [{"id": 0, "scope": "e", **find.row}]}).to_pylist()
-    sure = {name for name in rows[0] if name.startswith("sure")}
-    certain = [(row["who0"], row["who1"]) for row in rows if all(row[name] for name in sure)]
-    # The other way round is not known to be false.
-    assert certain == [(1, 2)] and len(rows) == 2
 
 
 assert {YES, NO, MAYBE} == {"true", "false", "unknown"}

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
-import warm
-from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
+from processes import run, run_program
 from worlds import person, write_root
 
 from jrdb_avr.queries.files import write_atomic
@@ -64,7 +63,7 @@ def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
             sys.exit(7)
         """
     )
-    done = warm.run(warm.script, code)
+    done = run_program(code)
     assert done.returncode == 7, done.stderr
     assert b"cannot write" in done.stdout
     assert not list(tmp_path.iterdir())
@@ -78,12 +77,12 @@ def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
         "try:\n    with store.writing('generate'): pass\nexcept LockedError as error:\n    print(error); sys.exit(7)\n"
     )
     with store.writing("load"):
-        held = warm.run(warm.script, code)
+        held = run_program(code)
         with pytest.raises(LockedError):
             store.writing("generate").__enter__()
     assert held.returncode == 7
     assert f"'load', process {os.getpid()}" in held.stdout.decode()
-    free = warm.run(warm.script, code)
+    free = run_program(code)
     assert free.returncode == 0
 
 

@@ -1,7 +1,7 @@
 """The tables by name: what `cypher` and `sql` really have, and diagrams of them; the rules by name."""
 
 import pytest
-from entry import run
+from processes import run
 
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.catalog import column_rows, graph_diagram, graph_tables, named, store_diagram, store_tables

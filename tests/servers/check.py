@@ -33,12 +33,12 @@ from pathlib import Path
 
 import msgspec
 
-from jrdb_avr import Store, evaluate
+from jrdb_avr import EvaluateOptions, QuestionSelection, RunOptions, Store, evaluate
 from jrdb_avr.agent.model import client as client_module
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Message, Picture
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.probes import CROP_SIZE, PANORAMA_SIZE, drawn_picture
 from jrdb_avr.agent.model.reply import thinking_text
 from jrdb_avr.agent.preflight import preflight
@@ -93,7 +93,7 @@ class RealServer:
             self.stop()
 
     def client(self, model=SEEING, **options):
-        settings = Options(max_tokens=512, timeout_s=60, **options)
+        settings = EndpointOptions(max_tokens=512, timeout_s=60, **options)
         return Client(self.url, model, settings, convention=convention_of(model))
 
 
@@ -146,12 +146,13 @@ def run(server, store, method, **options):
     limit, concurrency = options.pop("limit", 2), options.pop("concurrency", 4)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        set_to = Options(max_tokens=512, timeout_s=60, **options)
+        set_to = EvaluateOptions(
+            endpoint=EndpointOptions(base_url=server.url, max_tokens=512, timeout_s=60, **options),
+            selection=QuestionSelection(limit=limit),
+            run=RunOptions(run_id=run_id, concurrency=concurrency),
+        )
         try:
-            result = evaluate(
-                store, method, SEEING, base_url=server.url, options=set_to, run_id=run_id, limit=limit,
-                concurrency=concurrency,
-            )  # fmt: skip
+            result = evaluate(store, method, SEEING, set_to)
         except AvrError as error:
             return f"stopped: {str(error).replace(server.url, 'the server')}"
     row = result.row()
@@ -190,11 +191,11 @@ def seeing_rows(server, store):
     yield "A picture that is none", said(server.client(), "What is this?", Picture("none", b"no picture"))
     cut = {}
     for name in ("max_tokens", "max_completion_tokens"):
-        client = Client(server.url, SEEING, Options(max_tokens=1, token_parameter=name), convention=convention)
+        client = Client(server.url, SEEING, EndpointOptions(max_tokens=1, token_parameter=name), convention=convention)
         cut[name] = said(client).finish_reason == "length"
     yield "Token parameter", ", ".join(f"`{name}` {'kept' if kept else 'ignored'}" for name, kept in cut.items())
     yield "`finish_reason`", "`stop`, and `length` where cut off" if any(cut.values()) else "`stop` alone"
-    named = Client(server.url, "another", Options(), convention=convention)
+    named = Client(server.url, "another", EndpointOptions(), convention=convention)
     other = said(named)
     yield "Another model's name", other if isinstance(other, str) else f"replies as `{other.model}`"
     yield "Its own model's name", seen["json_schema", "off"]["model"]
@@ -244,7 +245,7 @@ def together(server):
 
 def held(server):
     """Sixteen calls while the server's process is stopped, each with a short time to wait."""
-    client = Client(server.url, SEEING, Options(timeout_s=2, retries=4), convention=convention_of(SEEING))
+    client = Client(server.url, SEEING, EndpointOptions(timeout_s=2, retries=4), convention=convention_of(SEEING))
     said(client)
     server.process.send_signal(signal.SIGSTOP)
     threading.Timer(7, server.process.send_signal, [signal.SIGCONT]).start()

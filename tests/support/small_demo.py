@@ -2,11 +2,12 @@
 
 import contextlib
 import json
+import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import warm
+from processes import run
 
 from jrdb_avr.engine.commands import demo
 
@@ -17,14 +18,13 @@ def make_demo(folder):
     """Run the demo as users do, in the folder's `demo-out`; what it and its steps print is kept beside it."""
     lines, outputs = [], []
 
-    def forked(command, check):
-        """A step in a process of its own that has everything imported."""
-        done = warm.run(warm.command_line, *command[3:])
-        outputs.append((command[3:], (done.stdout.decode(), done.stderr.decode())))
-        return done
+    def run_step(command, check):
+        code, *texts = run(*command[3:])
+        outputs.append((command[3:], texts))
+        return subprocess.CompletedProcess(command, code)
 
     with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demo, "subprocess", SimpleNamespace(run=forked))
+        patch.setattr(demo, "subprocess", SimpleNamespace(run=run_step))
         demo.run_demo(Path("demo-out"), SIZE, lines.append)
     (folder / "printed.json").write_text(json.dumps([lines, outputs]), "utf-8")
 

@@ -13,7 +13,7 @@ from jrdb_avr.agent.model.calibrate import calibrate, request
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT, Reading, convention_of
 from jrdb_avr.agent.model.messages import wire
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.probes import CORNERS, CROP_SIZE, drawn_picture, drawn_rectangles
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.engine.cli import group
@@ -57,7 +57,7 @@ def writer(order="xyxy", scale="thousandths", key="bbox", noise=0.0, resized=Non
 
 def asked(script, model="fake", n=N, **options):
     with FakeServer(script) as server:
-        client = Client(server.url, model, Options(**options), convention=convention_of(model))
+        client = Client(server.url, model, EndpointOptions(**options), convention=convention_of(model))
         return calibrate(client, n)
 
 
@@ -213,7 +213,7 @@ def test_what_was_found_is_taken_by_later_runs(tmp_path):
         assert json.loads(json.dumps(after.settings)) == after.settings
         for what, options in (("response format", {"response_format": "none"}), ("thinking", {"thinking": "template"})):
             with pytest.raises(EndpointError, match=f"calibrated with {what}"):
-                Endpoint(read_calibration(store, "fake"), "fake", server.url, Options(**options))
+                Endpoint(read_calibration(store, "fake"), "fake", server.url, EndpointOptions(**options))
     with (
         FakeServer(sound(writer(), model="fake-2")) as server,
         pytest.raises(EndpointError, match="served model 'fake-1', not 'fake-2'"),

@@ -22,7 +22,7 @@ from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Message, Picture, fingerprint, transcript, wire
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.reply import Reply, read_completion
 from jrdb_avr.agent.model.transport import Bounds
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError, StoreError
@@ -33,7 +33,7 @@ SECRET = "sk-very-secret-0123456789"
 
 def client(server, cache=None, **options):
     pauses = []
-    made = Client(server.url, "fake", Options(**options), cache=cache, pause=pauses.append)
+    made = Client(server.url, "fake", EndpointOptions(**options), cache=cache, pause=pauses.append)
     return made, pauses
 
 
@@ -319,7 +319,9 @@ def test_a_reply_that_never_begins_is_given_up(said):
                 threading.Thread(target=drip, args=listening.accept()[:1], daemon=True).start()
 
         threading.Thread(target=serve, daemon=True).start()
-        made = Client(f"http://127.0.0.1:{listening.getsockname()[1]}/v1", "x", Options(timeout_s=0.2, retries=0))
+        made = Client(
+            f"http://127.0.0.1:{listening.getsockname()[1]}/v1", "x", EndpointOptions(timeout_s=0.2, retries=0)
+        )
         with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(1 try\): .*--concurrency"):
             made.complete(ASK)
         assert made.server_version() == ""
@@ -399,7 +401,7 @@ def test_a_host_that_takes_no_connection_is_not_waited_for_as_for_a_reply():
             waiting.setblocking(False)
             waiting.connect_ex(full.getsockname())
         url = f"http://127.0.0.1:{full.getsockname()[1]}/v1"
-        made = Client(url, "x", Options(retries=0), bounds=Bounds(connect_s=0.3))
+        made = Client(url, "x", EndpointOptions(retries=0), bounds=Bounds(connect_s=0.3))
         with pytest.raises(EndpointError, match="cannot reach the server"):
             made.complete(ASK)
 
@@ -536,7 +538,7 @@ def test_whatever_shapes_a_reply_is_in_its_key(tmp_path):
     qwen = convention_of("Qwen/Qwen3.5-9B")
 
     def made(model="fake", convention=qwen, **options):
-        return Client(server.url, model, Options(**options), convention=convention, cache=tmp_path / CALLS)
+        return Client(server.url, model, EndpointOptions(**options), convention=convention, cache=tmp_path / CALLS)
 
     with FakeServer(sequence_of("{}")) as server, FakeServer(sequence_of("{}")) as moved:
         made().complete(ASK, {"type": "object"})
@@ -924,7 +926,7 @@ def test_the_servers_version_if_it_tells_one(sent, version):
 
 
 def test_settings_are_plain_json():
-    made = Client("http://localhost:1/v1", "x", Options(thinking="on"), convention=convention_of("gemma-4-e4b"))
+    made = Client("http://localhost:1/v1", "x", EndpointOptions(thinking="on"), convention=convention_of("gemma-4-e4b"))
     settings = made.settings()
     assert json.loads(json.dumps(settings)) == settings
     assert settings["response_format"] == "json_schema"

@@ -5,13 +5,13 @@ import json
 import math
 
 import pytest
-from backbones import BACKBONES
+from fake_server import BACKBONES
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention, convention_of
 from jrdb_avr.agent.model.decode import box_key, read_box, write_box
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box
 
@@ -72,7 +72,7 @@ def test_the_six_backbones_are_declared():
 )
 def test_thinking_is_switched_where_it_can_be(model, thinking, sent, thinks):
     """What cannot be switched is declared alone: preflight finds the server that thinks otherwise."""
-    options, convention = Options(thinking=thinking), convention_of(model)
+    options, convention = EndpointOptions(thinking=thinking), convention_of(model)
     assert dict(options.template(convention)) == sent
     assert options.thinks(convention) is thinks
 

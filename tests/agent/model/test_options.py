@@ -10,7 +10,7 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.prices import Price, read_price
 from jrdb_avr.schema.errors import EndpointError, InputError, RunStoppedError
 
@@ -29,7 +29,7 @@ def sent(options, url=lambda url: url, **more):
 
 
 def test_the_defaults_make_the_request_that_they_always_made():
-    body, headers, path = sent(Options(response_format="none"))
+    body, headers, path = sent(EndpointOptions(response_format="none"))
     message = {"role": "user", "content": "hello"}
     assert body == {"model": "fake", "temperature": 0, "max_tokens": 2048, "messages": [message]}
     assert type(body["temperature"]) is int
@@ -39,15 +39,15 @@ def test_the_defaults_make_the_request_that_they_always_made():
 
 @pytest.mark.parametrize(("temperature", "key"), [(None, {}), (0.7, {"temperature": 0.7}), (1.0, {"temperature": 1})])
 def test_temperature(temperature, key):
-    body, _, _ = sent(Options(temperature=temperature))
+    body, _, _ = sent(EndpointOptions(temperature=temperature))
     assert {name: value for name, value in body.items() if name == "temperature"} == key
-    assert Options(temperature=temperature).settings(CONTRACT)["temperature"] == temperature
+    assert EndpointOptions(temperature=temperature).settings(CONTRACT)["temperature"] == temperature
 
 
 @pytest.mark.parametrize("temperature", [-1, float("nan"), float("inf")])
 def test_no_temperature(temperature):
     with pytest.raises(InputError, match="--temperature"):
-        Options(temperature=temperature)
+        EndpointOptions(temperature=temperature)
 
 
 def test_a_refused_temperature_has_a_remedy():
@@ -65,21 +65,21 @@ def picky(request, n):
 
 def test_the_name_of_the_limit_is_found_once_and_shapes_no_key(tmp_path):
     with FakeServer(picky) as server:
-        made = Client(server.url, "fake", Options(max_tokens=99), cache=tmp_path / "calls")
+        made = Client(server.url, "fake", EndpointOptions(max_tokens=99), cache=tmp_path / "calls")
         assert made.complete(ASK).content == "hi"
         made.complete([Message("user", ("again",))])
     assert [request.get("max_completion_tokens") for request in server.requests] == [None, 99, 99]
     with FakeServer(lambda request, n: "other") as server:
-        again = Client(server.url, "fake", Options(max_tokens=99), cache=tmp_path / "calls")
+        again = Client(server.url, "fake", EndpointOptions(max_tokens=99), cache=tmp_path / "calls")
         assert again.complete(ASK).content == "hi"
     assert server.requests == []
 
 
 def test_the_name_of_the_limit_as_declared():
-    body, _, _ = sent(Options(token_parameter="max_completion_tokens", max_tokens=99))
+    body, _, _ = sent(EndpointOptions(token_parameter="max_completion_tokens", max_tokens=99))
     assert body["max_completion_tokens"] == 99 and "max_tokens" not in body
     with FakeServer(picky) as server, pytest.raises(EndpointError, match="max_completion_tokens"):
-        Client(server.url, "fake", Options(token_parameter="max_tokens")).complete(ASK)
+        Client(server.url, "fake", EndpointOptions(token_parameter="max_tokens")).complete(ASK)
     assert len(server.requests) == 1
     neither = Status(400, "no max_completion_tokens, no max_tokens")
     with FakeServer(lambda request, n: neither) as server, pytest.raises(EndpointError, match="no max_tokens"):
@@ -89,16 +89,16 @@ def test_the_name_of_the_limit_as_declared():
 
 def test_an_extra_body_goes_along_and_is_recorded():
     extra = {"reasoning_effort": "low", "top_p": 0.9}
-    body, _, _ = sent(Options(extra_body=extra))
+    body, _, _ = sent(EndpointOptions(extra_body=extra))
     assert extra.items() <= body.items()
-    settings = Options(extra_body=extra).settings(CONTRACT)
+    settings = EndpointOptions(extra_body=extra).settings(CONTRACT)
     assert json.loads(json.dumps(settings)) == settings and settings["extra_body"] == extra
 
 
 @pytest.mark.parametrize("key", ["model", "messages", "stream", "n", "temperature", "max_tokens", "response_format"])
 def test_an_extra_body_overrides_nothing_that_has_an_option(key):
     with pytest.raises(InputError, match=repr(key)):
-        Options(extra_body={key: 1})
+        EndpointOptions(extra_body={key: 1})
 
 
 # -- keys, headers, addresses -----------------------------------------------------------------------------------------
@@ -107,7 +107,7 @@ def test_an_extra_body_overrides_nothing_that_has_an_option(key):
 def test_headers_and_key_come_from_the_environment_and_stay_out_of_the_record(monkeypatch, tmp_path):
     monkeypatch.setenv("MY_HEADER", SECRET)
     monkeypatch.setenv("MY_KEY", "sk-key-0123456789abcdef")
-    options = Options(headers={"api-key": "MY_HEADER", "X-Title": "MY_KEY"}, api_key_env="MY_KEY")
+    options = EndpointOptions(headers={"api-key": "MY_HEADER", "X-Title": "MY_KEY"}, api_key_env="MY_KEY")
     with FakeServer(lambda request, n: completion(f"you sent {SECRET}")) as server:
         made = Client(server.url, "fake", options, cache=tmp_path / "calls")
         reply = made.complete(ASK)
@@ -127,10 +127,10 @@ def test_headers_and_key_come_from_the_environment_and_stay_out_of_the_record(mo
 def test_an_authorization_header_stands_in_for_the_key(monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", "sk-key-0123456789abcdef")
     monkeypatch.setenv("BASIC", f"Basic {SECRET}")
-    _, headers, _ = sent(Options(headers={"authorization": "BASIC"}))
+    _, headers, _ = sent(EndpointOptions(headers={"authorization": "BASIC"}))
     assert headers["authorization"] == f"Basic {SECRET}"
     with FakeServer(lambda request, n: completion(SECRET)) as server:
-        made = Client(server.url, "fake", Options(headers={"authorization": "BASIC"}))
+        made = Client(server.url, "fake", EndpointOptions(headers={"authorization": "BASIC"}))
         assert made.complete(ASK).content == "[key]", "a word of the value is as secret"
 
 
@@ -138,18 +138,18 @@ def test_an_authorization_header_stands_in_for_the_key(monkeypatch):
 def test_a_header_without_a_value_is_told(monkeypatch, value):
     monkeypatch.setenv("MINE", value) if value is not None else monkeypatch.delenv("MINE", raising=False)
     with pytest.raises(EndpointError, match=r"\$MINE holds no value"):
-        Client("http://localhost:1/v1", "fake", Options(headers={"api-key": "MINE"}))
+        Client("http://localhost:1/v1", "fake", EndpointOptions(headers={"api-key": "MINE"}))
 
 
 @pytest.mark.parametrize("name", ["Content-Length", "host", "a b", "", "x\n"])
 def test_no_header(name):
     with pytest.raises(InputError, match="--header"):
-        Options(headers={name: "MINE"})
+        EndpointOptions(headers={name: "MINE"})
 
 
 def test_an_address_with_a_query():
     """As Azure's: the path is put before the query."""
-    _, _, path = sent(Options(), lambda url: f"{url}/deployments/gpt/?api-version=2024-10-21")
+    _, _, path = sent(EndpointOptions(), lambda url: f"{url}/deployments/gpt/?api-version=2024-10-21")
     assert path == "/v1/deployments/gpt/chat/completions?api-version=2024-10-21"
 
 
@@ -194,7 +194,7 @@ def test_requests_a_minute():
         return "hi"
 
     with FakeServer(script) as server:
-        made = Client(server.url, "fake", Options(rpm=7), pause=clock.wait, clock=clock.read)
+        made = Client(server.url, "fake", EndpointOptions(rpm=7), pause=clock.wait, clock=clock.read)
         for _ in range(40):
             made.complete(ASK)
     assert most_in_a_minute(times, [1] * 40) == 7
@@ -211,7 +211,7 @@ def test_tokens_a_minute():
         return completion("hi") | {"usage": {"prompt_tokens": tokens[-1] - 5, "completion_tokens": 5}}
 
     with FakeServer(script) as server:
-        made = Client(server.url, "fake", Options(tpm=1000), pause=clock.wait, clock=clock.read)
+        made = Client(server.url, "fake", EndpointOptions(tpm=1000), pause=clock.wait, clock=clock.read)
         for _ in range(60):
             made.complete(ASK)
     # The last request of a minute was expected to be of mean length.
@@ -246,7 +246,7 @@ def test_a_run_stops_at_its_cost_and_goes_on_with_more(tmp_path):
     asks = [[Message("user", (str(n),))] for n in range(20)]
 
     def client(server, most):
-        return Client(server.url, "fake", Options(price=price, max_cost=most), cache=tmp_path / "calls")
+        return Client(server.url, "fake", EndpointOptions(price=price, max_cost=most), cache=tmp_path / "calls")
 
     with FakeServer(lambda request, n: "hi") as server:
         made = client(server, 200e-6)
@@ -278,4 +278,4 @@ def test_prices_come_from_a_file(tmp_path):
 
 def test_a_cost_without_a_price_is_told():
     with pytest.raises(InputError, match="--prices"):
-        Options(max_cost=1.0)
+        EndpointOptions(max_cost=1.0)

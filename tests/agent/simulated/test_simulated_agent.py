@@ -4,7 +4,7 @@ import json
 
 import msgspec
 import pytest
-from painted_world import Actor, World, still
+from painted import Actor, World, still
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import wire
@@ -13,7 +13,8 @@ from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.simulated.knobs import Knobs, parse
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span, same_answer
+from jrdb_avr.schema.answer_modes import same_answer
+from jrdb_avr.schema.answers import Choice, FrameAnswer, FrameViewpoint, Number, Span
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, iou

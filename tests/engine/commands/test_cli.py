@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from entry import run
+from processes import run
 from worlds import person, write_root
 
 from jrdb_avr.engine.cli import COMMANDS, group
@@ -317,7 +317,7 @@ def test_score_and_report(store):
     assert "n/a" in out
     assert "synthetic" not in out + err
     code, out, err = run("report", "--store", store.path, "--markdown")
-    assert out.splitlines()[1].startswith("| ---")
+    assert out.splitlines()[1].startswith("|:--")
     assert len(out.splitlines()) == 4
     assert "IoU 0.5" in err
     assert "synthetic" in err

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from entry import run
+from processes import run
 
 COMMAND = Path(sys.executable).with_name("jrdb-avr")
 

@@ -9,7 +9,7 @@ import sys
 import urllib.request
 
 import pytest
-from entry import run
+from processes import run
 
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store

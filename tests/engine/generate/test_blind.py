@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.blind import QuestionText, best_guess, blind_check, question_texts
-from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer, same_answer
+from jrdb_avr.schema.answer_modes import same_answer
+from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import TEMPLATES, Slots

@@ -1,17 +1,18 @@
 """The memory of the process that selects and publishes does not grow with the number of sequences."""
 
+import multiprocessing
 import random
 import re
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-import warm
-from keyframe_layer import layers_in_memory
-from lively_worlds import lively_world
-from quick_store import graphless_store
+from keyframe_layers import layers_in_memory
+from loaded_stores import graphless_store
+from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import found, publish, run
 from jrdb_avr.engine.generate.sequence import SequenceJob, SequenceResult, search_sequence
@@ -38,9 +39,8 @@ def test_twenty_times_the_sequences_take_the_same_memory(tmp_path):
 
 def measured(store, result, names):
     """Questions and highest resident memory of a generation whose sequences all have this result."""
-    done = warm.run(publish_copies, store.path, result, names)
-    assert done.returncode == 0, done.stderr.decode()
-    return msgspec.json.decode(done.stdout)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(publish_copies, store.path, result, names).result()
 
 
 def publish_copies(path, result, names):
@@ -60,7 +60,7 @@ def publish_copies(path, result, names):
     with layers_in_memory():
         questions = sum(row["kept"] for row in run.generate(store, workers=1).selection)
     peak = re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())
-    print(msgspec.json.encode({"questions": questions, "megabytes": int(peak[1]) / 1024}).decode())
+    return {"questions": questions, "megabytes": int(peak[1]) / 1024}
 
 
 def copied(result, name):

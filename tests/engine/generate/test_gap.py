@@ -10,12 +10,11 @@ import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from keyframe_layer import search, searched
-from quick_store import memory_store, quick_store
-from visible import visible_share
+from keyframe_layers import search, searched, visible_share
+from loaded_stores import memory_store, quick_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table
@@ -24,7 +23,8 @@ from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, find_faults
 from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.engine.rederive import UNKNOWN, Annotations, rederive
-from jrdb_avr.schema.answers import decode_answer, encode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import canonical, parse_plan
 from jrdb_avr.schema.questions import Proof

@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import warm
 from click.testing import CliRunner
-from evidence_files import all_evidence, question_files
+from environment import REAL
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keyframe_layer import layer_rows, layers_in_memory
-from lively_worlds import lively_world
-from places import REAL
-from quick_store import graphless_store
-from visible import visible_share
+from keyframe_layers import layer_rows, layers_in_memory, visible_share
+from loaded_stores import graphless_store
+from processes import run_program
+from question_files import all_evidence, question_files
+from random_worlds import lively_world
 from worlds import load_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
@@ -31,7 +30,8 @@ from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import Span, decode_answer
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import Span
 from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.panorama import Box
@@ -300,7 +300,7 @@ def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
         "Path.replace = replace\n"
         "generate(Store(sys.argv[1]), Rules(), workers=1, seed=1)\n"
     )
-    killed = warm.run(warm.script, script, store.path)
+    killed = run_program(script, store.path)
     assert killed.returncode == -signal.SIGKILL
     assert files(store) != files(one[0])
     generate(store, Rules(), **HOW)

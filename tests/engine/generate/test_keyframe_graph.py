@@ -9,14 +9,12 @@ import time
 
 import msgspec
 import pytest
-import warm
-from effort import examples
-from entry import run
-from evidence_files import question_files
-from keyframe_layer import layer_rows
-from lively_worlds import lively_world
-from places import SUPPORT
-from world_play import believe, tables_of
+from environment import examples
+from keyframe_layers import layer_rows
+from processes import run, run_program, started
+from question_files import question_files
+from random_worlds import lively_world
+from world_calls import believe, tables_of
 from worlds import load_world
 
 from jrdb_avr.engine.generate import keyframe_graph, sequence
@@ -192,17 +190,10 @@ with Graph.open(sys.argv[1], read_only=sys.argv[2] == "reads"):
 
 
 @contextlib.contextmanager
-def holder(store, how, folder):
+def holder(store, how):
     """Another process that has the graph open."""
-    process = warm.started(warm.script, HOLDER, store.graph_path, how, folder=folder)
-    try:
-        while not (folder / "out").exists() or not (folder / "out").read_text():
-            assert process.is_alive()
-            time.sleep(0.01)
+    with started(HOLDER, store.graph_path, how, until=lambda process: process.stdout.readline()) as process:
         yield process
-    finally:
-        process.kill()
-        process.join()
 
 
 def refused(store, *options):
@@ -225,7 +216,7 @@ def test_without_a_graph_generate_says_what_to_do(loaded, tmp_path):
 def test_a_graph_in_use_is_not_written_and_its_holder_named(made, tmp_path, how):
     store = copied(made, tmp_path)
     before = files(store), store.graph_path.read_bytes()
-    with holder(store, how, tmp_path) as process:
+    with holder(store, how) as process:
         line = refused(store, "--rule", "max_conditions=1")
         assert line.startswith(f"jrdb-avr: {store.graph_path} is in use by process {process.pid} (")
         if how == "reads":
@@ -250,9 +241,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(made, tmp_path):
 
 BELIEVER = """
 import os, signal, sys
-sys.path.insert(0, sys.argv[2])
-from places import SUPPORT
-from world_play import believe
+from world_calls import believe
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 world = WorldGraph.open(sys.argv[1])
 believe(world)
@@ -263,7 +252,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 def test_the_world_model_of_a_run_stays(loaded, made, made_rows, tmp_path):
     store = copied(loaded, tmp_path)
     # What a killed run wrote last lies in the log beside the graph.
-    assert warm.run(warm.script, BELIEVER, store.graph_path, SUPPORT).returncode == -signal.SIGKILL
+    assert run_program(BELIEVER, store.graph_path).returncode == -signal.SIGKILL
     log = store.graph_path.with_name("graph.kuzu.wal")
     assert log.stat().st_size
     generate(store, workers=1)
@@ -330,7 +319,7 @@ def check_survived(store, made, made_rows):
 )
 def test_a_kill_while_the_graph_is_published_leaves_a_sound_one(loaded, made, made_rows, tmp_path, step):
     store = copied(loaded, tmp_path)
-    assert warm.run(warm.script, KILLED, store.path, step).returncode == -signal.SIGKILL
+    assert run_program(KILLED, store.path, step).returncode == -signal.SIGKILL
     check_survived(store, made, made_rows)
 
 
@@ -338,11 +327,7 @@ def test_a_kill_while_the_graph_is_published_leaves_a_sound_one(loaded, made, ma
 @pytest.mark.parametrize("moment", range(examples(1)))
 def test_a_kill_at_any_moment_leaves_a_sound_graph(loaded, made, made_rows, tmp_path, moment):
     store = copied(loaded, tmp_path)
-    process = warm.started(warm.script, KILLED, store.path, 0, folder=tmp_path)
     building = store.path / ".graph.kuzu.building"
-    while process.is_alive() and not building.exists():
-        time.sleep(0.001)
-    time.sleep(random.uniform(0, 0.6))
-    process.kill()
-    process.join()
+    with started(KILLED, store.path, 0, until=lambda _: building.exists()):
+        time.sleep(random.uniform(0, 0.6))
     check_survived(store, made, made_rows)

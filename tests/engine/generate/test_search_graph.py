@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from scene_tables import scene_tables, table_store
+from made_tables import scene_tables, table_store
 
 from jrdb_avr.loaders import graph as scene
-from jrdb_avr.loaders.graph import STAGE, build_scene, scene_rows, stage_scene
+from jrdb_avr.loaders.graph import STAGE, build_scene, stage_scene
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, QueryError
@@ -111,13 +111,6 @@ def test_every_table_holds_what_the_files_hold(store):
 
 def test_the_tables_are_all_there_are():
     assert SQL.keys() | {"Action"} == SCENE_NODES.keys() | SCENE_RELS.keys()
-
-
-def test_the_rows_told_are_those_of_the_graph(store):
-    told = Counter()
-    for table, rows in scene_rows(store, ["hall-2_0", "yard-1_0"]):
-        told[table] += rows.num_rows
-    assert told == {table: n for table, n in store.manifest().graph.items() if table != "storage_version"}
 
 
 def test_nothing_staged_is_left(store):

@@ -2,9 +2,7 @@
 candidates of the sequence with their judgement, and what the perturbed programs read is what the proofs say."""
 
 import contextlib
-import json
 import re
-import subprocess
 from functools import cache
 from pathlib import Path
 
@@ -13,9 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import warm
-from lax_sample import LAX_RULES, lax_sample
-from scene_tables import table_store
+from keyframe_layers import LAX_RULES, lax_sample
+from made_tables import table_store
 
 import jrdb_avr
 from jrdb_avr.engine.generate.candidates import OUTCOMES, RULES, VALUES
@@ -23,7 +20,6 @@ from jrdb_avr.engine.generate.context import LayerJob
 from jrdb_avr.engine.generate.keyframe_graph import stored_layer
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.queries.graph import guard
 from jrdb_avr.queries.graph.parameters import strip_literals
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.schema.errors import StoreError
@@ -93,21 +89,12 @@ class Sequence:
         return self.context.scene.keyframes[0] <= frame <= self.context.scene.keyframes[-1]
 
 
-def in_this_process(request, timeout_s):
-    """For `guard.run_child`: the statement without the process of its own, which takes longer than all of it."""
-    table, sink = guard._read(**json.loads(request)), pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, table.schema) as writer:
-        writer.write_table(table)
-    return subprocess.CompletedProcess("", 0, sink.getvalue().to_pybytes(), b"")
-
-
 @pytest.fixture(scope="module")
 def sequences(once, sample_benchmark):
     """One sequence of the sample under the rules, of which it has questions, the other under the laxer ones."""
     first, second = sorted(sample_benchmark.manifest().sequences)
     wanted = [(sample_benchmark, first, Rules()), (lax_sample(once, sample_benchmark), second, LAX_RULES)]
-    with contextlib.ExitStack() as stack, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(guard, "run_child", in_this_process)
+    with contextlib.ExitStack() as stack:
         found = []
         for store, name, rules in wanted:
             job = LayerJob(store.path, name, stored_layer(store, rules)[name], rules)
@@ -317,10 +304,8 @@ def test_a_pasted_statement_gives_the_rows_of_its_name_with_numbers_sorted_befor
     assert texts == sorted(texts)
 
 
-def test_a_statement_runs_in_a_process_of_its_own(sequences):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(guard, "run_child", warm.run_statement)
-        rows = sequences[1].store.cypher("two_hop", sequence=sequences[1].context.scene.sequence)
+def test_a_statement_runs_in_a_process_of_its_own(sequences, own_processes):
+    rows = sequences[1].store.cypher("two_hop", sequence=sequences[1].context.scene.sequence)
     assert rows.equals(sequences[1].rows("two_hop"))
 
 

@@ -7,7 +7,7 @@ import re
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from entry import run
+from processes import run
 
 from jrdb_avr.engine.integrations.huggingface import export_folders
 from jrdb_avr.engine.run.opaque import key_path

@@ -7,7 +7,7 @@ import json
 
 import pyarrow as pa
 import pytest
-from entry import run
+from processes import run
 from traced_runs import stored_run, trace_runs
 
 from jrdb_avr.engine.pages import trace as trace_page

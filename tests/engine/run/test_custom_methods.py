@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from entry import run
+from environment import DOCS
 from fake_server import FakeServer, images, sound, texts
-from places import DOCS
+from processes import run
 
 from jrdb_avr.engine.run.methods import is_custom, load_custom_method
 from jrdb_avr.queries.runs import read_run_manifest

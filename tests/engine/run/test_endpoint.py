@@ -7,7 +7,7 @@ from fake_server import FakeServer, completion, sound, texts
 
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import Message
-from jrdb_avr.agent.model.options import Options
+from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.engine.run.endpoint import Endpoint, serving
 from jrdb_avr.engine.run.run import check_manifest
 from jrdb_avr.queries.runs import RunManifest
@@ -19,7 +19,7 @@ ASK = [Message("user", ("hello",))]
 
 def test_what_a_run_is_told(tmp_path):
     with FakeServer(sound(lambda request, n: "hi"), version=b'{"version": "0.12.0"}') as server:
-        endpoint = Endpoint(None, "fake", server.url, Options(max_tokens=99), tmp_path / "calls.jsonl")
+        endpoint = Endpoint(None, "fake", server.url, EndpointOptions(max_tokens=99), tmp_path / "calls.jsonl")
         assert endpoint.client.complete(ASK).content == "hi"
         assert endpoint.client.complete(ASK).content == "hi"
         assert sum(texts(request) == "hello" for request in server.requests) == 1

@@ -17,13 +17,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from asked_world import BLIND, FRAMES, POSES, QUESTIONS_ASKED, question
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, sound
 from hypothesis import given
 from hypothesis import strategies as st
-from painted_world import SEQUENCE
-from segments import InMemory, journal_lines, opened
+from painted import BLIND, FRAMES, POSES, QUESTIONS_ASKED, SEQUENCE, question
+from scored_runs import InMemory, journal_lines, opened
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run import answering
@@ -382,7 +381,7 @@ def test_a_copied_run_is_not_the_run(store):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda table: table.drop_columns(["template"]),
+        lambda table: table.drop_columns(["choices"]),
         lambda table: table.set_column(6, "answer_mode", pa.array(["essay"] * len(table))),
         lambda table: pa.concat_tables([table, table]),
         lambda table: table.set_column(3, "choices", pa.nulls(len(table), pa.list_(pa.string()))),

@@ -10,15 +10,13 @@ import time
 
 import pyarrow as pa
 import pytest
-import warm
-from asked_world import write_public
-from belief_runs import ASKED, run
-from believing import Believer, world_dump
+from belief_runs import ASKED, Believer, run, world_dump
 from click.testing import CliRunner
-from effort import examples
-from places import SUPPORT
-from scene_tables import table_store
-from segments import InMemory, segment_of
+from environment import SUPPORT, examples
+from made_tables import table_store
+from painted import write_public
+from processes import COMMAND, run_program, started
+from scored_runs import InMemory, segment_of
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run import journal as journals
@@ -159,7 +157,7 @@ main()
 @pytest.mark.parametrize(("what", "step"), [("drop", 3), ("drop", 7), ("merge", 9)])
 def test_a_kill_leaves_a_run_whole_or_gone_and_the_command_again_ends_it(store, live, what, step):
     """Six statements take a run away, the seventh is the COMMIT, or the first of those that copy."""
-    done = warm.run(warm.script, KILLED_AT, step, "world", what, "one", "--store", store.path)
+    done = run_program(KILLED_AT, step, "world", what, "one", "--store", store.path)
     assert done.returncode == -signal.SIGKILL, done.stderr
     kept, dropped = of_run(live, "one"), of_run(live, "nobody")
     assert of_run(dump(store.graph_path), "one") == (dropped if step == 7 else kept)
@@ -174,10 +172,12 @@ def test_a_kill_leaves_a_run_whole_or_gone_and_the_command_again_ends_it(store, 
 
 @pytest.mark.parametrize("moment", range(examples(1)))
 def test_a_kill_at_any_moment_of_a_drop_leaves_a_graph_that_the_next_one_finishes(store, live, tmp_path, moment):
-    process = warm.started(warm.command_line, "world", "drop", "one", "two", "--store", store.path, folder=tmp_path)
-    time.sleep(random.uniform(0.05, 0.6))
-    process.kill()
-    process.join()
+    arguments, moment = (
+        ("world", "drop", "one", "two", "--store", store.path),
+        time.monotonic() + random.uniform(0.5, 1.5),
+    )
+    with started(COMMAND, *arguments, until=lambda _: time.monotonic() > moment):
+        pass
     for name in ("one", "two"):
         with contextlib.suppress(StoreError):
             jrdb_avr("world", "drop", name, "--store", store.path)

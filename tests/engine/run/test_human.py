@@ -4,15 +4,14 @@ import json
 import shutil
 
 import pytest
-from browser import browser, complaints
-from local_pages import fetch, serving
+from browser import browser, complaints, fetch, serving
 
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.people import HUMAN
 from jrdb_avr.engine.run.human import HumanDesk
+from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.playing import played_run
-from jrdb_avr.engine.run.selection import QuestionSelection
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError
 
@@ -70,7 +69,7 @@ def test_a_person_plays_under_the_rules_of_react(store):
         state = post(server, "state")
         assert set(state) == {"due", "questions", "error", "play"} and (state["due"], state["questions"]) == (2, 2)
         assert set(state["play"]) == {
-            *("question_id", "question", "choices", "mode", "rule", "advice", "frames", "fps", "frame_count"),
+            *("question_id", "question", "choices", "fields", "rule", "advice", "frames", "fps", "frame_count"),
             *("looks", "left", "over", "answered"),
         }
         frame = state["play"]["frames"][3]

@@ -18,10 +18,9 @@ from hashlib import sha256
 
 import pyarrow.parquet as pq
 import pytest
-from asked_world import write_store
-from believing import PLAN, world_dump
+from belief_runs import PLAN, world_dump
 from fake_server import FakeServer, images, sound, texts
-from places import SUPPORT
+from painted import write_store
 
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import replayed
@@ -33,11 +32,9 @@ ASKED = 8
 
 # One process that has everything imported and no thread forks each run: a run costs its own work alone.
 LAUNCHER = """
-import importlib, os, sys
-sys.path.insert(0, sys.argv[1])
-import warm
-for name in warm.IMPORTED:
-    importlib.import_module(name)
+import os, sys
+import jrdb_avr.agent.methods.react, jrdb_avr.agent.reference.method, jrdb_avr.agent.beliefs.world_model
+import jrdb_avr.engine.commands.evaluate, jrdb_avr.engine.run.evaluate, jrdb_avr.queries.beliefs.graph
 from jrdb_avr.agent.model import transport
 from jrdb_avr.engine import cli
 transport._certificates(False)
@@ -60,7 +57,7 @@ for line in sys.stdin:
 @pytest.fixture(scope="module")
 def launcher():
     with subprocess.Popen(
-        [sys.executable, "-c", LAUNCHER, SUPPORT], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", LAUNCHER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
         yield process
         process.stdin.close()

@@ -6,11 +6,11 @@ import hmac
 import stat
 
 import pytest
-from asked_world import FRAMES, QUESTIONS_ASKED
-from painted_world import SEQUENCE
+from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE
 
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.opaque import key_path, opaque_names
+from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import ObserveError, StoreError
 from jrdb_avr.schema.method import Prediction
@@ -38,9 +38,17 @@ class Notes:
         return Prediction("answered", Choice(1))
 
 
+def play(store, method, opaque=True, limit=1, **run):
+    """Evaluate a method."""
+    options = EvaluateOptions(
+        method=MethodOptions(opaque=opaque), selection=QuestionSelection(limit=limit), run=RunOptions(**run)
+    )
+    return evaluate(store, method, options=options)
+
+
 def test_a_method_sees_the_opaque_name_alone(store):
     method = Notes()
-    run = evaluate(store, method, opaque=True, limit=3)
+    run = play(store, method, limit=3)
     assert method.sequences == {opaque_names(store, [SEQUENCE])[SEQUENCE]}
     # The name that the method itself gives comes back once.
     assert len(method.errors) == 9
@@ -67,23 +75,23 @@ def test_a_damaged_key_is_one_line(store):
 
 
 def test_a_run_stays_opaque_or_not(store):
-    evaluate(store, Notes(), opaque=True, limit=1, run_id="one")
+    play(store, Notes(), run_id="one")
     with pytest.raises(StoreError, match="another opaque"):
-        evaluate(store, Notes(), run_id="one", resume=True)
+        play(store, Notes(), False, None, run_id="one", resume=True)
 
 
 def test_a_run_is_not_resumed_under_another_key(store):
-    evaluate(store, Notes(), opaque=True, limit=1, run_id="one")
-    evaluate(store, Notes(), opaque=True, run_id="one", resume=True)
+    play(store, Notes(), run_id="one")
+    play(store, Notes(), limit=None, run_id="one", resume=True)
     key_path(store).unlink()
     with pytest.raises(StoreError, match="another opaque"):
-        evaluate(store, Notes(), opaque=True, run_id="one", resume=True)
+        play(store, Notes(), limit=None, run_id="one", resume=True)
 
 
 def test_a_broken_picture_does_not_tell_the_folder(store, tmp_path):
     (tmp_path / "images" / SEQUENCE).mkdir(parents=True)
     for frame in FRAMES:
         (tmp_path / "images" / SEQUENCE / f"{frame:06d}.jpg").write_bytes(b"no picture")
-    run = evaluate(store, Notes(), opaque=True, limit=1, images=tmp_path / "images")
+    run = play(store, Notes(), images=tmp_path / "images")
     (reason,) = run.predictions["reason"].to_pylist()
     assert "is no whole JPEG" in reason and SEQUENCE not in reason

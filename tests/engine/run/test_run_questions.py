@@ -3,12 +3,13 @@
 import json
 
 import pytest
-from asked_world import BLIND, QUESTIONS_ASKED, SEQUENCE, question, write_public
-from entry import run
 from hypothesis import given
 from hypothesis import strategies as st
+from painted import BLIND, QUESTIONS_ASKED, SEQUENCE, question, write_public
+from processes import run
 
-from jrdb_avr.engine.run.selection import QuestionSelection, matching, select_questions
+from jrdb_avr.engine.run.options import QuestionSelection
+from jrdb_avr.engine.run.selection import matching, select_questions
 from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError

@@ -8,13 +8,13 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from entry import run as run_command
-from spoiled_questions import keep_only, rewrite
+from processes import run as run_command
+from question_files import keep_only, rewrite
 
 from jrdb_avr.engine.rederive import Annotations
 from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, check_replay, read_records
 from jrdb_avr.engine.validate.replay import differences
-from jrdb_avr.queries.graph.file import fingerprint_of, fingerprint_path
+from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
@@ -230,7 +230,8 @@ def test_a_fact_changed_in_the_keyframe_layer_is_noticed(one):
             {"sequence": sequence, "track": track, "frame": frame},
         )
     # As if it had been built so: else the file is taken for damaged.
-    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path)))
+    rows = check_fingerprint(store.graph_path).rows
+    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path, rows)))
     faults = run(store).faults
     assert any(fault.startswith(name) for fault in faults["replay"])
     assert "compiled" not in faults
@@ -256,7 +257,8 @@ def test_a_fact_changed_in_the_scene_is_noticed(one):
             {"sequence": sequence, "track": track, "frame": frame},
         )
     # As if it had been built so: else the file is taken for damaged.
-    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path)))
+    rows = check_fingerprint(store.graph_path).rows
+    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path, rows)))
     faults = run(store).faults
     assert any(fault.startswith(f"{name}: answer: ") and fault.endswith("now lying") for fault in faults["compiled"])
     assert "replay" not in faults

@@ -1,0 +1,228 @@
+"""Command-line options made from the declared options of the library (`schema/option.py`)."""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import click
+
+from jrdb_avr.agent.model.options import EndpointOptions
+from jrdb_avr.engine.commands._complete import complete_sequence
+from jrdb_avr.engine.commands._options import FILE
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.option import Declaration, declared_options
+
+_C = TypeVar("_C", bound=Callable[..., Any])
+
+
+class _Number(click.ParamType[float | None]):
+    """A number, or 'none' for None."""
+
+    name = "X|none"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
+        if value is None or value == "none":
+            return None
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither a number nor 'none'", param, ctx)
+
+
+class _Object(click.ParamType[dict[str, Any]]):
+    """A JSON object."""
+
+    name = "JSON"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, Any]:
+        try:
+            found = json.loads(value) if isinstance(value, str) else value
+        except (ValueError, RecursionError) as error:
+            self.fail(f"{value[:80]!r} is no JSON: {error}", param, ctx)
+        if not isinstance(found, dict):
+            self.fail("it must be a JSON object", param, ctx)
+        return found
+
+
+class _Header(click.ParamType[tuple[str, str]]):
+    """The name of a header, and the name of the environment variable with its value."""
+
+    name = "NAME=ENV"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        name, equals, variable = value if isinstance(value, tuple) else str(value).partition("=")
+        if not (name and equals and variable.isidentifier()):
+            self.fail("it must be NAME=ENV, the environment variable that holds the header's value", param, ctx)
+        return name, variable
+
+
+class _Shard(click.ParamType[tuple[int, int]]):
+    """The number of a shard and the number of shards."""
+
+    name = "I/N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        if isinstance(value, tuple):
+            return value
+        found = re.fullmatch(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})", str(value))
+        if found is None or int(found[1]) > int(found[2]):
+            self.fail("it must be I/N, with I from 1 to N", param, ctx)
+        return int(found[1]), int(found[2])
+
+
+class _Ids(click.ParamType[tuple[str, ...]]):
+    """Ids with commas between, or a file with one id per line."""
+
+    name = "TEXT"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        if isinstance(value, tuple):
+            return value
+        text = value
+        if not re.fullmatch(r"[0-9a-f]{16}(,[0-9a-f]{16})*,?", value):
+            try:
+                path = Path(value)
+                text = path.read_text(encoding="utf-8") if path.is_file() else value
+            except (OSError, ValueError) as error:
+                raise InputError(f"--questions: cannot read {value[:80]}: {error}", file=value) from None
+        ids = [part.strip() for part in re.split(r"[,\n]", text) if part.strip()]
+        if not ids:
+            raise InputError("--questions names no question", field="questions")
+        return tuple(dict.fromkeys(ids))
+
+
+_FOLDER: Final = click.Path(file_okay=False, exists=True, path_type=Path)
+_KINDS: Final[dict[str, click.ParamType[Any]]] = {
+    "questions": _Ids(),
+    "images": _FOLDER,
+    "price": FILE,
+    "marker": click.STRING,
+    "temperature": _Number(),
+    "extra_body": _Object(),
+    "headers": _Header(),
+    "shard": _Shard(),
+}
+"""Type of a value by option, for options whose type does not follow from their field."""
+
+_REPEATED: Final = ("headers", "marker", "families", "templates", "sequences")
+"""Options that may be repeated."""
+
+
+def field_options(kind: Any, *names: str) -> Callable[[_C], _C]:
+    """Add the declared options of an options class to a command.
+
+    Args:
+        kind: The options class.
+        names: The fields; by default all.
+
+    Returns:
+        A decorator. The command gets a value per field, of which `build` makes the options.
+    """
+    declared = declared_options(kind)
+    options = [_click_option(name, *declared[name]) for name in names or declared]
+    return lambda function: functools.reduce(lambda inner, add: add(inner), reversed(options), function)
+
+
+def build(kind: Any, values: Mapping[str, Any]) -> Any:
+    """Return the options of a class from the values of a command.
+
+    Args:
+        kind: The options class.
+        values: Values by field; missing fields keep their defaults.
+
+    Returns:
+        An instance of the class.
+
+    Raises:
+        UsageError: The class refuses a value.
+    """
+    found = {name: values[name] for name in declared_options(kind) if name in values}
+    if "headers" in found:
+        found["headers"] = dict(found["headers"])
+    try:
+        return kind(**found)
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
+
+
+def _click_option(name: str, declared: Declaration, annotation: str, default: Any) -> Callable[[_C], _C]:
+    flag, text = f"--{declared.flag}", declared.text
+    if annotation == "bool":
+        return click.option(flag, name, is_flag=True, help=text)
+    if name in _REPEATED:
+        complete = complete_sequence if name == "sequences" else None
+        kind = _KINDS.get(name)
+        return click.option(
+            flag, name, type=kind, multiple=True, metavar=declared.metavar, shell_complete=complete, help=text
+        )
+    return click.option(
+        flag,
+        name,
+        type=_kind(name, declared, annotation.removesuffix(" | None")),
+        default=default,
+        show_default=default not in (None, {}, ()),
+        metavar=declared.metavar,
+        help=text,
+    )
+
+
+def _kind(name: str, declared: Declaration, annotation: str) -> click.ParamType[Any]:
+    """Return the type of a value of the command line."""
+    if name in _KINDS:
+        return _KINDS[name]
+    if declared.choices:
+        return click.Choice(declared.choices)
+    if annotation == "int":
+        return click.IntRange(declared.minimum, declared.maximum)
+    if annotation == "float":
+        return click.FloatRange(declared.minimum, declared.maximum)
+    return FILE if annotation == "Path" else click.STRING
+
+
+# -- the server of a model --------------------------------------------------------------------------------------------
+
+_REQUEST: Final = tuple(name for name in declared_options(EndpointOptions) if name not in ("price", "max_cost"))
+
+
+def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:
+    """Add the option `--model`.
+
+    Args:
+        text: An end of the help text.
+        required: Whether the command itself refuses a missing model.
+
+    Returns:
+        A decorator.
+    """
+    about = "Id of the model; 'simulated:PROFILE' is the built-in one, and 'marker' its perfect profile"
+    return click.option("--model", required=required, help=f"{about}{text}.")
+
+
+def endpoint_options(function: _C) -> Callable[..., Any]:
+    """Add the options of a model's server; the command gets `model` and `endpoint`, a checked `EndpointOptions`."""
+
+    @functools.wraps(function)
+    def command(*, model: str, **values: Any) -> Any:
+        endpoint = build(EndpointOptions, values)
+        check_address(model, endpoint.base_url)
+        others = {name: value for name, value in values.items() if name not in _REQUEST}
+        return function(model=model, endpoint=endpoint, **others)
+
+    return model_option()(field_options(EndpointOptions, *_REQUEST)(command))
+
+
+def check_address(model: str, base_url: str | None) -> None:
+    """Raise UsageError if a model has no address and is not built in."""
+    from jrdb_avr.agent.simulated.knobs import profile_of
+
+    try:
+        simulated = profile_of(model) is not None
+    except InputError as error:
+        raise click.UsageError(str(error)) from None
+    if base_url is None and not simulated:
+        raise click.UsageError(f"--model {model} needs --base-url, the address of the server that has it")

@@ -1,0 +1,223 @@
+"""Measure the program's code lines per room and its language: `python tests/house.py` prints both.
+
+`tests/test_architecture.py` holds the measures. Code lines are without blanks, comments, docstrings and imports.
+"""
+
+import ast
+import io
+import re
+import subprocess
+import sys
+import tokenize
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+BUDGETS = {
+    "schema": 2950,
+    "loaders": 4900,
+    "queries": 2700,
+    "engine/generate": 3260,
+    "engine/rederive": 1000,
+    "engine/validate": 620,
+    "engine/observe": 230,
+    "engine/run": 1500,
+    "engine/report": 1150,
+    "engine/pages": 1150,
+    "engine/integrations": 600,
+    "engine/commands": 1400,
+    "engine": 350,
+    "agent/model": 1150,
+    "agent/methods": 460,
+    "agent/simulated": 1660,
+    "agent": 3700,
+    "__init__.py": 60,
+}
+"""Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
+TOTAL = 28_840
+TESTS = 31_000
+"""Maximum number of code lines of the program, and of everything below `tests/`."""
+LANGUAGE_LATER = (
+    "agent/beliefs/",
+    "agent/perception/",
+    "agent/policy/",
+    "agent/reference/",
+    "agent/simulated/",
+    "engine/generate/",
+    "engine/rederive/",
+    "engine/validate/",
+    "loaders/intervals/",
+    "loaders/synthetic/",
+    "queries/beliefs/",
+    "queries/compiler/",
+    "queries/generators/",
+    "queries/necessity/",
+    "queries/search/",
+    "schema/labels.py",
+    "schema/markers.py",
+    "schema/plan.py",
+    "schema/relations.py",
+    "schema/rules.py",
+    "schema/templates.py",
+    "schema/wording/",
+)
+"""Paths that later changes rewrite: until then, their language does not count, nor do ruff's rules of docstrings."""
+PATTERNS = {
+    r"\bwhere\b": 3.0,
+    r"\b(whom|whoever|whomever|whose)\b": 0.1,
+    r"\b(somebody|nobody|anybody|everybody)\b": 0.1,
+    r"\b(is|are|was|were) (no|none)\b": 0.9,
+    r"\b(those|that|as) of\b": 0.3,
+    r"\b(by|of|in|at|to|for|from) which\b": 0.6,
+    r"\b(stands?|lies|tells?|told)\b": 0.3,
+    r"\bbut for\b": 0.05,
+}
+"""Maximum number of hits per 1,000 words of docstrings and comments, by pattern."""
+ROOM_HITS = 8.0
+"""The same of all patterns together, within one room."""
+WEAK_NAMES = frozenset(
+    {"one", "own", "other", "found", "place", "places", "number", "who", "told", "said", "seen", "there", "here"}
+    | {"known", "away", "mine", "yours", "wanted", "words", "many", "way"}
+)
+WEAK_SHARE = 60
+"""Maximum number of weak names per 10,000 identifiers."""
+PARAMETERS = 12
+LINE = 128
+"""Maximum number of parameters of a function, and of characters in a line."""
+
+
+class Module(NamedTuple):
+    """The measures of one file."""
+
+    name: str
+    room: str
+    code: int
+    words: int
+    hits: Counter
+    identifiers: int
+    weak: int
+    parameters: int
+    line: int
+
+
+@cache
+def modules() -> tuple[Module, ...]:
+    """Measure the tracked modules of the program."""
+    return tuple(measure(name) for name in tracked() if not name.startswith(("tests/", "docs/", "setup.py")))
+
+
+def lines_of_tests() -> int:
+    """Count the code lines below `tests/`."""
+    return sum(code_lines((ROOT / name).read_text("utf-8")) for name in tracked() if name.startswith("tests/"))
+
+
+def tracked() -> list[str]:
+    """List the tracked Python files that exist."""
+    listed = subprocess.run(["git", "-C", ROOT, "ls-files", "*.py"], check=True, capture_output=True, text=True)
+    return [name for name in listed.stdout.splitlines() if (ROOT / name).exists()]
+
+
+def measure(name: str) -> Module:
+    """Measure a file of the tree."""
+    text = (ROOT / name).read_text("utf-8")
+    nodes = list(ast.walk(ast.parse(text)))
+    prose = "\n".join(re.sub(r"`[^`]*`", "X", part) for part in texts_of(text, nodes))
+    identifiers = [
+        getattr(node, "id", getattr(node, "arg", getattr(node, "attr", "")))
+        for node in nodes
+        if isinstance(node, ast.Name | ast.arg | ast.Attribute)
+    ]
+    functions = [node.args for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return Module(
+        name,
+        room_of(name),
+        code_lines(text),
+        len(prose.split()),
+        Counter({pattern: len(re.findall(pattern, prose)) for pattern in PATTERNS}),
+        len(identifiers),
+        sum(identifier in WEAK_NAMES for identifier in identifiers),
+        max((len(args.posonlyargs + args.args + args.kwonlyargs) for args in functions), default=0),
+        max(map(len, text.splitlines()), default=0),
+    )
+
+
+def room_of(name: str) -> str:
+    """Return the room of a file: its folder of two levels if that has a budget, else its first part."""
+    parts = name.split("/")
+    inner = "/".join(parts[:2])
+    return inner if len(parts) > 2 and inner in BUDGETS else parts[0]
+
+
+def code_lines(text: str) -> int:
+    """Count the lines that hold code, without docstrings and imports."""
+    silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    tokens = [one for one in tokenize.generate_tokens(io.StringIO(text).readline) if one.type not in silent]
+    lines = {line for one in tokens for line in range(one.start[0], one.end[0] + 1)}
+    for node in ast.walk(ast.parse(text)):
+        if is_text(node) or isinstance(node, ast.Import | ast.ImportFrom):
+            lines -= set(range(node.lineno, node.end_lineno + 1))
+    return len(lines)
+
+
+def texts_of(text: str, nodes: list[ast.AST]) -> list[str]:
+    """Return the docstrings and comments of a file."""
+    comments = [
+        one.string for one in tokenize.generate_tokens(io.StringIO(text).readline) if one.type == tokenize.COMMENT
+    ]
+    return [node.value.value for node in nodes if is_text(node)] + comments
+
+
+def is_text(node: ast.AST) -> bool:
+    """Return whether a node is a docstring."""
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def rooms() -> Counter:
+    """Count the code lines of each room."""
+    found = Counter()
+    for module in modules():
+        found[module.room] += module.code
+    return found
+
+
+def due() -> list[Module]:
+    """Return the modules whose language counts already."""
+    return [module for module in modules() if not module.name.startswith(LANGUAGE_LATER)]
+
+
+def hits() -> dict[str, float]:
+    """Return hits per 1,000 words: of each pattern in all modules, and of each room for all patterns."""
+    total = Counter()
+    for module in due():
+        total.update(module.hits)
+    found = {pattern: 1000 * total[pattern] / sum(module.words for module in due()) for pattern in PATTERNS}
+    for room in rooms():
+        inside = [module for module in due() if module.room == room]
+        words = sum(module.words for module in inside)
+        # A rate of a few hundred words says little.
+        found[room] = 1000 * sum(module.hits.total() for module in inside) / words if words > 300 else 0.0
+    return found
+
+
+def weak_share() -> float:
+    """Return the number of weak names per 10,000 identifiers."""
+    return 10_000 * sum(module.weak for module in due()) / sum(module.identifiers for module in due())
+
+
+def main() -> None:
+    """Print all measures beside their bounds."""
+    rates = hits()
+    for room, lines in sorted(rooms().items()):
+        print(f"{room:22}{lines:8,}{BUDGETS.get(room, 0):8,}{rates[room]:8.1f}{ROOM_HITS:8.1f}")
+    print(f"{'program':22}{rooms().total():8,}{TOTAL:8,}\n{'tests':22}{lines_of_tests():8,}{TESTS:8,}")
+    for pattern, bound in PATTERNS.items():
+        print(f"{pattern:58}{rates[pattern]:8.2f}{bound:8.2f}")
+    print(f"{'weak names per 10,000 identifiers':58}{weak_share():8.0f}{WEAK_SHARE:8}")
+    print(f"{'most parameters':58}{max(module.parameters for module in modules()):8}{PARAMETERS:8}")
+    print(f"{'longest line':58}{max(module.line for module in modules()):8}{LINE:8}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
