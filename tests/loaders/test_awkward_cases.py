@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from quick_store import NAME, load_root, reported_store
+from loaded_stores import NAME, load_root, reported_store
 from worlds import VISIBLE, load_reported, load_world, member, person, person_3d, pose, thing, write_root
 
 from jrdb_avr.queries.graph.handle import Graph

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 import pytest
-from placed_people import placed
-from quick_store import NAME, reported_store
+from label_records import placed
+from loaded_stores import NAME, reported_store
 from worlds import member, person
 
 from jrdb_avr.loaders.intervals.derive import derive
