@@ -90,7 +90,7 @@ def print_rows(
     printed = rows[:_ROWS] if terminal else rows
     if title:
         click.echo(clean(title))
-    for table in text_table.tables(printed, columns, width):
+    for table in text_table.make_tables(printed, columns, width):
         # The console would split what is wider than itself.
         wide = sum((column.width or 0) + 3 for column in table.columns) + 1
         Console(width=max(width, wide), highlight=False).print(table)

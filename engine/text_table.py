@@ -1,33 +1,53 @@
-"""Rows as text tables that fit a width without splitting a word or number: columns are wrapped between words first; a
-table that is still too wide is turned where it has few rows, and otherwise stands in parts below each other."""
+"""Rows as text tables that fit a width and split no word or number.
+
+Columns wrap between words. A table that is still too wide is transposed if it has few rows, and else split by columns.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_Cells = Sequence[Mapping[str, str]]
 
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 _LONG: Final = re.compile(r"\S{41,}")
 
-_TURNED: Final = 3
-"""A wide table of at most so many rows is printed with a row's values below each other."""
+_MAX_TRANSPOSED: Final = 3
+"""Maximum number of rows of a transposed table."""
 
-_KEYS: Final = 3
-"""Most columns that stand in each part of a table, so that its rows can be told apart."""
+_MAX_KEYS: Final = 3
+"""Maximum number of columns that each part of a split table repeats."""
 
-_INNER: Final = ("_ID", "_SRC", "_DST", "_LABEL")
-"""Fields of a node or relation that are the engine's own."""
+_ENGINE_FIELDS: Final = ("_ID", "_SRC", "_DST", "_LABEL")
+"""Fields that the graph engine adds to nodes and relations."""
 
 
 def clean(value: object) -> str:
-    """The value as text that cannot move a terminal's cursor or change its colours."""
+    """Return a value as text without control characters.
+
+    Args:
+        value: Any value; None gives an empty text.
+
+    Returns:
+        Text that cannot move a terminal's cursor or change its colours.
+    """
     return _CONTROL.sub("", "" if value is None else str(value))
 
 
 def cell_text(value: object) -> str:
-    """A cell as a person reads it: six digits of a number, and nodes, relations and paths of the graph as in Cypher.
+    """Return a value as the text of a table cell.
+
+    Args:
+        value: A value of a row.
+
+    Returns:
+        Numbers with six digits; nodes, relations and paths of the graph as in Cypher.
 
     >>> cell_text({"_ID": 0, "_LABEL": "Person", "track": 3, "age": None})
     '(:Person {track: 3})'
@@ -38,15 +58,17 @@ def cell_text(value: object) -> str:
         return f"[{', '.join(map(cell_text, value))}]"
     if isinstance(value, dict):
         return _graph_text(value)
-    # What is so long is no word, but JSON or a list of names: lines may end at its commas.
-    return _LONG.sub(lambda found: found[0].replace(",", ", "), clean(value))
+    # A text this long is JSON or a list of names: let lines end at its commas.
+    return _LONG.sub(lambda match: match[0].replace(",", ", "), clean(value))
 
 
 def _graph_text(value: dict[str, Any]) -> str:
     if value.keys() == {"_NODES", "_RELS"}:
         return _path_text(value["_NODES"] or [], value["_RELS"] or [])
-    inner = _INNER if "_LABEL" in value else ()
-    parts = [f"{clean(name)}: {cell_text(own)}" for name, own in value.items() if name not in inner and own is not None]
+    hidden = _ENGINE_FIELDS if "_LABEL" in value else ()
+    parts = [
+        f"{clean(name)}: {cell_text(item)}" for name, item in value.items() if not (name in hidden or item is None)
+    ]
     properties = f"{{{', '.join(parts)}}}"
     if "_LABEL" not in value:
         return properties
@@ -62,87 +84,79 @@ def _path_text(nodes: Sequence[dict[str, Any]], relations: Sequence[dict[str, An
     return text
 
 
-def tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width: int) -> list[Any]:
-    """The rows as one or more `rich` tables of at most `width` characters, wider only where a single word is."""
-    names = columns or list(dict.fromkeys(name for row in rows for name in row))
-    numeric = {name for name in names if _numeric([row.get(name) for row in rows])}
+def make_tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width: int) -> list[Table]:
+    """Lay rows out as tables.
+
+    Args:
+        rows: The rows.
+        columns: Names of the columns; if empty, those of the rows.
+        width: Maximum characters in a line. Only a longer word exceeds it.
+
+    Returns:
+        One or several `rich` tables, to be printed below each other.
+    """
+    names = list(columns or dict.fromkeys(name for row in rows for name in row))
+    numbers = {name for name in names if _is_numeric(row.get(name) for row in rows)}
     cells = [{name: cell_text(row.get(name)) for name in names} for row in rows]
-    if _least(cells, names) <= width:
-        return [_table(cells, names, numeric, width)]
-    if turned := _turned(cells, names, width):
-        return [turned]
-    key = _key(cells, names, width)
-    parts: list[list[str]] = []
-    part = list(key)
+    if _min_width(names, cells) <= width:
+        return [_make_table(names, cells, numbers, width)]
+    heads = [names[0], *(row[names[0]] for row in cells)]
+    if 0 < len(cells) <= _MAX_TRANSPOSED and len(set(heads)) == len(heads):
+        lines = [dict(zip(heads, [name, *(row[name] for row in cells)], strict=True)) for name in names[1:]]
+        if len(cells) == 1 or _min_width(heads, lines) <= width:
+            return [_make_table(heads, lines, set(), width)]
+    return [_make_table(part, cells, numbers, width) for part in _split_columns(names, cells, width)]
+
+
+def _split_columns(names: Sequence[str], cells: _Cells, width: int) -> list[list[str]]:
+    """Split columns into parts that fit; each part begins with the columns that identify a row."""
+    key = list(names[:1])
+    for count in range(_MAX_KEYS, 0, -1):
+        if len({tuple(row[name] for name in names[:count]) for row in cells}) == len(cells):
+            key = list(names[:count])
+    widest = max(_min_width([name], cells) for name in names)
+    while key and _min_width(key, cells) + widest > width:
+        key.pop()
+    parts = [[*key]]
     for name in names[len(key) :]:
-        if len(part) > len(key) and _least(cells, [*part, name]) > width:
-            parts, part = [*parts, part], list(key)
-        part.append(name)
-    return [_table(cells, own, numeric, width) for own in [*parts, part]]
+        if len(parts[-1]) > len(key) and _min_width([*parts[-1], name], cells) > width:
+            parts.append([*key])
+        parts[-1].append(name)
+    return parts
 
 
-def _turned(cells: Sequence[dict[str, str]], names: Sequence[str], width: int) -> Any | None:
-    """A few rows as a table with a column for each, headed by its first cell; None where that does not fit either."""
-    first, rest = names[0], names[1:]
-    headings = [first, *(own[first] for own in cells)]
-    if not 1 <= len(cells) <= _TURNED or len(set(headings)) < len(headings):
-        return None
-    turned = [{first: name, **{own[first]: own[name] for own in cells}} for name in rest]
-    fits = len(cells) == 1 or _least(turned, headings) <= width
-    return _table(turned, headings, set(), width) if fits else None
+def _min_width(names: Sequence[str], cells: _Cells) -> int:
+    """Width of the narrowest table that splits no word, with its borders."""
+    return sum(_max_length(str.split, name, cells) + 3 for name in names) + 1
 
 
-def _key(cells: Sequence[dict[str, str]], names: Sequence[str], width: int) -> list[str]:
-    """The first columns that tell the rows apart, as far as they leave half the width, and room for every other."""
-    for count in range(1, _KEYS + 1):
-        key = list(names[:count])
-        most = max((_least(cells, [name]) - 1 for name in names[count:]), default=0)
-        if _least(cells, key) > min(width / 2, width - most):
-            return key[:-1] or key
-        if len({tuple(own[name] for name in key) for own in cells}) == len(cells):
-            return key
-    return list(names[:1])
-
-
-def _least(cells: Sequence[dict[str, str]], names: Sequence[str]) -> int:
-    """The width of the narrowest table that splits no word."""
-    return sum(_widest(cells, name, str.split) + 3 for name in names) + 1
-
-
-def _widest(cells: Sequence[dict[str, str]], name: str, split: Any) -> int:
+def _max_length(split: Any, name: str, cells: _Cells) -> int:
     from rich.cells import cell_len
 
-    return max(
-        (cell_len(part) for text in (clean(name), *(own[name] for own in cells)) for part in split(text)), default=0
-    )
+    texts = [clean(name), *(row[name] for row in cells)]
+    return max((cell_len(part) for text in texts for part in split(text)), default=0)
 
 
-def _numeric(values: Sequence[object]) -> bool:
+def _is_numeric(values: Iterable[object]) -> bool:
     known = [value for value in values if value is not None]
     return bool(known) and all(isinstance(value, int | float) for value in known)
 
 
-def _table(cells: Sequence[dict[str, str]], names: Sequence[str], numeric: set[str], width: int) -> Any:
+def _make_table(names: Sequence[str], cells: _Cells, numbers: set[str], width: int) -> Table:
     from rich.table import Table
     from rich.text import Text
 
+    # rich may shrink a column below its longest word. The columns that lack least are widened first.
+    widths = {name: max(1, _max_length(str.split, name, cells)) for name in names}
+    lacks = {name: _max_length(str.splitlines, name, cells) - widths[name] for name in names}
+    spare = max(0, width - sum(widths.values()) - 3 * len(names) - 1)
+    for index, name in enumerate(sorted(names, key=lacks.__getitem__)):
+        more = max(0, min(lacks[name], spare // (len(names) - index)))
+        widths[name] += more
+        spare -= more
     table = Table()
-    for name, own in zip(names, _widths(cells, names, width), strict=True):
-        table.add_column(Text(clean(name)), justify="right" if name in numeric else "left", width=own)
+    for name in names:
+        table.add_column(Text(clean(name)), justify="right" if name in numbers else "left", width=widths[name])
     for row in cells:
         table.add_row(*(Text(row[name]) for name in names))
     return table
-
-
-def _widths(cells: Sequence[dict[str, str]], names: Sequence[str], width: int) -> list[int]:
-    """Widths of columns: each its longest word, and what is left over for those whose lines are longer."""
-    widths = [max(1, _widest(cells, name, str.split)) for name in names]
-    wishes = [max(1, _widest(cells, name, str.splitlines)) for name in names]
-    left = width - sum(own + 3 for own in widths) - 1
-    # The columns that need least first, so that what they leave goes to those of long texts.
-    order = sorted(range(len(names)), key=lambda place: wishes[place] - widths[place])
-    for number, place in enumerate(order):
-        more = min(wishes[place] - widths[place], max(0, left) // (len(order) - number))
-        widths[place] += more
-        left -= more
-    return widths

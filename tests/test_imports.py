@@ -49,7 +49,20 @@ def test_folders_keep_apart(folder):
 
 
 def test_only_what_pyproject_names_is_imported():
-    declared = {"kuzu", "duckdb", "pyarrow", "cv2", "numpy", "click", "rich", "msgspec", "httpx2", "yaml", "tenacity"}
+    declared = {
+        "kuzu",
+        "duckdb",
+        "pyarrow",
+        "cv2",
+        "numpy",
+        "click",
+        "rich",
+        "msgspec",
+        "httpx2",
+        "yaml",
+        "tenacity",
+        "tabulate",
+    }
     declared |= {"jrdb_avr", "jinja2", "sklearn"}
     # Of the extras, in `engine/integrations/` alone; the last three come with mcp.
     declared |= {"inspect_ai", "mcp", "gymnasium", "pydantic", "uvicorn", "anyio"}

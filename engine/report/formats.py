@@ -12,20 +12,6 @@ from jrdb_avr.queries.display import columns_of
 
 Rows = Sequence[Mapping[str, Any]]
 
-_LATEX: Final = str.maketrans(
-    {letter: f"\\{letter}" for letter in "&%$#_{}"}
-    | {
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        # After the end of a row, and after a rule, a bracket would open an optional argument.
-        "[": "{[}",
-        "]": "{]}",
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
-    }
-)
-
 _MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"})
 
 MARK: Final = "*"
@@ -118,48 +104,62 @@ def _bounds(low: object, high: object) -> str:
 
 
 def markdown(rows: Rows) -> str:
-    """A Markdown table."""
-    columns = columns_of(rows)
-    lines = [columns, ["---:" if _is_number(rows, name) else "---" for name in columns]]
-    lines += [[_escaped(cell(row.get(name), name), _MARKDOWN) for name in columns] for row in rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    """Return rows as a Markdown table.
+
+    Args:
+        rows: The rows; all values are printed as `cell` prints them.
+
+    Returns:
+        The lines of the table, each with its end.
+    """
+    cells = [[text.translate(_MARKDOWN) for text in line] for line in _lines_of(rows)]
+    return _tabulated(rows, cells, columns_of(rows), "pipe")
 
 
 def latex(rows: Rows) -> str:
-    """A LaTeX table for the package booktabs; rules between the values of the first column where some repeat.
+    """Return rows as a LaTeX table for the package booktabs.
 
-    A column of settings, which are long, has numbers, and lines below the table explain them.
+    If values of the first column repeat, rules separate them. Settings are long: cells have their numbers, and lines
+    below the table explain the numbers.
+
+    Args:
+        rows: The rows; all values are printed as `cell` prints them.
+
+    Returns:
+        A `tabular` environment and its notes.
     """
-    rows, notes = _numbered(rows)
-    columns = columns_of(rows)
-    layout = "".join("r" if _is_number(rows, name) else "l" for name in columns)
-    lines = [rf"\begin{{tabular}}{{{layout}}}", r"\toprule", _latex_row([name.replace("_", " ") for name in columns])]
-    first = [row.get(columns[0]) for row in rows]
-    grouped = len(set(first)) < len(first)
-    for place, row in enumerate(rows):
-        lines += [r"\midrule"] if not place or (grouped and first[place] != first[place - 1]) else []
-        lines.append(_latex_row([cell(row.get(name), name) for name in columns]))
-    lines += [r"\bottomrule", r"\end{tabular}"]
-    lines += [rf"\par{{\footnotesize {number}: {_escaped(note, _LATEX)}}}" for number, note in enumerate(notes, 1)]
-    return "\n".join([*lines, ""])
+    from tabulate import LATEX_ESCAPE_RULES, SEPARATING_LINE
 
-
-def _numbered(rows: Rows) -> tuple[Rows, list[str]]:
-    """Rows with each distinct setting as its number, and the settings in the order of their numbers."""
     notes = list(dict.fromkeys(row["setting"] for row in rows if row.get("setting")))
-    if not notes:
-        return rows, []
-    places = {note: str(number) for number, note in enumerate(notes, 1)}
-    return [{**row, "setting": places.get(row.get("setting", ""), "")} for row in rows], notes
+    numbers = {note: str(number) for number, note in enumerate(notes, 1)}
+    rows = [{**row, "setting": numbers.get(row.get("setting", ""), "")} for row in rows] if notes else rows
+    cells: list[Any] = _lines_of(rows)
+    if len({line[0] for line in cells}) < len(cells):
+        for index in range(len(cells) - 1, 0, -1):
+            if cells[index][0] != cells[index - 1][0]:
+                cells.insert(index, SEPARATING_LINE)
+    text = _tabulated(rows, cells, [name.replace("_", " ") for name in columns_of(rows)], "latex_booktabs")
+    # LaTeX takes a bracket at the start of a row for an argument of the row before it.
+    text = re.sub(r"^( *)\[", r"\1{[}", text, flags=re.MULTILINE)
+    escapes = str.maketrans(LATEX_ESCAPE_RULES)
+    explained = (f"{number}: {_in_one_line(note).translate(escapes)}" for note, number in numbers.items())
+    return text + "".join(rf"\par{{\footnotesize {line}}}" + "\n" for line in explained)
 
 
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(_escaped(text, _LATEX) for text in cells) + r" \\"
+def _tabulated(rows: Rows, cells: Sequence[Any], heads: Sequence[str], form: str) -> str:
+    from tabulate import tabulate
+
+    sides = ["right" if _is_number(rows, name) else "left" for name in columns_of(rows)]
+    return f"{tabulate(cells, heads, form, disable_numparse=True, colalign=sides)}\n"
 
 
-def _escaped(text: str, letters: dict[int, str]) -> str:
-    """A text in one line, with the letters that mean something else escaped."""
-    return clean(" ".join(text.split())).translate(letters)
+def _lines_of(rows: Rows) -> list[list[str]]:
+    columns = columns_of(rows)
+    return [[_in_one_line(cell(row.get(name), name)) for name in columns] for row in rows]
+
+
+def _in_one_line(text: str) -> str:
+    return clean(" ".join(text.split()))
 
 
 def _is_number(rows: Rows, name: str) -> bool:

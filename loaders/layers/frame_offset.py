@@ -1,14 +1,14 @@
-"""Whether two layers number their frames alike, judged by the people that both hold.
+"""Check whether two layers number their frames alike, by the people in both.
 
-Train files come in two numberings that are two frames apart, and nothing in them says which. A layer at frame f is
-compared with the 2D boxes at f + s. Standing people say nothing, a person's boxes may be off to one side throughout,
-and camera and lidar are read up to 40 ms apart. So two tests are used, and only what moves is looked at:
+Train files come in two numberings that are two frames apart, and no file states its numbering. A layer at frame f is
+compared with the 2D boxes at frame f + s. There are two tests:
 
-- equal boxes: a layer that repeats the 2D boxes is found out by where it repeats them;
-- motion: over each person's frames, the distance between the two columns is regressed on the speed of the column. The
-  slope is the shift in frames. Its error is that of independent spells of people, and of stretches of time.
+- Equal boxes, for layers that repeat the 2D boxes: the shift is the s with the most equal boxes.
+- Motion, for 3D boxes: a person's 3D box may be off to one side throughout, camera and lidar are read up to 40 ms
+  apart, and standing people show nothing. Therefore the distance between the two columns of a person is regressed on
+  the speed of the column. The slope is the shift in frames. Its error comes from independent spells of people and time.
 
-Columns are centres of people in stitched pixels. Of 3D boxes they follow from the azimuth: 3760 * (0.5 - a / 2 pi).
+Columns are centres of people in stitched pixels. For 3D boxes they follow from the azimuth a: 3760 * (0.5 - a / 2 pi).
 """
 
 from __future__ import annotations
@@ -21,44 +21,47 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, ascending, paired, places, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, ascending, paired, rank_values, whole_numbers
 from jrdb_avr.loaders.report import ShiftCheck
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
 
 TRIED: Final = (0, 1, -1, 2, -2)
-MAX_GAP: Final = 15
-"""Frames between two boxes of a person that are still joined by a straight line."""
+"""Shifts in frames that are tried."""
 MAX_ROWS: Final = 20_000
-"""Boxes that are compared; of more, evenly spread ones."""
+"""Maximum boxes that are compared. Of more boxes, evenly spread ones are taken."""
 
 SAME: Final = 1.0
-"""Pixels within which two boxes are the same one."""
-MOVED: Final = 3.0
-"""Pixels from which on a box is another one."""
-MIN_EQUAL: Final = 20
-"""Moved boxes that the test of equal boxes needs."""
-EQUAL_SHARE: Final = 0.9
-UNEQUAL_SHARE: Final = 0.5
+"""Maximum distance of equal boxes in pixels."""
+MIN_LEAD: Final = 20
+"""Minimum number of equal boxes that a shift has more than any other shift."""
+SHIFTED_SHARE: Final = 0.9
+"""Minimum share of equal boxes for the claim that a layer is shifted."""
+AGREEING_SHARE: Final = 0.5
+"""Minimum share of equal boxes for the claim that a layer is not shifted."""
 
+MAX_GAP: Final = 15
+"""Maximum frames between two boxes of a person that are joined by a straight line."""
 REACH: Final = 4
-"""Frames to both sides over which the speed of a column is measured."""
+"""Frames to both sides for the speed of a column."""
 MAX_SPEED: Final = 40.0
+"""Maximum speed of a column in pixels per frame."""
 MAX_APART: Final = 300.0
+"""Maximum distance of two columns of a person in pixels."""
 SPELL: Final = 45
-"""Frames of a person, or of everybody, that count as one observation."""
-MOST: Final = 0.05
-"""Share of all motion that one spell may add."""
+"""Frames of a person, or of all people, that count as one observation."""
+MAX_SPELL_SHARE: Final = 0.05
+"""Maximum share of all motion that one spell adds. One fast person must not outweigh all others."""
 MIN_SPELLS: Final = 10.0
 MIN_TRACKS: Final = 2.0
 CLOCK: Final = 0.7
-"""Frames of apparent shift that sensors read at different moments may cause."""
-MAX_SHIFT: Final = 3.0
+"""Maximum apparent shift in frames between sensors that are read at different moments."""
 MIN_RESPONSE: Final = 0.5
-"""Share of a shift that the slope must show, or agreement is not claimed of it."""
+"""Minimum share of a planted shift that the slope must show, or agreement is not claimed."""
 ERRORS_BEYOND: Final = 3.0
+"""Standard errors by which a shift must exceed `CLOCK`."""
 ERRORS_AWAY: Final = 6.0
-"""Standard errors by which a shift must exceed `CLOCK`, and zero."""
+"""Standard errors by which a shift must exceed zero."""
 
 NO_BOXES: Final = "the 2D layer has no boxes to compare with"
 NO_COMMON_PERSON: Final = "no person is in both layers"
@@ -68,32 +71,34 @@ FOREIGN: Final = "the boxes fit the 2D boxes at no shift of up to 2 frames"
 
 @dataclass(frozen=True)
 class Tracks(Rows):
-    """Where a layer sees people, sorted by track and frame."""
+    """Positions of the people of a layer, sorted by track and frame."""
 
     frame: Ints
     track: Ints
     column: Floats
     box: Floats | None
-    """(n, 4), where the layer has boxes in the panorama."""
+    """Boxes in the panorama, shape (n, 4), or None for a layer without boxes there."""
 
     def columns_at(self, track: Ints, frame: Ints) -> Floats:
-        """Columns of people at any frame, on straight lines between the layer's own frames; NaN beyond them."""
-        return self._between(self.column, track, frame)
+        """Return columns of people at any frame, on straight lines between the layer's frames, NaN beyond them."""
+        key, after = self._rows_from(track, frame)
+        before = np.where(self._keys[after] == key, after, np.maximum(after - 1, 0))
+        start, end = self._keys[before], self._keys[after]
+        inside = (start <= key) & (key <= end) & (end - start <= MAX_GAP) & (frame >= 0)
+        part = np.where(inside, (key - start) / np.maximum(end - start, 1), np.nan)
+        return np.asarray(self.column[before] + part * _difference(self.column[after], self.column[before]))
 
     def boxes_at(self, track: Ints, frame: Ints) -> Floats:
-        """Boxes of people at any frame, interpolated as columns are."""
+        """Return boxes of people at frames of the layer, shape (n, 4), NaN for a missing box."""
         assert self.box is not None
-        return self._between(self.box, track, frame)
+        key, row = self._rows_from(track, frame)
+        present = (self._keys[row] == key) & (frame >= 0)
+        return np.where(present[:, None], self.box[row], np.nan)
 
-    def _between(self, values: Floats, track: Ints, frame: Ints) -> Floats:
-        wanted = paired(track, np.maximum(frame, 0))
-        after = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
-        before = np.where(self._keys[after] == wanted, after, np.maximum(after - 1, 0))
-        start, end = self._keys[before], self._keys[after]
-        inside = (start <= wanted) & (wanted <= end) & (end - start <= MAX_GAP) & (frame >= 0)
-        part = np.where(inside, (wanted - start) / np.maximum(end - start, 1), np.nan)
-        step = _difference(values[after], values[before])
-        return np.asarray(values[before] + (part * step.T).T)
+    def _rows_from(self, track: Ints, frame: Ints) -> tuple[Ints, Ints]:
+        """Return the key of each person and frame, and the first row at or after the key."""
+        key = paired(track, np.maximum(frame, 0))
+        return key, np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
 
     @cached_property
     def _keys(self) -> Ints:
@@ -101,25 +106,25 @@ class Tracks(Rows):
 
 
 class Slope(NamedTuple):
-    """The shift in frames, estimated from motion, and its standard error."""
+    """A shift in frames, estimated from motion, and its standard error."""
 
     frames: float
     error: float
 
 
 def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
-    """The people of a file, for layers that place them; None for the others.
+    """Return the people of a file, or None for a layer without positions.
 
-    Poses are left out: the points that can be seen lead or trail a walking person, which looks like a shift.
+    Poses are left out: the visible points lead or trail a walking person, which looks like a shift.
     """
     if layer == "3d":
-        return _of_3d(reading.tables["boxes_3d"])
+        return _tracks_3d(reading.tables["boxes_3d"])
     table = reading.tables["boxes_2d"] if layer == "2d" else reading.boxes
-    return None if table is None else _of_boxes(table)
+    return None if table is None else _tracks_2d(table)
 
 
 def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCheck:
-    """Compare a layer's people with those of the 2D boxes."""
+    """Compare the people of a layer with the 2D boxes."""
     if reference is None or not len(reference.frame):
         return ShiftCheck(layer, "not tested", NO_BOXES)
     shared = np.isin(tracks.track, reference.track)
@@ -128,49 +133,39 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
     rows = np.flatnonzero(shared)
     tracks = tracks.at(rows[:: -(-len(rows) // MAX_ROWS)])
     if tracks.box is not None:
-        equal = equal_at(tracks, reference)
-        if equal is not None:
-            return _agrees(layer, None) if equal == 0 else _shifted(layer, equal, None)
+        shift = equal_at(tracks, reference)
+        return ShiftCheck(layer, "not tested", TOO_STILL) if shift is None else _check(layer, shift, None)
     slope = slope_of(tracks, reference)
     if slope is None:
         return ShiftCheck(layer, "not tested", TOO_STILL)
     size = abs(slope.frames)
     if size - CLOCK >= ERRORS_BEYOND * slope.error and size >= ERRORS_AWAY * slope.error:
-        nearest = nearest_shift(tracks, reference)
-        if size > MAX_SHIFT or nearest * slope.frames <= 0:
+        if round(size) > max(TRIED):
             return ShiftCheck(layer, "not tested", FOREIGN, *slope)
-        return _shifted(layer, nearest, slope)
+        return _check(layer, round(slope.frames), slope)
     response = response_of(tracks, reference)
     if response >= MIN_RESPONSE and size + ERRORS_BEYOND * slope.error < response:
-        return _agrees(layer, slope)
+        return _check(layer, 0, slope)
     return ShiftCheck(layer, "not tested", TOO_STILL, *slope)
 
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
-    """The shift at which a layer's boxes are the reference's own; None where they are not, or too few boxes move."""
+    """Return the shift with the most boxes equal to the reference, or None if no shift is clearly best."""
     assert tracks.box is not None
-    there = {s: reference.boxes_at(tracks.track, tracks.frame + s) for s in TRIED}
-    same = {s: _apart(tracks.box, there[s]) <= SAME for s in TRIED}
-    usable = np.logical_and.reduce([~np.isnan(box[:, 0]) for box in there.values()])
-    found = None
-    for s in TRIED[1:]:
-        # NaN compares false, so rows without a box there fall out.
-        moved = usable & (_apart(there[0], there[s]) >= MOVED)
-        if moved.sum() < MIN_EQUAL:
-            continue
-        if same[0][moved].mean() > UNEQUAL_SHARE:
-            return 0
-        if same[s][moved].mean() >= EQUAL_SHARE and found is None:
-            found = s
-    return found
+    apart = [_difference(tracks.box, reference.boxes_at(tracks.track, tracks.frame + s)) for s in TRIED]
+    compared = [int((~np.isnan(difference[:, 0])).sum()) for difference in apart]
+    equal = [int((np.abs(difference).max(axis=1) <= SAME).sum()) for difference in apart]
+    best, second = sorted(range(len(TRIED)), key=lambda i: -equal[i])[:2]
+    share = SHIFTED_SHARE if TRIED[best] else AGREEING_SHARE
+    clear = equal[best] - equal[second] >= MIN_LEAD and equal[best] >= share * compared[best]
+    return TRIED[best] if clear else None
 
 
 def response_of(tracks: Tracks, reference: Tracks) -> float:
-    """By how many frames the slope changes for a layer that is moved by one frame: 1 where all motion is real.
+    """Return the change of the slope for a layer that is moved by one frame: 1 if all motion is real.
 
-    Where the boxes of people who stand are only drawn a little elsewhere each time, it is near 0: then a slope of zero
-    says nothing. (Moved by one frame: by `REACH` less a shift, a layer that repeats the reference's errors would meet
-    them in the speed.)
+    It is near 0 if the boxes of standing people are only drawn a little elsewhere each time. Then a slope of zero does
+    not prove agreement.
     """
     slopes = [slope_of(tracks, reference, moved) for moved in (-1, 1)]
     if slopes[0] is None or slopes[1] is None:
@@ -179,23 +174,28 @@ def response_of(tracks: Tracks, reference: Tracks) -> float:
 
 
 def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
-    """The shift by regression on motion; None where too little moves for an estimate with an error.
+    """Estimate the shift by regression on motion.
 
-    `moved`: frames by which the layer is moved before it is compared.
+    Args:
+        tracks: people of the layer.
+        reference: people of the 2D layer.
+        moved: frames by which the layer is moved before the comparison.
+
+    Returns:
+        The shift, or None if too little moves for an estimate with an error.
     """
-    here = tracks.frame + moved
-    apart = _difference(tracks.column, reference.columns_at(tracks.track, here))
-    ahead, behind = (reference.columns_at(tracks.track, here + away) for away in (REACH, -REACH))
+    frame = tracks.frame + moved
+    apart = _difference(tracks.column, reference.columns_at(tracks.track, frame))
+    ahead, behind = (reference.columns_at(tracks.track, frame + offset) for offset in (REACH, -REACH))
     speed = _difference(ahead, behind) / (2 * REACH)
     usable = (np.abs(apart) <= MAX_APART) & (np.abs(speed) <= MAX_SPEED)
     track, frame = tracks.track[usable], tracks.frame[usable]
     if not len(track):
         return None
     speed, apart = _without_means(speed[usable], track), _without_means(apart[usable], track)
-    _, spell = places(paired(frame // SPELL, track))
+    _, spell = rank_values(paired(frame // SPELL, track))
     weight = np.bincount(spell, speed * speed)
-    # One person who rushes past must not outweigh everybody else.
-    most = float(weight.sum()) * MOST
+    most = float(weight.sum()) * MAX_SPELL_SHARE
     if not most > 0:
         return None
     share = (most / np.maximum(weight, most))[spell]
@@ -203,54 +203,39 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     total = float(weighted.sum())
     frames = float(product.sum()) / total
     rest = product - frames * weighted
-    groups = (spell, places(track)[1], places(frame // SPELL)[1])
-    sizes = [_effective(np.bincount(group, weighted)) for group in groups]
-    if sizes[0] < MIN_SPELLS or sizes[1] < MIN_TRACKS:
+    if (
+        _effective(np.bincount(spell, weighted)) < MIN_SPELLS
+        or _effective(np.bincount(rank_values(track)[1], weighted)) < MIN_TRACKS
+    ):
         return None
     errors = []
-    for group in (groups[0], groups[2]):
+    for group in (spell, rank_values(frame // SPELL)[1]):
         sums = np.bincount(group, rest)
         if len(sums) > 1:
             errors.append(float(np.sqrt((sums * sums).sum() * len(sums) / (len(sums) - 1))) / total)
     return Slope(frames, max(errors))
 
 
-def nearest_shift(tracks: Tracks, reference: Tracks) -> int:
-    """Of the shifts tried, the one at which columns lie closest to those of the reference, people's means left out."""
-    apart = np.stack([_difference(tracks.column, reference.columns_at(tracks.track, tracks.frame + s)) for s in TRIED])
-    usable = (np.abs(apart) <= MAX_APART).all(axis=0)
-    if not usable.any():
-        return 0
-    track = tracks.track[usable]
-    misses = [float(np.abs(_without_means(row, track)).mean()) for row in apart[:, usable]]
-    return TRIED[int(np.argmin(misses))]
-
-
-# -- results -----------------------------------------------------------------------------------------------------
-
-
-def _agrees(layer: str, slope: Slope | None) -> ShiftCheck:
-    how = "its boxes are those of the 2D layer" if slope is None else "people move in both layers at the same frames"
-    return ShiftCheck(layer, "agrees", how, *(slope or (0.0, 0.0)))
-
-
-def _shifted(layer: str, frames: int, slope: Slope | None) -> ShiftCheck:
-    about = "about " if slope else ""
-    reason = f"agrees with the 2D boxes only when moved by {about}{frames:+d} frames: renumber it or load without it"
-    return ShiftCheck(layer, "shifted", reason, *(slope or (float(frames), 0.0)))
+def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
+    if shift:
+        about = "about " if slope else ""
+        reason = f"agrees with the 2D boxes only when moved by {about}{shift:+d} frames: renumber it or load without it"
+        return ShiftCheck(layer, "shifted", reason, *(slope or (float(shift), 0.0)))
+    reason = "people move in both layers at the same frames" if slope else "its boxes are those of the 2D layer"
+    return ShiftCheck(layer, "agrees", reason, *(slope or (0.0, 0.0)))
 
 
 # -- people ------------------------------------------------------------------------------------------------------
 
 
-def _of_boxes(table: pa.Table) -> Tracks:
+def _tracks_2d(table: pa.Table) -> Tracks:
     box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
-    # A box cut off at the seam has its centre elsewhere than the person.
+    # The centre of a box that is cut off at the seam is not the centre of the person.
     whole = (box[:, 0] > SAME) & (box[:, 0] + box[:, 2] < WIDTH - SAME)
     return _sorted(table, box[:, 0] + box[:, 2] / 2, box, whole)
 
 
-def _of_3d(table: pa.Table) -> Tracks:
+def _tracks_3d(table: pa.Table) -> Tracks:
     x, y = table["cx"].to_numpy(), table["cy"].to_numpy()
     return _sorted(table, column_of_angle(angle_of_azimuth(np.arctan2(y, x))), None, (x != 0) | (y != 0))
 
@@ -262,23 +247,18 @@ def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) 
 
 
 def _difference(a: Floats, b: Floats) -> Floats:
-    """By how much columns, or boxes, differ; columns the short way round."""
+    """Return the differences of columns, or of boxes with shape (n, 4). Columns differ by the short way round."""
     difference = a - b
     columns = difference if difference.ndim == 1 else difference[:, 0]
     columns[:] = (columns + WIDTH / 2) % WIDTH - WIDTH / 2
     return difference
 
 
-def _apart(a: Floats, b: Floats) -> Floats:
-    """Largest difference of each pair of boxes."""
-    return np.asarray(np.abs(_difference(a, b)).max(axis=1))
-
-
 def _without_means(values: Floats, track: Ints) -> Floats:
-    _, group = places(track)
+    _, group = rank_values(track)
     return values - (np.bincount(group, values) / np.bincount(group))[group]
 
 
 def _effective(weights: npt.NDArray[Any]) -> float:
-    """How many equal weights would be spread as widely."""
+    """Return the number of equal weights with the same spread."""
     return float(weights.sum() ** 2 / (weights * weights).sum())

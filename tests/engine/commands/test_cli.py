@@ -317,7 +317,7 @@ def test_score_and_report(store):
     assert "n/a" in out
     assert "synthetic" not in out + err
     code, out, err = run("report", "--store", store.path, "--markdown")
-    assert out.splitlines()[1].startswith("| ---")
+    assert out.splitlines()[1].startswith("|:--")
     assert len(out.splitlines()) == 4
     assert "IoU 0.5" in err
     assert "synthetic" in err

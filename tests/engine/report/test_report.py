@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from itertools import combinations
@@ -13,9 +14,8 @@ import msgspec
 import numpy as np
 import processes
 import pytest
-from failing_runs import CASES, stored_failures
-from known_runs import BOX, ELSEWHERE, Benchmark, table
-from places import SUPPORT
+from environment import SUPPORT
+from scored_runs import BOX, CASES, ELSEWHERE, Benchmark, stored_failures, table
 
 from jrdb_avr.engine.console import csv_text
 from jrdb_avr.engine.report.bootstrap import cluster_sums, intervals, mean_ratio
@@ -297,25 +297,23 @@ def test_cells_as_a_person_reads_them():
 
 def test_markdown_escapes_bars():
     lines = markdown(ROWS).splitlines()
-    assert lines[1] == "| --- | ---: | ---: | ---: | ---: |"
-    assert lines[2].startswith("| a_b\\|c | 12.50 |")
-    assert lines[3].endswith("| n/a | n/a | n/a | n/a |")
+    assert re.fullmatch(r"\|:-+(\|-+:){4}\|", lines[1])
+    assert lines[2].split()[:4] == ["|", "a_b\\|c", "|", "12.50"]
+    assert lines[3].split()[-8:] == ["n/a", "|"] * 4
 
 
 def test_latex_compiles_as_text():
     text = latex(ROWS)
-    assert r"a\_b|c & 12.50" in text
+    assert re.search(r"a\\_b\|c +& +12\.50", text)
     assert r"50\% \{x\} \textbackslash{} \#1" in text
-    assert text.startswith("\\begin{tabular}{lrrrr}\n\\toprule\nmodel & answer & answer low")
+    assert re.match(r"\\begin{tabular}{lrrrr}\n\\toprule\n model +& +answer +& +answer low ", text)
     assert text.endswith("\\bottomrule\n\\end{tabular}\n")
 
 
 def test_latex_numbers_settings_and_says_below_what_they_are():
     rows = [{"model": "m", "setting": text} for text in ("b_1: x 1", "", "a: y 2", "b_1: x 1")]
     text = latex(rows)
-    assert [line for line in text.splitlines() if line.startswith("m &")] == [
-        f"m & {n} \\\\" for n in ("1", "", "2", "1")
-    ]
+    assert re.findall(r"^ m +& (\d?)", text, re.MULTILINE) == ["1", "", "2", "1"]
     assert text.endswith("\\par{\\footnotesize 1: b\\_1: x 1}\n\\par{\\footnotesize 2: a: y 2}\n")
 
 
@@ -342,10 +340,9 @@ def test_names_of_others_do_no_harm_in_any_format():
         assert "\x1b" not in text and "\x00" not in text
     lines = markdown(rows).splitlines()
     assert len(lines) == len(HOSTILE) + 2
-    assert lines[6] == r"| &lt;b>&amp;\[x\](y)\` \| | 1 |"
+    assert re.fullmatch(r"\| &lt;b>&amp;\\\[x\\\]\(y\)\\` \\\| +\| +1 \|", lines[6])
     # A bracket after the end of a row would be taken for the height of the gap below it.
-    assert r"{[}0, 5) & 1 \\" in latex(rows)
-    assert "\n[" not in latex(rows)
+    assert re.search(r"\n {\[}0, 5\) +& +1 ", latex(rows)) and not re.search(r"\n *\[", latex(rows))
 
 
 def runs_over(sequences, **counts):

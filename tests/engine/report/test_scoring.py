@@ -7,18 +7,18 @@ import sys
 import types
 from pathlib import Path
 
-import known_runs
 import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from effort import examples
+import scored_runs
+from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from known_runs import Benchmark, scored_run
 from pycocotools import mask as coco
+from scored_runs import Benchmark, scored_run
 
 from jrdb_avr.engine.report import scoring
 from jrdb_avr.engine.report.comparison import report
@@ -28,7 +28,7 @@ from jrdb_avr.engine.report.tables import score_row
 from jrdb_avr.engine.report.truth import Truth, read_truth
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema import answers
+from jrdb_avr.schema import answer_modes, answers
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import Span
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
@@ -553,7 +553,7 @@ MUTANTS = [
 MUTANTS_OF_ANSWERS = [
     ("abs(given.frame - truth.frame) <= second", "abs(given.frame - truth.frame) < second"),
     ("abs(given.frame - truth.frame) <= second", "abs(given.frame - truth.frame) <= second + 1"),
-    ("given.choice == truth.choice", "given.choice + 1 == truth.choice"),
+    ("given == truth,", "given.choice + 1 == truth.choice,"),
     ("frames_iou(given, truth) >= 0.5", "frames_iou(given, truth) > 0.5"),
     ("max(a.start_frame, b.start_frame) + 1", "max(a.start_frame, b.start_frame)"),
     ("both / (a.end_frame - a.start_frame + 1", "both / (a.end_frame - a.start_frame + 2"),
@@ -620,11 +620,14 @@ def test_mutants_of_the_scorer_are_caught(old, new, monkeypatch):
 
 @pytest.mark.parametrize(("old", "new"), MUTANTS_OF_ANSWERS)
 def test_mutants_of_the_comparison_of_answers_are_caught(old, new, monkeypatch):
-    source = inspect.getsource(answers.frames_iou) + inspect.getsource(answers.same_answer)
-    assert old in source, "the mutant's place has moved: adapt this list"
-    mutant = dict(vars(answers))
-    exec(source.replace(old, new), mutant)
-    monkeypatch.setattr(scoring, "same_answer", mutant["same_answer"])
+    sources = Path(answer_modes.__file__).read_text(), inspect.getsource(answers.frames_iou)
+    assert old in "".join(sources), "the mutant's place has moved: adapt this list"
+    mutant = types.ModuleType("mutant")
+    # dataclasses look their module up by name.
+    monkeypatch.setitem(sys.modules, "mutant", mutant)
+    for source in sources:
+        exec(compile(source.replace(old, new), "mutant", "exec"), mutant.__dict__)
+    monkeypatch.setattr(scoring, "same_answer", mutant.same_answer)
     assert not scores_as_specified(scoring)
 
 
@@ -716,7 +719,7 @@ def test_predictions_may_be_in_any_order_and_may_be_missing(tmp_path):
     """Six questions about three sequences, not in the order of their ids; the last has no prediction."""
     store, benchmark = Store(tmp_path), Benchmark([(f"q{n}", f"s{n % 3}", "long_range") for n in range(6)])
     benchmark.write(store)
-    run = benchmark.run([(1 + n % 2, known_runs.BOX, 7) for n in range(6)])
+    run = benchmark.run([(1 + n % 2, scored_runs.BOX, 7) for n in range(6)])
     write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))
     predictions = benchmark.written["predictions"].filter(pc.field("question_id") != "q5")
     for order in ("ascending", "descending"):
@@ -739,7 +742,7 @@ def test_sequence_and_track_identify_a_target():
         {"sequence": sequence, "track": 1, "frame": 7, **dict(zip("xywh", box, strict=True))}
         for _, sequence, box in targets
     ]
-    benchmark.tables["evidence"] = known_runs.table(boxes, QUESTIONS["evidence"])
+    benchmark.tables["evidence"] = scored_runs.table(boxes, QUESTIONS["evidence"])
     benchmark.truth = Truth(*benchmark.tables.values())
     assert benchmark.run([(1, box, 7) for _, _, box in targets]).scores.tolist() == [[1, 1, 1]] * 2
     assert benchmark.run([(1, box, 7) for _, _, box in reversed(targets)]).scores.tolist() == [[1, 0, 0]] * 2
