@@ -47,7 +47,7 @@ _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
 
 class Fingerprint(msgspec.Struct, frozen=True):
-    """Properties of a graph file when it was built: version of its tables, size in bytes, sha256, and rows per table."""
+    """Properties of a graph file when it was built: version of its tables, size in bytes, sha256 and rows per table."""
 
     storage_version: int
     size: int
