@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from painted import World, still
 from scripted import CHOICES, MODES, Chat, blank_task, evidence, final, play, proposal
 
-from jrdb_avr.agent.methods.attempt import uniform_frames
 from jrdb_avr.agent.methods.chain_of_thought import LONGEST_FACT, MOST_FACTS, ChainOfThought
 from jrdb_avr.agent.methods.monolithic import Monolithic
+from jrdb_avr.agent.methods.requests import uniform_frames
 from jrdb_avr.agent.methods.search_recognize import SearchRecognize
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Picture
