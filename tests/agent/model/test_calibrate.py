@@ -294,7 +294,7 @@ def test_a_folder_that_is_no_store_is_refused_and_not_made(tmp_path):
         result = run(server, tmp_path / "typo")
         assert server.requests == []
     assert isinstance(result.exception, StoreError)
-    assert str(result.exception).startswith(f"{tmp_path / 'typo'} is no store: run 'jrdb-avr load ROOT --store ")
+    assert str(result.exception).startswith(f"{tmp_path / 'typo'} is not a store: run 'jrdb-avr load ROOT --store ")
     assert list(tmp_path.iterdir()) == []
 
 
