@@ -149,10 +149,10 @@ def box_at(frame):
     return (3650 + frame * 0.5, 120.0, 70.0, 220.0)
 
 
-def write_answers(store):
+def write_answers(store, questions=QUESTIONS_ASKED):
     """Answers under which every second question's mark is right, and evidence where the person stands."""
     answers, evidence = [], {}
-    for i, q in enumerate(QUESTIONS_ASKED):
+    for i, q in enumerate(questions):
         frame = asked_frame(q)
         answer = json.dumps({"choice": shown_at(frame) if i % 2 else shown_at(frame) % 4 + 1})
         texts = dict.fromkeys(("plan", "distractors", "rules", "bindings", "needed", "proofs"), "{}")

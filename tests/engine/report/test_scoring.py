@@ -28,7 +28,7 @@ from jrdb_avr.engine.report.tables import score_row
 from jrdb_avr.engine.report.truth import Truth, read_truth
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema import answers
+from jrdb_avr.schema import answer_modes, answers
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import Span
 from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
@@ -553,7 +553,7 @@ MUTANTS = [
 MUTANTS_OF_ANSWERS = [
     ("abs(given.frame - truth.frame) <= second", "abs(given.frame - truth.frame) < second"),
     ("abs(given.frame - truth.frame) <= second", "abs(given.frame - truth.frame) <= second + 1"),
-    ("given.choice == truth.choice", "given.choice + 1 == truth.choice"),
+    ("given == truth,", "given.choice + 1 == truth.choice,"),
     ("frames_iou(given, truth) >= 0.5", "frames_iou(given, truth) > 0.5"),
     ("max(a.start_frame, b.start_frame) + 1", "max(a.start_frame, b.start_frame)"),
     ("both / (a.end_frame - a.start_frame + 1", "both / (a.end_frame - a.start_frame + 2"),
@@ -620,11 +620,14 @@ def test_mutants_of_the_scorer_are_caught(old, new, monkeypatch):
 
 @pytest.mark.parametrize(("old", "new"), MUTANTS_OF_ANSWERS)
 def test_mutants_of_the_comparison_of_answers_are_caught(old, new, monkeypatch):
-    source = inspect.getsource(answers.frames_iou) + inspect.getsource(answers.same_answer)
-    assert old in source, "the mutant's place has moved: adapt this list"
-    mutant = dict(vars(answers))
-    exec(source.replace(old, new), mutant)
-    monkeypatch.setattr(scoring, "same_answer", mutant["same_answer"])
+    sources = Path(answer_modes.__file__).read_text(), inspect.getsource(answers.frames_iou)
+    assert old in "".join(sources), "the mutant's place has moved: adapt this list"
+    mutant = types.ModuleType("mutant")
+    # dataclasses look their module up by name.
+    monkeypatch.setitem(sys.modules, "mutant", mutant)
+    for source in sources:
+        exec(compile(source.replace(old, new), "mutant", "exec"), mutant.__dict__)
+    monkeypatch.setattr(scoring, "same_answer", mutant.same_answer)
     assert not scores_as_specified(scoring)
 
 
