@@ -539,7 +539,7 @@ MUTANTS = [
     ("(answer_score & evidence_score)", "answer_score"),
     ('["answered", "invalid"]', '["answered"]'),
     ('["answered", "invalid"]', '["answered", "invalid", "error"]'),
-    ("predictions.take(places)", "predictions.take(pc.fill_null(places, 0))"),
+    ("predictions.take(indexes)", "predictions.take(pc.fill_null(indexes, 0))"),
     ("judged & boxed & present & ", "judged & boxed & "),
     ("text is not None and answer is None", "answer is None"),
     ("text is not None and answer is None", "text is None"),
