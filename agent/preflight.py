@@ -22,9 +22,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
-from jrdb_avr.agent.methods.attempt import PANORAMAS, panorama_parts
 from jrdb_avr.agent.methods.episode import BUDGET
 from jrdb_avr.agent.methods.react import react_turn_schema
+from jrdb_avr.agent.methods.requests import PANORAMAS, panorama_parts
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import closed_object, reply_object
 from jrdb_avr.agent.model.messages import Message, Part
@@ -60,12 +60,12 @@ SENDERS: Final = {
 
 _LONGER_REMEDY: Final = "give a larger --max-tokens"
 _SHAPE: Final = {"sea_state_q7": ["amber-41", "cobalt-17"]}
-"""A key and its values that no prose and no habit would hold: a reply like it shows that the schema was followed."""
+"""A key and its values that no model would write by itself: such a reply shows that the schema was followed."""
 
 _SHAPE_SCHEMA: Final = closed_object({key: {"type": "string", "enum": values} for key, values in _SHAPE.items()})
 _CORNER_SCHEMA: Final = closed_object({"corner": {"type": "string", "enum": list(CORNERS)}})
 _SEEN_CORNERS: Final = 3
-"""Corners that must be named right: a server that drops pictures gets four equal requests, and one right."""
+"""Minimum of corners to name right. A server that drops pictures gets four equal requests, so one reply is right."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +89,32 @@ class Check:
 
 
 def preflight(client: Client) -> list[Check]:
-    """Send a server small requests and the largest ones. Raises EndpointError where it does not reply at all."""
+    """Check a server.
+
+    Args:
+        client: The client of the server.
+
+    Returns:
+        The checks, in the order of their requests.
+
+    Raises:
+        EndpointError: The server does not reply at all.
+    """
     return list(_checks(client))
 
 
 def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
-    """The lines of the failed checks.
+    """Refuse a server that a run cannot use.
 
-    Raises EndpointError in one line for the first failed check that `method` needs (None: any method).
+    Args:
+        checks: The checks of the server.
+        method: The run's method; None stands for any.
+
+    Returns:
+        The lines of the failed checks.
+
+    Raises:
+        EndpointError: The method needs a check that failed.
     """
     for check in checks:
         if check.needed and not check.passed and (method is None or not check.methods or method in check.methods):
@@ -106,13 +124,13 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
 
 @dataclass(frozen=True)
 class _Prober:
-    """Sends requests with a system message where the server takes one."""
+    """Sends requests, with a system message if the server takes one."""
 
     client: Client
     system: bool = True
 
     def send(self, *parts: Part, schema: Mapping[str, Any] | None = None) -> Reply | EndpointError:
-        """The reply to one user message, or the error in its place."""
+        """Send one user message. Return the reply or the error."""
         before = [Message("system", (render("preflight_system"),))] if self.system else []
         try:
             return self.client.probe([*before, Message("user", parts)], schema)
@@ -120,7 +138,7 @@ class _Prober:
             return error
 
     def read(self, reply: Reply | EndpointError) -> dict[str, Any] | EndpointError | DecodeError:
-        """The JSON object of a reply, or the error in its place."""
+        """Read the JSON object of a reply. Return the object or the error."""
         try:
             return reply if isinstance(reply, EndpointError) else reply_object(reply, self.client.convention)
         except DecodeError as error:
@@ -129,7 +147,7 @@ class _Prober:
 
 
 class _CutOffError(DecodeError):
-    """A reply ended at the token limit: the fault is of neither the server nor the form."""
+    """A reply that ended at the token limit, which is a fault of neither the server nor the schema."""
 
 
 def _checks(client: Client) -> Iterator[Check]:
@@ -204,7 +222,7 @@ def _schema(prober: _Prober, reply: Reply | EndpointError) -> Check:
         case EndpointError() as error:
             client = prober.client
             if declared != "none" and client.options.thinks(client.convention):
-                # llama.cpp takes no schema with a template whose thinking it cannot tell from the reply.
+                # llama.cpp refuses a schema if it cannot separate the template's thinking from the reply.
                 remedy = f"declare --thinking off; else {remedy}"
             return Check("schema", False, f"{declared} is refused ({error})", remedy)
         case _CutOffError() as error:

@@ -34,7 +34,7 @@ Executor = int | str
 RETRIES: Final = 3
 """Maximum number of times that a sequence is given to another Ray worker after its worker died."""
 
-context: Final = multiprocessing.get_context("spawn")
+_CONTEXT: Final = multiprocessing.get_context("spawn")
 """Start method of processes. They are not forked, because the threads of the graph engine do not survive a fork."""
 
 is_worker = False
@@ -75,7 +75,7 @@ def _map_in_processes(
     function: Callable[[A], R], sequences: Sequence[A], order: Sequence[int], workers: int
 ) -> Iterator[tuple[int, R]]:
     size = min(workers, len(sequences))
-    with ProcessPoolExecutor(size, mp_context=context, initializer=end_with_parent) as pool:
+    with ProcessPoolExecutor(size, mp_context=_CONTEXT, initializer=end_with_parent) as pool:
         futures = {pool.submit(function, sequences[i]): i for i in order}
         # ProcessPoolExecutor starts to monitor a worker only at the next submit(). Without this call the last worker
         # could die unnoticed while it holds the lock of the queue, and the others would wait forever.
@@ -155,7 +155,7 @@ def run_alone(function: Callable[[], R]) -> R:
     Raises:
         BrokenProcessPool: The process died.
     """
-    with ProcessPoolExecutor(1, mp_context=context, initializer=_become_quiet_worker) as pool:
+    with ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=_become_quiet_worker) as pool:
         return pool.submit(function).result()
 
 

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from effort import DEEP, examples
+from environment import DEEP, examples
 from hypothesis import settings
 
 # Tables are as wide as a terminal says; the tests and the tour expect those of no terminal.
@@ -28,7 +28,7 @@ settings.load_profile("tests")
 
 
 # Fixtures of more than one file.
-pytest_plugins = ["asked_world", "small_demo"]
+pytest_plugins = ["painted", "small_demo"]
 
 MEMORY = Path("/dev/shm")
 """A file system in memory, where Linux has one."""

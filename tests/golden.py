@@ -1,37 +1,70 @@
 """Compare what the program computes with recorded hashes: `python tests/golden.py check|record [PART ...]`.
 
-A change that is meant to change nothing leaves every hash as it is; a change that is meant to is followed by
-`record`, and its commit lists what changed. The hashes are in `golden.json`, one section per part:
+A change that must not alter results leaves every hash as it is. A change that alters results on purpose is followed by
+`record`, and its commit message lists the changed hashes. The hashes are in `golden.json`, one section per part:
 
-questions-7, questions-11   files, annotations, intervals and questions of two synthetic worlds
-runs-7, runs-11             prompts, a scored run and report figures of ten questions of each method in them
-real                        questions from real annotations, in `$JRDB_REAL` or `../shared/jrdb-real`; skipped if absent
+real-all, real-paper, real-train   questions, answers and evidence from real annotations, one part per profile;
+                                   skipped without the folder `$JRDB_REAL` (default `../shared/jrdb-real`)
+sample                             the same from the frozen sample root, profiles all and train
+prompts                            requests and predictions of each method, which gets recorded replies
+scores                             scores and report figures of two recorded runs
 
-The prompts are the bodies of all HTTP requests that ten questions of each method send to the simulated model, images
-included, without the checks of the server before them. Bytes of Parquet and JPEG depend on the installed libraries, so
-their versions are recorded too.
+Every hash is of rows with named columns (`QUESTIONS`, `ANSWERS`, `EVIDENCE`, `REFUSED`, `PREDICTIONS`, `SCORES`), not
+of files, so the layout of a store may change. Three functions know a layout or an interface and are the only ones to
+adapt: `read_evidence`, `evaluate` and `import_predictions`.
+
+The recorded input is in `fixtures/`: `golden_root.tar.xz` is a sample root without pictures, `golden_replies.jsonl.xz`
+holds the replies, `golden_monolithic-*.jsonl` the predictions of the tour. Pictures are made here: each shows its frame
+number and its columns in grey, so that a request's pictures can be reduced to (frame, left column, width, height).
+
+`python tests/golden.py replies PICTURES` records the replies again, if prompts change on purpose. The replies come from
+the simulated model that reads marks. PICTURES is the folder `images/image_stitched` that commit a85789c writes with
+`jrdb-avr sample ROOT --sequences 1 --frames 450 --people 18`.
 """
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import functools
 import hashlib
 import http.server
+import itertools
 import json
+import lzma
 import os
+import random
+import shutil
 import subprocess
 import sys
+import tarfile
 import tempfile
 import threading
-import urllib.error
-import urllib.request
-from importlib.metadata import version
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-RECORD = Path(__file__).with_name("golden.json")
-REAL = Path(os.environ.get("JRDB_REAL", Path(__file__).parents[2] / "shared" / "jrdb-real"))
-MODEL_SERVER = "jrdb_avr.agent.simulated"
-METHODS = (  # with the options that choose a policy
+import cv2
+import duckdb
+import numpy as np
+
+HERE = Path(__file__).parent
+RECORD = HERE / "golden.json"
+ROOT = HERE / "fixtures" / "golden_root.tar.xz"
+REPLIES = HERE / "fixtures" / "golden_replies.jsonl.xz"
+REAL = Path(os.environ.get("JRDB_REAL", HERE.parents[1] / "shared" / "jrdb-real"))
+
+QUESTIONS = "question_id, sequence, family, template, question, choices, answer_mode"
+ANSWERS = (
+    "question_id, answer, target_track, plan, proofs, distractors, rules, hops, time_gap_s, separation_deg, "
+    "people_in_scene, bindings, needed"
+)
+EVIDENCE = "sequence, track, frame, x, y, w, h"
+REFUSED = "sequence, family, template, rule, candidates"
+BOX = ", ".join(f"evidence_{part}" for part in ("frame", "x", "y", "w", "h"))
+PREDICTIONS = f"question_id, status, answer, {BOX}, verdict, n_observations, n_model_calls"
+SCORES = "run_id, question_id, answer_score, evidence_score, combined_score, invalid"
+
+METHODS = (  # each entry: a method and, if it has several policies, a policy
     "monolithic",
     "chain-of-thought",
     "search-recognize",
@@ -40,204 +73,359 @@ METHODS = (  # with the options that choose a policy
     "agent-passive",
     "agent-no-world",
     "agent-passive-no-world",
+    "agent --policy guided",
     "agent --policy model",
     "agent-no-world --policy model",
 )
-LIBRARIES = ("duckdb", "kuzu", "numpy", "opencv-python-headless", "pyarrow")
-NOISE = ("wrong_attribute=0.1", "wrong_box=0.1", "malformed=0.05", "seed=3")
+NOISE = ("wrong_attribute=0.1", "wrong_box=0.1", "malformed=0.1", "seed=3")
+"""Knobs of the simulated model in half of the recorded runs, so that replies have to be repaired."""
 
 
-def jrdb_avr(*arguments: object) -> str:
-    """Run the command in a process of its own and return what it prints."""
+def jrdb_avr(*arguments: object, may_fail: bool = False) -> str:
+    """Run a command in a process of its own and return its standard output; end the check if the command fails."""
     command = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", *map(str, arguments)]
     done = subprocess.run(command, text=True, capture_output=True)
-    if done.returncode:
-        sys.exit(f"jrdb-avr {' '.join(map(str, arguments))}\n{done.stderr}")
+    if done.returncode and not may_fail:
+        sys.exit(f"jrdb-avr {' '.join(map(str, arguments))}\n{done.stderr}{done.stdout}")
     return done.stdout
 
 
-def sha256(*parts: bytes) -> str:
-    """Hash of the parts, first 16 hexadecimal digits."""
-    found = hashlib.sha256()
+def sha256(parts: Iterable[str]) -> str:
+    """Return the first 16 hexadecimal digits of the hash of lines of text."""
+    digest = hashlib.sha256()
     for part in parts:
-        found.update(len(part).to_bytes(8, "big") + part)
-    return found.hexdigest()[:16]
+        digest.update(part.encode() + b"\n")
+    return digest.hexdigest()[:16]
 
 
-def tables(folder: Path) -> dict[str, str]:
-    """Hash of each Parquet file in a folder."""
-    found = sorted(folder.rglob("*.parquet"))
-    return {path.relative_to(folder).as_posix(): sha256(path.read_bytes()) for path in found}
+def hash_rows(query: str) -> str:
+    """Return the hash of the rows of a SQL query over Parquet files."""
+    return sha256(json.dumps(row, default=list) for row in duckdb.connect().execute(query).fetchall())
 
 
-def rows(store: Path, query: str) -> str:
-    """Hash of the rows that a SQL query over a store returns."""
-    return sha256(jrdb_avr("sql", query, "--store", store, "--json").encode())
+# -- questions --------------------------------------------------------------------------------------------------------
+
+
+def read_evidence(store: Path) -> str:
+    """Return the SQL of every evidence box of every question: `question_id` and the columns `EVIDENCE`."""
+    questions = store / "questions"
+    return (
+        f"SELECT question_id, {EVIDENCE} FROM '{questions}/questions.parquet' "
+        f"JOIN '{questions}/answers.parquet' USING (question_id) "
+        f"JOIN '{questions}/evidence.parquet' USING (sequence) WHERE track = target_track"
+    )
+
+
+def hash_questions(store: Path) -> dict[str, str]:
+    """Return the hashes of a store's questions, answers, refused candidates and evidence."""
+    files, evidence = store / "questions", read_evidence(store)
+    return {
+        "questions": hash_rows(f"SELECT {QUESTIONS} FROM '{files}/questions.parquet' ORDER BY question_id"),
+        "answers": hash_rows(f"SELECT {ANSWERS} FROM '{files}/answers.parquet' ORDER BY question_id"),
+        "refused": hash_rows(f"SELECT {REFUSED} FROM '{files}/rejected.parquet' WHERE kind = 'count' ORDER BY ALL"),
+        "evidence": hash_rows(f"SELECT DISTINCT {EVIDENCE} FROM ({evidence}) ORDER BY ALL"),
+        "evidence of each question": hash_rows(
+            f"SELECT question_id, count(*), min(frame), max(frame) FROM ({evidence}) GROUP BY ALL ORDER BY ALL"
+        ),
+    }
+
+
+def hash_real(profile: str, folder: Path) -> dict[str, str]:
+    """Return the hashes of the questions from real annotations."""
+    jrdb_avr("load", REAL, "--store", folder / "store")
+    jrdb_avr("generate", "--store", folder / "store", "--profile", profile)
+    return hash_questions(folder / "store")
+
+
+def make_store(folder: Path, profile: str = "all") -> Path:
+    """Load the frozen root with grey panoramas, generate its questions, and return the store."""
+    with tarfile.open(ROOT) as archive:
+        archive.extractall(folder / "root", filter="data")
+    for sequence, frames in json.loads((folder / "root" / "panoramas.json").read_text()).items():
+        images = folder / "root" / "images" / "image_stitched" / sequence
+        images.mkdir(parents=True)
+        for frame in frames:
+            cv2.imwrite(f"{images}/{frame:06d}.jpg", panorama(frame))
+    jrdb_avr("load", folder / "root", "--store", folder / "store")
+    jrdb_avr("generate", "--store", folder / "store", "--profile", profile)
+    return folder / "store"
+
+
+def hash_sample(folder: Path) -> dict[str, object]:
+    """Return the hashes of the questions from the frozen root."""
+    store = make_store(folder)
+    found = {"all": hash_questions(store)}
+    shutil.rmtree(store / "questions")
+    jrdb_avr("generate", "--store", store, "--profile", "train")
+    return found | {"train": hash_questions(store)}
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+
+WIDTH, HEIGHT, CELL, BITS = 3760, 480, 8, 16
+COLUMNS = np.repeat(np.array([random.Random(0).choices((0, 1), k=WIDTH // CELL)]), CELL)
+"""The upper half of every panorama: cells of eight columns, light (1) or dark (0), a pattern without repetition."""
+
+
+def panorama(frame: int) -> np.ndarray:
+    """Return a grey panorama: its upper half shows the columns, its lower half the frame number in horizontal bands."""
+    bands = np.repeat([frame >> bit & 1 for bit in range(BITS)], HEIGHT // 2 // BITS)
+    light = np.vstack([np.tile(COLUMNS, (HEIGHT // 2, 1)), np.tile(bands[:, None], (1, WIDTH))])
+    return (64 + 128 * light).astype(np.uint8)
+
+
+@functools.cache
+def shifted_columns() -> np.ndarray:
+    """Return the pattern of every crop, one row per left column, as -1 and 1."""
+    return np.lib.stride_tricks.sliding_window_view(np.tile(2.0 * COLUMNS - 1, 2), HEIGHT)[:WIDTH].astype(np.float32)
+
+
+@functools.lru_cache(4096)
+def read_picture(jpeg: bytes) -> tuple[int, int, int, int] | None:
+    """Return frame, left column, width and height of a crop or panorama; None for a picture that is not made here."""
+    light = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE) > 128
+    height, width = light.shape
+    if height != HEIGHT:
+        return None
+    upper = light[: HEIGHT // 2].mean(axis=0) > 0.5
+    matches = shifted_columns() @ np.where(upper[:HEIGHT], np.float32(1), np.float32(-1))
+    left = int(matches.argmax())
+    if matches[left] < 0.9 * HEIGHT:
+        return None
+    bands = light[HEIGHT // 2 :].reshape(BITS, -1).mean(axis=1) > 0.5
+    return sum(int(bit) << place for place, bit in enumerate(bands)), left, width, height
+
+
+def without_pictures(body: bytes) -> str:
+    """Return a request as JSON with each picture reduced to what `read_picture` returns."""
+    return json.dumps(replace_pictures(body, lambda jpeg: read_picture(jpeg) or "drawn"))
+
+
+def replace_pictures(body: bytes, replace: Callable[[bytes], object]) -> dict[str, object]:
+    """Return a request, its keys sorted, with each picture's address replaced by what a function makes of its bytes."""
+    request = json.loads(body)
+    for message in request["messages"]:
+        for part in message["content"] if isinstance(message["content"], list) else ():
+            if part["type"] == "image_url":
+                part["image_url"]["url"] = replace(base64.b64decode(part["image_url"]["url"].partition(",")[2]))
+    return dict(sorted(request.items()))
+
+
+# -- prompts ----------------------------------------------------------------------------------------------------------
+
+Answer = Callable[[bytes], dict[str, object] | None]
+"""Returns the `message` of a completion for the body of a request, or None for a request that is not known."""
+
+UNKNOWN = {"role": "assistant", "content": "{}"}
 
 
 @contextlib.contextmanager
-def recorded_model(noise: tuple[str, ...]):
-    """Serve the simulated model behind a proxy; yield the proxy's address and the list of request-body hashes."""
-    knobs = [part for knob in noise for part in ("--knob", knob)]
-    with subprocess.Popen(
-        [sys.executable, "-m", MODEL_SERVER, *knobs], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        target = process.stdout.readline().split()[-1].removesuffix("/v1")
-        bodies = []
+def model_server(answer: Answer) -> Iterator[tuple[str, list[str]]]:
+    """Serve an OpenAI-compatible model; yield its address and the list of requests without pictures."""
+    requests = []
 
-        class Proxy(http.server.BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.1"
+    class Handler(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+        wbufsize = -1
 
-            def log_message(self, *_):
-                pass
+        def log_message(self, *_):
+            pass
 
-            def do_GET(self):
-                self.forward(None)
+        def do_POST(self):
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            requests.append(without_pictures(body))
+            choice = {"index": 0, "finish_reason": "stop", "message": answer(body) or UNKNOWN}
+            usage = {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110}
+            reply = {"id": "x", "object": "chat.completion", "created": 0, "model": "recorded", "choices": [choice]}
+            content = json.dumps(reply | {"usage": usage}).encode()
+            self.send_response(200)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content)
 
-            def do_POST(self):
-                body = self.rfile.read(int(self.headers["Content-Length"]))
-                bodies.append(sha256(body))
-                self.forward(body)
-
-            def forward(self, body):
-                request = urllib.request.Request(target + self.path, body, {"Content-Type": "application/json"})
-                try:
-                    with urllib.request.urlopen(request) as answer:
-                        status, content = answer.status, answer.read()
-                except urllib.error.HTTPError as error:
-                    status, content = error.code, error.read()
-                self.send_response(status)
-                self.send_header("Content-Type", "application/json")
-                self.send_header("Content-Length", str(len(content)))
-                self.end_headers()
-                self.wfile.write(content)
-
-        with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Proxy) as server:
-            threading.Thread(target=server.serve_forever, daemon=True).start()
-            yield f"http://127.0.0.1:{server.server_address[1]}/v1", bodies
-            server.shutdown()
-        process.kill()
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/v1", requests
+        server.shutdown()
 
 
-def figures(store: Path) -> str:
-    """Hash of the numbers, not the labels nor the order of rows, of every report table but for times on the clock."""
-
-    def numbers(value):
-        if isinstance(value, dict):
-            return [
-                n for key, part in value.items() if "second" not in key and key != "settings" for n in numbers(part)
-            ]
-        if isinstance(value, list):
-            return [n for part in value for n in numbers(part)]
-        return [value] if value is None or isinstance(value, (int, float)) else []
-
-    printed = json.loads(jrdb_avr("report", "--store", store, "--table", "all", "--json"))
-    return sha256("\n".join(sorted(json.dumps(numbers(row)) for row in printed)).encode())
+def evaluate(store: Path, method: str, url: str, run_id: str, questions: Iterable[str]) -> None:
+    """Run a method of `METHODS` with the model at an address."""
+    jrdb_avr(
+        *("evaluate", "--store", store, "--method", *method.split(), "--model", "recorded", "--base-url", url),
+        *("--run-id", run_id, "--questions", ",".join(questions), "--no-scores"),
+        may_fail=True,
+    )
 
 
-def benchmark(seed: int, folder: Path) -> Path:
-    """Make a synthetic world and its questions; returns the store."""
-    root, store = folder / "root", folder / "store"
-    jrdb_avr("sample", root, "--sequences", 2, "--frames", 450, "--people", 14, "--seed", seed)
-    jrdb_avr("load", root, "--store", store)
-    jrdb_avr("generate", "--store", store)
-    return store
+def choose_questions(store: Path) -> list[str]:
+    """Return the ids of twelve questions, of as many templates as possible."""
+    ranked = "SELECT question_id, row_number() OVER (PARTITION BY template ORDER BY question_id) AS turn FROM "
+    query = f"SELECT question_id FROM ({ranked} '{store}/questions/questions.parquet') ORDER BY turn, question_id"
+    return [question_id for (question_id,) in duckdb.connect().execute(f"{query} LIMIT 12").fetchall()]
 
 
-def questions(seed: int, folder: Path) -> dict[str, object]:
-    """Hashes of a synthetic world from its label files to its questions."""
-    store = benchmark(seed, folder)
-    jrdb_avr("validate", "--replay", "--store", store)
-    return {
-        "root": sha256(*(path.read_bytes() for path in sorted((folder / "root").rglob("*")) if path.is_file())),
-        "annotations": sha256(*(path.read_bytes() for path in sorted((store / "annotations").rglob("*.parquet")))),
-        "intervals": sha256(*(path.read_bytes() for path in sorted((store / "intervals").rglob("*.parquet")))),
-        "questions": tables(store / "questions"),
-    }
+def play(store: Path, answer_of: Callable[[str], Answer]) -> Iterator[tuple[str, str, list[str]]]:
+    """Run every method on half of the questions without and half with noise; yield each run's name, id and requests.
+
+    The requests that check the server before a run are left out.
+    """
+    ids = choose_questions(store)
+    with model_server(lambda body: None) as (url, checks):
+        jrdb_avr("preflight", "--model", "recorded", "--base-url", url, may_fail=True)
+    for number, (method, noise) in enumerate(itertools.product(METHODS, ("perfect", "noisy"))):
+        name = f"{method} {noise}"
+        with model_server(answer_of(name)) as (url, requests):
+            evaluate(store, method, url, f"run-{number}", ids[noise == "noisy" :: 2])
+        yield name, f"run-{number}", sorted(set(requests) - set(checks))
 
 
-def runs(seed: int, folder: Path) -> dict[str, object]:
-    """Hashes of what ten questions of each method send, answer, score and report."""
-    store = benchmark(seed, folder)
-    # The templates in turn, so that ten questions are of many kinds.
-    picked = "SELECT question_id, row_number() OVER (PARTITION BY template ORDER BY question_id) AS turn FROM questions"
-    query = f"SELECT question_id FROM ({picked}) ORDER BY turn, question_id LIMIT 10"
-    ids = ",".join(row["question_id"] for row in json.loads(jrdb_avr("sql", query, "--store", store, "--json")))
-    prompts = {}
-    for method in METHODS:
-        name, *policy = method.split()
-        # Some methods are noisy in the second world: replies that have to be repaired have prompts of their own.
-        noise = NOISE if seed != 7 and name in ("react", "agent", "search-recognize") else ()
-        with recorded_model(noise) as (url, bodies):
-            model = ("--model", "marker", "--base-url", url)
-            jrdb_avr("preflight", *model)
-            checks = set(bodies)
-            jrdb_avr(
-                *("evaluate", "--store", store, "--method", name, *policy, *model),
-                *("--run-id", "-".join((name, *policy[1:])), "--questions", ids, "--no-scores"),
-            )
-            prompts[method] = sha256(*(body.encode() for body in sorted(bodies) if body not in checks))
-    jrdb_avr("score", "--store", store)
-    order = "ORDER BY run_id, question_id"
-    return {
-        "prompts": prompts,
-        "predictions": rows(store, f"SELECT * EXCLUDE (seconds) FROM predictions {order}"),
-        "steps": rows(store, f"SELECT * EXCLUDE (seconds) FROM steps {order}, step"),
-        "scores": rows(store, f"SELECT * FROM scores {order}"),
-        "report": figures(store),
-    }
+def hash_prompts(folder: Path) -> dict[str, object]:
+    """Return the hashes of what each method sends and predicts; name the runs whose requests have no recorded reply."""
+    store = make_store(folder)
+    with lzma.open(REPLIES, "rt") as lines:
+        replies = dict(map(json.loads, lines))
+
+    def recorded(name: str) -> Answer:
+        return lambda body: replies.get(sha256([name, without_pictures(body)]))
+
+    prompts, predictions = {}, {}
+    for name, run_id, requests in play(store, recorded):
+        prompts[name] = sha256(requests)
+        table = f"'{store}/runs/{run_id}/predictions.parquet'"
+        predictions[name] = hash_rows(f"SELECT {PREDICTIONS} FROM {table} ORDER BY question_id")
+        if unknown := [request for request in requests if sha256([name, request]) not in replies]:
+            print(f"{name}: {len(unknown)} of {len(requests)} requests have no recorded reply, such as {unknown[0]}")
+    return {"prompts": prompts, "predictions": predictions}
 
 
-def real(folder: Path) -> dict[str, object]:
-    """Hashes of the questions from real annotations."""
-    jrdb_avr("load", REAL, "--store", folder / "store")
-    jrdb_avr("generate", "--store", folder / "store")
-    return {"questions": tables(folder / "store" / "questions")}
+def record_replies(pictures: Path) -> None:
+    """Write `REPLIES`: what the simulated model replies if it gets the marked panoramas in place of the grey ones."""
+    from jrdb_avr.agent.simulated.knobs import PERFECT, parse
+    from jrdb_avr.agent.simulated.server import Server
 
+    replies: dict[str, object] = {}
+    sequence = next(pictures.iterdir())
+
+    @functools.cache
+    def marked(frame: int) -> np.ndarray:
+        return cv2.imread(f"{sequence}/{frame:06d}.jpg")
+
+    def redraw(jpeg: bytes) -> str:
+        seen = read_picture(jpeg)
+        if seen is not None:
+            frame, left, width, _ = seen
+            file = (sequence / f"{frame:06d}.jpg").read_bytes()
+            crop = np.take(marked(frame), range(left, left + width), axis=1, mode="wrap")
+            jpeg = file if width == WIDTH else cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+        return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
+
+    def simulated(name: str) -> Answer:
+        server = Server(knobs=parse(NOISE) if name.endswith("noisy") else PERFECT)
+        server.server_close()
+
+        def answer(body: bytes) -> dict[str, object]:
+            request = replace_pictures(body, redraw)
+            message = server.reply(json.dumps(request).encode())["choices"][0]["message"]
+            replies[sha256([name, without_pictures(body)])] = message
+            return message
+
+        return answer
+
+    with tempfile.TemporaryDirectory() as folder:
+        kept = {
+            sha256([name, request]): replies[sha256([name, request])]
+            for name, _, requests in play(make_store(Path(folder)), simulated)
+            for request in requests
+        }
+    with lzma.open(REPLIES, "wt") as lines:
+        lines.writelines(json.dumps(item) + "\n" for item in sorted(kept.items()))
+    print(f"{len(kept)} replies, {REPLIES.stat().st_size >> 10} KB")
+
+
+# -- scores -----------------------------------------------------------------------------------------------------------
+
+
+def import_predictions(store: Path, file: Path, run_id: str) -> None:
+    """Take predictions into a store as a run, and score them."""
+    jrdb_avr("score", run_id, "--store", store, "--jsonl", file)
+
+
+def hash_scores(folder: Path) -> dict[str, str]:
+    """Return the hashes of the scores and of the report's numbers of the tour's two runs."""
+    store = make_store(folder)
+    for run_id in ("monolithic-perfect", "monolithic-noisy"):
+        import_predictions(store, HERE / "fixtures" / f"golden_{run_id}.jsonl", run_id)
+    scores = f"SELECT {SCORES} FROM read_parquet('{store}/runs/*/scores.parquet') ORDER BY run_id, question_id"
+    rows = json.loads(jrdb_avr("report", "--store", store, "--table", "all", "--json"))
+    return {"scores": hash_rows(scores), "figures": sha256(sorted(json.dumps(list(numbers_of(row))) for row in rows))}
+
+
+def numbers_of(value: object) -> Iterator[int | float]:
+    """Yield the numbers of a row of a report in the order of its columns, without times on the clock and settings."""
+    if isinstance(value, dict):
+        parts = [part for key, part in value.items() if "second" not in key and key != "settings"]
+    else:
+        parts = value if isinstance(value, list) else []
+    if isinstance(value, (int, float)):
+        yield value
+    for part in parts:
+        yield from numbers_of(part)
+
+
+# -- command line -----------------------------------------------------------------------------------------------------
 
 PARTS = {
-    "questions-7": lambda at: questions(7, at),
-    "runs-7": lambda at: runs(7, at),
-    "questions-11": lambda at: questions(11, at),
-    "runs-11": lambda at: runs(11, at),
-    "real": real,
+    **{f"real-{profile}": functools.partial(hash_real, profile) for profile in ("all", "paper", "train")},
+    "sample": hash_sample,
+    "prompts": hash_prompts,
+    "scores": hash_scores,
 }
 
 
-def flat(value: object, name: str = "") -> dict[str, object]:
-    """Nested mappings as one of dotted names."""
+def flatten(value: object, name: str = "") -> dict[str, object]:
+    """Return nested mappings as one mapping with dotted names."""
     if not isinstance(value, dict):
         return {name: value}
-    return {k: v for key, part in value.items() for k, v in flat(part, f"{name}.{key}" if name else key).items()}
+    return {k: v for key, part in value.items() for k, v in flatten(part, f"{name}.{key}" if name else key).items()}
 
 
-def main(command: str, *names: str) -> int:
-    """Compute the parts, and compare or record them; returns the exit code."""
+def compute(part: str) -> dict[str, object]:
+    """Return the hashes of a part by dotted names."""
+    with tempfile.TemporaryDirectory() as folder:
+        return flatten(PARTS[part](Path(folder)))
+
+
+def changed_hashes(part: str) -> list[str]:
+    """Return the names of the hashes of a part that are not as recorded."""
+    before, now = flatten(json.loads(RECORD.read_text())[part]), compute(part)
+    return [name for name in sorted(before | now) if before.get(name) != now.get(name)]
+
+
+def main(command: str = "", *names: str) -> int:
+    """Check or record the parts, and return the exit code."""
+    if command == "replies" and len(names) == 1:
+        record_replies(Path(names[0]))
+        return 0
     if command not in ("check", "record") or not set(names) <= set(PARTS):
-        print(f"usage: golden.py check|record [{' | '.join(PARTS)}]", file=sys.stderr)
+        print(
+            f"usage: golden.py check|record [{' | '.join(PARTS)}]\n       golden.py replies PICTURES", file=sys.stderr
+        )
         return 2
-    recorded = json.loads(RECORD.read_text()) if RECORD.exists() else {}
-    libraries = {name: version(name) for name in LIBRARIES}
-    if command == "check" and recorded["libraries"] != libraries:
-        print(f"recorded with other libraries: {recorded['libraries']}, here {libraries}")
     differing = 0
     for part in names or PARTS:
-        if part == "real" and not REAL.is_dir():
-            print("real: skipped, no annotations there")
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            found = PARTS[part](Path(folder))
-        if command == "record":
-            recorded[part] = found
-            continue
-        before, now = flat(recorded[part]), flat(found)
-        changed = [name for name in sorted(before | now) if before.get(name) != now.get(name)]
-        differing += len(changed)
-        print(f"{part}: {len(now)} hashes, " + (f"changed: {', '.join(changed)}" if changed else "all as recorded"))
-    if command == "record":
-        RECORD.write_text(json.dumps({"libraries": libraries} | recorded, indent=2) + "\n")
+        if part.startswith("real") and not REAL.is_dir():
+            print(f"{part}: skipped, {REAL} does not exist")
+        elif command == "record":
+            recorded = json.loads(RECORD.read_text()) if RECORD.exists() else {}
+            RECORD.write_text(json.dumps(recorded | {part: compute(part)}, indent=2) + "\n")
+        else:
+            changed = changed_hashes(part)
+            differing += len(changed)
+            print(f"{part}:", "changed: " + ", ".join(changed) if changed else "all hashes as recorded", flush=True)
     return 1 if differing else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(*(sys.argv[1:] or [""])))
+    sys.exit(main(*sys.argv[1:]))

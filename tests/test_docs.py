@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import processes
 import pytest
-from places import DOCS, ROOT
+from environment import DOCS, ROOT
 
 from jrdb_avr.engine.local_server import LocalServer, Request
 

@@ -9,8 +9,8 @@ import subprocess
 import sys
 
 import pytest
-from lively_worlds import lively_world
-from places import DOCS, ROOT
+from environment import DOCS, ROOT
+from random_worlds import lively_world
 from worlds import load_world, person, write_root
 
 ARCHITECTURE = (DOCS / "architecture.md").read_text("utf-8")

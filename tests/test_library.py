@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 import pytest
-from places import DOCS
+from environment import DOCS
 
 import jrdb_avr
 from jrdb_avr.engine.generate.run import Generation

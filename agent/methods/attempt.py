@@ -1,8 +1,7 @@
-"""One attempt at a question, which all methods share: model calls, looks, their cost, and reading the last reply.
+"""The part of answering a question that all methods share: model calls, looks, their cost, and reading a reply.
 
-Each call, each look and the reading of the final reply is a step of the transcript. The attempt counts tokens and looks
-where they happen and makes the prediction of these counts. Methods that cannot choose where to look get a fixed context
-of whole panoramas.
+Each call, each look and the reading of the final reply is a step of the transcript. The attempt counts tokens and
+looks, and the prediction states these counts. A method that cannot choose its looks gets whole panoramas.
 """
 
 from __future__ import annotations
@@ -10,134 +9,30 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
 
+from jrdb_avr.agent.methods.requests import panorama_messages, uniform_frames
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
-from jrdb_avr.agent.model.conventions import CONTRACT, Convention
-from jrdb_avr.agent.model.messages import Message, Part, metadata_line, metadata_of, picture_of, transcript
-from jrdb_avr.agent.model.prompts import choice_lines, render
+from jrdb_avr.agent.model.conventions import Convention
+from jrdb_avr.agent.model.messages import Message, Part, metadata_of, transcript
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.answers import TIE, Answer, Evidence
 from jrdb_avr.schema.errors import DecodeError, ObserveError
-from jrdb_avr.schema.method import Observation, Panorama, Prediction, Question, Step, StepKind, Task, Verdict
+from jrdb_avr.schema.method import Observation, Panorama, Prediction, Step, StepKind, Task, Verdict
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, angle_error, from_crop
 
 Seen = TypeVar("Seen", Observation, Panorama)
 Read = TypeVar("Read")
 
-PANORAMAS: Final = 8
-"""Panoramas in the context of the methods that cannot choose where to look."""
-
-UNIFORM: Final = "evenly spaced by position among the legal ones, first and last included"
-"""What `uniform_frames` selects, in the words of a run's manifest."""
-
-
-def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
-    """`n` of the ascending legal `frames`, evenly spaced by position among them; all where there are no more than `n`.
-
-    Of m frames the i-th (from 0) is the one at position i * (m - 1) / (n - 1), rounded to the nearest, halves up: the
-    first and the last are always among them, and no frame comes twice. n = 1 gives the one in the middle, the earlier
-    of two.
-
-    >>> uniform_frames(range(0, 100, 5), 4)
-    (0, 30, 65, 95)
-    """
-    if n < 1:
-        raise ValueError("a fixed context holds one panorama at least")
-    if len(frames) <= n:
-        return tuple(frames)
-    last = len(frames) - 1
-    if n == 1:
-        return (frames[last // 2],)
-    # Steps are longer than one position, so that rounding never meets the same frame twice.
-    return tuple(frames[(2 * i * last + n - 1) // (2 * (n - 1))] for i in range(n))
-
-
-def panorama_parts(panoramas: Sequence[Panorama]) -> tuple[Part, ...]:
-    """Each panorama behind the line that numbers and places it."""
-    return tuple(
-        part
-        for number, panorama in enumerate(panoramas, 1)
-        for part in (f"Panorama {number}: {metadata_line(panorama)}", picture_of(panorama))
-    )
-
-
-def frame_list(panoramas: Sequence[Panorama]) -> str:
-    """The frame ids of panoramas, with commas between."""
-    return ", ".join(panorama.frame_id for panorama in panoramas)
-
-
-def fixed_settings(n: int) -> dict[str, Any]:
-    """The settings of a fixed context of `n` panoramas in a run's manifest."""
-    return {"panoramas": n, "frames": UNIFORM}
-
-
-IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
-"""Width and height in pixels of the pictures that a model gets."""
-
 DUPLICATE_DEG: Final = 1.0
-"""A look this near an earlier one of the same frame, or nearer, is refused."""
-
-
-def heading(question: Question) -> str:
-    """The lines that open every task: question, mode, and the choices numbered from 1."""
-    choices = choice_lines(question.choices)
-    return render(
-        "heading",
-        question=question.question,
-        mode=question.answer_mode,
-        choices=f"Choices:\n{choices}" if choices else "No choices.",
-    )
-
-
-def final_parts(question: Question) -> dict[str, Any]:
-    """The JSON Schemas of a final reply's keys."""
-    return {
-        "answer": decode.answer_schema(question.answer_mode, question.choices),
-        "evidence_bboxes": decode.EVIDENCE_SCHEMA,
-    }
-
-
-def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
-    """The messages of a call with panoramas: the shared system text, the heading, and the parts of the stage.
-
-    The stage's own instructions stand last, so that a server can keep its work on a common beginning.
-    """
-    system = render("panorama_system", fps=f"{task.sequence.fps:g}")
-    return [Message("system", (system,)), Message("user", (heading(task.question), *parts))]
-
-
-def shared_settings(convention: Convention) -> dict[str, Any]:
-    """The settings that every method has in a run's manifest."""
-    return {"convention": convention.settings(), "image_sizes": IMAGE_SIZES}
-
-
-def history_settings(history: int | None) -> dict[str, Any]:
-    """What a manifest says of a chat that sends only its last pictures; nothing of one that sends all."""
-    return {} if history is None else {"history": history}
-
-
-@dataclass(frozen=True)
-class FixedContextMethod:
-    """A method that answers from `n` evenly spaced panoramas; `stages` are the settings of its own calls."""
-
-    name: ClassVar[str]
-    stages: ClassVar[Mapping[str, int]]
-
-    chat: Chat
-    convention: Convention = CONTRACT
-    n: int = PANORAMAS
-
-    def settings(self) -> dict[str, Any]:
-        """The method's settings in a run's manifest."""
-        return {**fixed_settings(self.n), **self.stages, **shared_settings(self.convention)}
+"""Maximum distance in degrees at which a look repeats an earlier one of the same frame and is refused."""
 
 
 class ImageFrame(NamedTuple):
-    """The pictures that a box may refer to: their frames, size in pixels, and left column in the panorama."""
+    """The pictures to which a box may refer: frames, size in pixels, and left column in the panorama."""
 
     frames: tuple[int, ...]
     width: int
@@ -150,31 +45,62 @@ class ImageFrame(NamedTuple):
         return self.width, self.height
 
     def evidence(self, frame: int, box: Box) -> Evidence:
-        """A box in one of these pictures as evidence."""
+        """Return a box in one of these pictures as evidence.
+
+        Args:
+            frame: The frame.
+            box: The box in pixels of the picture.
+
+        Returns:
+            The evidence in stitched pixels.
+        """
         return stitched_evidence(frame, from_crop(box, self.left))
 
 
 def stitched_evidence(frame: int, box: Box) -> Evidence:
-    """A box in stitched pixels as evidence, x in [0, 3760)."""
+    """Return a box as evidence.
+
+    Args:
+        frame: The frame.
+        box: The box in stitched pixels.
+
+    Returns:
+        The evidence, with x in [0, 3760).
+    """
     x, y, w, h = box
     return Evidence(frame, (x % WIDTH, y, w, h))
 
 
 def on_panoramas(panoramas: Sequence[Panorama]) -> ImageFrame:
-    """A box lies in one of these panoramas."""
+    """Return the image frame of boxes in panoramas.
+
+    Args:
+        panoramas: The panoramas.
+
+    Returns:
+        Their frames and size.
+    """
     return ImageFrame(tuple(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
 
 
 def on_crop(observation: Observation) -> ImageFrame:
-    """The image of this crop, in which a model's box lies."""
+    """Return the image frame of boxes in a crop.
+
+    Args:
+        observation: The crop.
+
+    Returns:
+        Its frame, size and left column.
+    """
     return ImageFrame((observation.frame_index,), CROP, CROP, observation.left)
 
 
 @dataclass(frozen=True)
 class ParsedReply:
-    """A parsed final reply: answer and evidence, read independently; `faults` are the reasons why one was not read.
+    """A parsed final reply: answer and evidence, read independently.
 
-    refusal: why the newest output was not taken, where what counts is older; verdict: as in a prediction.
+    faults: the reasons for unreadable parts. refusal: the reason why the newest output was refused, if an older one
+    counts. verdict: as in a prediction.
     """
 
     answer: Answer | None = None
@@ -184,17 +110,24 @@ class ParsedReply:
     verdict: Verdict | None = None
 
     def over(self, earlier: ParsedReply) -> ParsedReply:
-        """What counts after an earlier reply: each part by the newest that could be read, and this one's faults."""
+        """Combine this reply with an earlier one.
+
+        Args:
+            earlier: The earlier reply.
+
+        Returns:
+            The newest readable answer and evidence, with the faults of this reply.
+        """
         return replace(self, answer=self.answer or earlier.answer, evidence=self.evidence or earlier.evidence)
 
 
 @dataclass
 class Attempt:
-    """One question; used by one thread."""
+    """The state of one question's attempt; used by one thread."""
 
     task: Task
     chat: Chat | None
-    """None for a player that makes its calls elsewhere."""
+    """The model; None if a player makes the calls itself."""
 
     convention: Convention
     looks: int = 0
@@ -209,7 +142,18 @@ class Attempt:
     # -- calls and looks ----------------------------------------------------------------------------------------------
 
     def ask(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> Reply:
-        """One model call. What the server refuses is the client's EndpointError."""
+        """Make a model call.
+
+        Args:
+            messages: The chat.
+            schema: The JSON Schema of the reply.
+
+        Returns:
+            The reply.
+
+        Raises:
+            EndpointError: The server refuses the request.
+        """
         assert self.chat is not None, "a player without a chat makes no calls here"
         started = time.perf_counter()
         reply = self.chat.complete(messages, schema)
@@ -221,33 +165,93 @@ class Attempt:
         return reply
 
     def ask_object(self, messages: Sequence[Message], schema: Mapping[str, Any]) -> dict[str, Any]:
-        """One model call, its reply as one JSON object. Raises DecodeError."""
+        """Make a model call, and read its reply as one JSON object.
+
+        Args:
+            messages: The chat.
+            schema: The JSON Schema of the reply.
+
+        Returns:
+            The object.
+
+        Raises:
+            DecodeError: The reply is not one JSON object.
+        """
         return decode.reply_object(self.ask(messages, schema), self.convention)
+
+    def ask_twice(
+        self,
+        messages: Callable[[Sequence[str]], Sequence[Message]],
+        schema: Mapping[str, Any],
+        read: Callable[[dict[str, Any]], Read],
+    ) -> Read:
+        """Make a model call, and a second one that states the error if the first reply cannot be read.
+
+        Args:
+            messages: Returns the chat, given the lines about an unreadable reply.
+            schema: The JSON Schema of the reply.
+            read: Reads the reply, or raises DecodeError.
+
+        Returns:
+            The result of `read`.
+
+        Raises:
+            DecodeError: Neither reply can be read.
+        """
+        try:
+            return read(self.ask_object(messages(()), schema))
+        except DecodeError as error:
+            fault = f"Your last reply could not be used: {error}"
+        return read(self.ask_object(messages((fault,)), schema))
 
     def ask_stage(
         self, parts: Sequence[Part], stage: str, schema: Mapping[str, Any], read: Callable[[dict[str, Any]], Read]
     ) -> Read:
-        """What `read` makes of the reply to a stage over these parts; one that cannot be read is requested again.
+        """Make the call of a stage over panoramas, as `ask_twice`.
 
-        The second request gives the error. Raises DecodeError where the second reply cannot be read either.
+        Args:
+            parts: The parts of the user message after the question.
+            stage: The instructions of the stage, which come last.
+            schema: The JSON Schema of the reply.
+            read: Reads the reply, or raises DecodeError.
+
+        Returns:
+            The result of `read`.
+
+        Raises:
+            DecodeError: Neither reply can be read.
         """
-        try:
-            return read(self.ask_object(panorama_messages(self.task, (*parts, stage)), schema))
-        except DecodeError as error:
-            again = (*parts, f"Your last reply could not be used: {error}", stage)
-        return read(self.ask_object(panorama_messages(self.task, again), schema))
+        return self.ask_twice(lambda faults: panorama_messages(self.task, (*parts, *faults, stage)), schema, read)
 
     def read_look(self, part: Mapping[str, Any]) -> tuple[int, float]:
-        """Frame and angle of a look that the model requests. Raises DecodeError, also for a frame that is not legal."""
+        """Read a look that the model requests.
+
+        Args:
+            part: The object with `frame_id` and `angle_deg`.
+
+        Returns:
+            The frame, and the angle in degrees.
+
+        Raises:
+            DecodeError: A part cannot be read, or the frame is not legal.
+        """
         frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
         if frame not in self.task.sequence.frames:
             raise DecodeError(f"frame_id {frame:06d} is none of the legal frames")
         return frame, angle
 
     def duplicate(self, frame: int, angle: float) -> str:
-        """Why a look would repeat an earlier one, "" where it would not; the transcript records that it is refused."""
-        for other, seen in self.made:
-            if other == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
+        """Refuse a look that repeats an earlier one, and record the refusal.
+
+        Args:
+            frame: The frame.
+            angle: The angle in degrees.
+
+        Returns:
+            The reason of the refusal; "" if the look repeats none.
+        """
+        for earlier, seen in self.made:
+            if earlier == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
                 reason = f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen:g}"
                 request = self._request(frame_index=frame, angle_deg=angle)
                 self.record("observe", request, {"refused": reason}, time.perf_counter())
@@ -255,30 +259,58 @@ class Attempt:
         return ""
 
     def look(self, frame: int, angle: float) -> Observation:
-        """A crop, counted as a look. Raises ObserveError."""
+        """Make a look.
+
+        Args:
+            frame: The frame.
+            angle: The angle in degrees.
+
+        Returns:
+            The crop.
+
+        Raises:
+            ObserveError: The picture cannot be made.
+        """
         observation = self._observe(self.task.observe, frame_index=frame, angle_deg=angle)
         self.made.append((frame, observation.angle_deg))
         return observation
 
     def panoramas(self, n: int) -> tuple[Panorama, ...]:
-        """The `n` panoramas of a fixed context, each counted as a look. Raises ObserveError."""
+        """Get evenly spaced panoramas, each counted as a look.
+
+        Args:
+            n: The number of panoramas.
+
+        Returns:
+            The panoramas.
+
+        Raises:
+            ObserveError: The sequence has no panoramas, or one cannot be read.
+        """
         frames = uniform_frames(self.task.sequence.frames, n)
         if not frames:
             raise ObserveError(f"{self.task.question.sequence} has no panoramas: load a root that has its images")
         return tuple(self._observe(self.task.panorama, frame_index=frame) for frame in frames)
 
-    def _observe(self, observe: Callable[..., Seen], **place: float) -> Seen:
-        started, request = time.perf_counter(), self._request(**place)
+    def _observe(self, observe: Callable[..., Seen], **view: float) -> Seen:
+        started, request = time.perf_counter(), self._request(**view)
         seen = observe(**request)
         self.looks += 1
         self.record("observe", request, metadata_of(seen), started)
         return seen
 
-    def _request(self, **place: float) -> dict[str, Any]:
-        return {"sequence": self.task.question.sequence, **place}
+    def _request(self, **view: float) -> dict[str, Any]:
+        return {"sequence": self.task.question.sequence, **view}
 
     def record(self, kind: StepKind, request: object, response: object, started: float) -> None:
-        """Append a step to the transcript; `started` is the `time.perf_counter` before it."""
+        """Append a step to the transcript.
+
+        Args:
+            kind: The kind of step.
+            request: The request, as JSON.
+            response: The response, as JSON.
+            started: The `time.perf_counter` at its beginning.
+        """
         self.task.record(
             Step(
                 kind=kind,
@@ -289,37 +321,66 @@ class Attempt:
         )
         self.steps += 1
 
-    # -- reading what the model returned ------------------------------------------------------------------------------
+    # -- replies ------------------------------------------------------------------------------------------------------
 
     def read_answer(self, value: object) -> Answer:
-        """The `answer` part of a reply, in the question's mode. Raises DecodeError."""
+        """Read the `answer` part of a reply, in the question's mode.
+
+        Args:
+            value: The part.
+
+        Returns:
+            The answer.
+
+        Raises:
+            DecodeError: The part does not fit.
+        """
         question = self.task.question
         return decode.read_answer(value, question.answer_mode, len(question.choices), self.task.sequence.frame_count)
 
     def read_evidence(self, value: object, image: ImageFrame) -> Evidence:
-        """The `evidence_bboxes` part of a reply that is not final. Raises DecodeError."""
+        """Read the `evidence_bboxes` part of a reply that is not final.
+
+        Args:
+            value: The part.
+            image: The pictures to which the box may refer.
+
+        Returns:
+            The evidence.
+
+        Raises:
+            DecodeError: The part does not fit.
+        """
         started = time.perf_counter()
-        evidence, facts = self._place(value, image)
+        evidence, facts = self._read_box(value, image)
         self.record("solve", image._asdict(), facts, started)
         return evidence
 
     def parse_final(self, reply: Mapping[str, Any], image: ImageFrame) -> ParsedReply:
         """Parse a final reply: its `answer` and its `evidence_bboxes`, each valid without the other.
 
-        Raises DecodeError for other keys: then nothing of the reply is the contract's.
+        Args:
+            reply: The object of the reply.
+            image: The pictures to which the box may refer.
+
+        Returns:
+            The parsed parts with their faults.
+
+        Raises:
+            DecodeError: The reply has other keys.
         """
         unread = {"answer": None, "evidence_bboxes": None}
         parts = decode.only_keys({**unread, **reply}, unread, "the reply")
         started = time.perf_counter()
-        (answer, placed), faults = decode.read_each(
-            lambda: self.read_answer(parts["answer"]), lambda: self._place(parts["evidence_bboxes"], image)
+        (answer, boxed), faults = decode.read_each(
+            lambda: self.read_answer(parts["answer"]), lambda: self._read_box(parts["evidence_bboxes"], image)
         )
-        evidence, place = placed or (None, {})
-        self.record("solve", image._asdict(), {"answer": answer, **place, "faults": faults}, started)
+        evidence, record = boxed or (None, {})
+        self.record("solve", image._asdict(), {"answer": answer, **record, "faults": faults}, started)
         return ParsedReply(answer, evidence, faults)
 
-    def _place(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
-        """The one box in stitched pixels, and its record in the transcript."""
+    def _read_box(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
+        """Read the box. Return the evidence and its record in the transcript."""
         seen = decode.read_evidence(value, image.frames, image.size, self.convention)
         evidence = image.evidence(seen.frame, seen.box)
         return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
@@ -327,7 +388,14 @@ class Attempt:
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def prediction(self, parsed: ParsedReply) -> Prediction:
-        """The prediction: invalid where a part is missing that could not be read; what could be read counts."""
+        """Return the prediction for a parsed reply, with the counts of this attempt.
+
+        Args:
+            parsed: The parsed reply; its readable parts count.
+
+        Returns:
+            The prediction, invalid if a part is missing because of a fault.
+        """
         missing = parsed.answer is None or parsed.evidence is None
         return Prediction(
             status="invalid" if parsed.faults and missing else "answered",

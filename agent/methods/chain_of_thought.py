@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Final
 
-from jrdb_avr.agent.methods.attempt import Attempt, FixedContextMethod, panorama_parts
+from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.methods.monolithic import answer_from
+from jrdb_avr.agent.methods.requests import FixedContextMethod, panorama_parts
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
@@ -13,7 +14,7 @@ from jrdb_avr.schema.method import Prediction, Task
 
 MOST_FACTS: Final = 20
 LONGEST_FACT: Final = 300
-"""Characters. Together some 1,500 tokens: a legal list is not cut off at the client's limit."""
+"""Maximum characters of a fact. A full list has some 1,500 tokens, fewer than the default limit of a reply."""
 
 _FACTS_SCHEMA: Final = decode.closed_object(
     {
@@ -34,7 +35,14 @@ class ChainOfThought(FixedContextMethod):
     stages: ClassVar = {"calls": 2, "retries": 1, "most_facts": MOST_FACTS, "longest_fact": LONGEST_FACT}
 
     def answer(self, task: Task) -> Prediction:
-        """Two stages of one call, or two where a reply cannot be read; without facts the second goes on alone."""
+        """Answer in two stages: list facts, then answer with them, or without any if the list cannot be read.
+
+        Args:
+            task: The question to answer.
+
+        Returns:
+            The prediction.
+        """
         attempt = Attempt(task, self.chat, self.convention)
         panoramas = attempt.panoramas(self.n)
         stage = render("chain_of_thought_facts", most=MOST_FACTS, longest=LONGEST_FACT)
@@ -47,14 +55,21 @@ class ChainOfThought(FixedContextMethod):
 
 
 def read_facts(reply: dict[str, Any]) -> tuple[str, ...]:
-    """The facts of a reply `{"reasoning": [...]}`, each as one line of single blanks. Raises DecodeError.
+    """Read the facts of a reply.
 
-    From 1 to MOST_FACTS texts that say something, none longer than LONGEST_FACT characters as it came.
+    Args:
+        reply: The object `{"reasoning": [...]}`.
+
+    Returns:
+        The facts, each as one line with single blanks.
+
+    Raises:
+        DecodeError: There are no facts or too many, or one is empty or too long.
     """
     facts = decode.only_keys(reply, ("reasoning",), "the reply")["reasoning"]
     if not isinstance(facts, list) or not 1 <= len(facts) <= MOST_FACTS:
         raise DecodeError(f"reasoning must be a list of 1 to {MOST_FACTS} facts")
-    return tuple(_fact(fact, f"reasoning[{place}]") for place, fact in enumerate(facts))
+    return tuple(_fact(fact, f"reasoning[{index}]") for index, fact in enumerate(facts))
 
 
 def _fact(value: object, what: str) -> str:
@@ -66,5 +81,5 @@ def _fact(value: object, what: str) -> str:
         value.encode()
     except UnicodeEncodeError:
         raise DecodeError(f"{what} holds half a character, which no request can carry") from None
-    # A fact is sent as one line: a line of its own must not be taken for one of the prompt's.
+    # A fact is sent as one line, because a second line could look like a line of the prompt.
     return " ".join(value.split())

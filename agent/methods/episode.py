@@ -1,8 +1,8 @@
-"""One question being played: looks and answers under the benchmark's rules, whoever makes the moves.
+"""The game of one question: looks and answers under the benchmark's rules, for any player.
 
-The first move must look; a look within 1 degree of an earlier one of the same frame is refused; a malformed move costs
-a move; the evidence is a box in the newest crop. An answer that is not taken ends the question only where it is sent
-again as it was. At the end the newest readable answer and box count.
+The first move must look. A look within 1 degree of an earlier one of the same frame is refused. A malformed move costs
+a move. The evidence is a box in the newest crop. A refused answer ends the question only if it is sent again unchanged.
+At the end the newest readable answer and box count.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
-from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, final_parts, heading, on_crop
+from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, on_crop
+from jrdb_avr.agent.methods.requests import final_parts, heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
@@ -22,35 +23,39 @@ from jrdb_avr.schema.method import Observation, Prediction, Question, Task
 from jrdb_avr.schema.panorama import CROP
 
 BUDGET: Final = 24
-"""Looks that a question allows."""
+"""Default maximum of looks."""
 
 LOOK: Final = "Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."
 SUBMIT: Final = "Give the final answer, with one box round the person in the newest picture, in thousandths of it."
-"""What the tools `observe` and `submit_answer` do, for a model that is offered them."""
+"""Description of the tool `submit_answer` for a model; `LOOK` describes `observe`."""
 
 _NO_PICTURE: Final = ImageFrame((), CROP, CROP, 0)
-"""Stands for the newest picture before the first look: every box in an answer is refused."""
+"""Image frame before the first look, in which every box is refused."""
 
 
 def most_moves(budget: int) -> int:
-    """Moves that a question with this budget of looks allows."""
+    """Return the maximum of moves.
+
+    Args:
+        budget: The maximum of looks.
+
+    Returns:
+        The number of moves.
+    """
     return 2 * budget + 2
 
 
 class Remaining(NamedTuple):
-    """Looks and moves that an episode still allows."""
+    """The looks and moves that are left."""
 
     looks: int
     moves: int
 
 
 class Episode:
-    """One question being played by moves: a look or an answer each. Used by one thread at a time.
+    """The game of one question; each move is a look or an answer. Used by one thread at a time.
 
-    `task`: the question, and the function that observes; any method receives one. `budget`: looks at most.
-    `convention`: how the player writes boxes. `chat`: of a method that makes its calls through `attempt`.
-
-    `turns`: one line per move so far; `error`: why the last move was malformed, "" where it was not.
+    turns: one line per move so far. error: the reason why the last move was malformed, or "".
 
         episode = Episode(task)
         seen = episode.observe(150, 180.0)
@@ -61,6 +66,14 @@ class Episode:
     def __init__(
         self, task: Task, *, budget: int = BUDGET, convention: Convention = CONTRACT, chat: Chat | None = None
     ) -> None:
+        """Begin the game.
+
+        Args:
+            task: The question, with the function that observes.
+            budget: The maximum of looks.
+            convention: How the player writes boxes.
+            chat: The model of a method that makes its calls through `attempt`.
+        """
         self.attempt = Attempt(task, chat, convention)
         self.budget = budget
         self.turns: list[str] = []
@@ -70,7 +83,7 @@ class Episode:
         self._refused: Mapping[str, Any] | None = None
         self._newest = _NO_PICTURE
 
-    # -- what the player gets -----------------------------------------------------------------------------------------
+    # -- texts of the player ------------------------------------------------------------------------------------------
 
     @property
     def question(self) -> Question:
@@ -88,7 +101,14 @@ class Episode:
         return f"{self.rules('episode_tools')}\n\n{self.text}"
 
     def rules(self, turns: str) -> str:
-        """The rules; `turns` names the prompt that says in which form a move is written."""
+        """Return the rules for a player.
+
+        Args:
+            turns: The name of the prompt with the form of a move.
+
+        Returns:
+            The text.
+        """
         task = self.attempt.task
         text = mode_text(task.question.answer_mode, task.sequence.frame_count)
         return render(
@@ -132,9 +152,18 @@ class Episode:
     # -- moves --------------------------------------------------------------------------------------------------------
 
     def observe(self, frame: int | str, angle: float) -> Observation:
-        """Look at a frame, a number or a six-digit id, at an angle in degrees.
+        """Make a look.
 
-        Raises RefusedError with the reason, after which the move is spent; ObserveError for a picture that is broken.
+        Args:
+            frame: The frame as a number or a six-digit id.
+            angle: The angle in degrees.
+
+        Returns:
+            The crop.
+
+        Raises:
+            RefusedError: The look is refused, and the move is spent.
+            ObserveError: The picture is broken.
         """
         frame_id = f"{frame:06d}" if isinstance(frame, int) else frame
         seen = self.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle})
@@ -142,28 +171,54 @@ class Episode:
         return seen
 
     def submit(self, answer: object, evidence: object) -> None:
-        """Give the final answer and its `evidence_bboxes`, both as `answer_schema` has them.
+        """Give the final answer.
 
-        Raises RefusedError with the reason where it is not taken; what can be read of it is kept.
+        Args:
+            answer: The `answer` part, as in `answer_schema`.
+            evidence: The `evidence_bboxes` part, as in `answer_schema`.
+
+        Raises:
+            RefusedError: The answer is refused; its readable parts are kept.
         """
         self.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence})
 
     def move(self, move: Mapping[str, Any]) -> Observation | None:
-        """Make a move as a model writes it, `{"action": "observe", "frame_id": ..., ...}`; return what a look shows.
+        """Make a move.
 
-        Raises RefusedError, also for one that is not written so.
+        Args:
+            move: The move as a model writes it, such as `{"action": "observe", "frame_id": ..., ...}`.
+
+        Returns:
+            The crop of a look; None after an answer.
+
+        Raises:
+            RefusedError: The move is refused or malformed.
         """
         return self._carry_out(lambda: dict(move))
 
     def reply(self, reply: Reply) -> Observation | None:
-        """Make the move that a model's reply states as one JSON object; return what a look shows.
+        """Make the move of a model's reply.
 
-        Raises RefusedError, also for a reply that cannot be read.
+        Args:
+            reply: The reply.
+
+        Returns:
+            The crop of a look; None after an answer.
+
+        Raises:
+            RefusedError: The move is refused, or the reply cannot be read.
         """
         return self._carry_out(lambda: decode.reply_object(reply, self.attempt.convention))
 
     def spend_malformed(self, reason: str) -> None:
-        """Count a reply that is no move, such as one that calls no tool, as a move. Raises RefusedError: the reason."""
+        """Count a reply without a move, such as one that calls no tool, as a malformed move.
+
+        Args:
+            reason: The reason.
+
+        Raises:
+            RefusedError: Always.
+        """
 
         def read() -> dict[str, Any]:
             raise DecodeError(reason)
@@ -206,7 +261,7 @@ class Episode:
         return observation
 
     def _answer(self, move: dict[str, Any]) -> None:
-        """Take the answer, or keep what can be read of it. Raises DecodeError."""
+        """Take the answer, or keep its readable parts and raise DecodeError."""
         del move["action"]
         again, self._refused = move == self._refused, move
         parsed = self.attempt.parse_final(move, self._newest)
@@ -219,7 +274,11 @@ class Episode:
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def finished(self) -> Prediction:
-        """The prediction if no further move were made; may be called at any time. A move counts as a model call."""
+        """Return the prediction if the game ended now; a move counts as a model call.
+
+        Returns:
+            The prediction.
+        """
         refusal = "" if self._ended else f"no answer was taken within {len(self.turns)} turns"
-        found = self.attempt.prediction(replace(self._kept, refusal=refusal))
-        return replace(found, n_model_calls=len(self.turns))
+        prediction = self.attempt.prediction(replace(self._kept, refusal=refusal))
+        return replace(prediction, n_model_calls=len(self.turns))

@@ -6,15 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from jrdb_avr.agent.methods.attempt import (
-    Attempt,
-    FixedContextMethod,
-    ParsedReply,
-    final_parts,
-    frame_list,
-    on_panoramas,
-    panorama_parts,
-)
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, on_panoramas
+from jrdb_avr.agent.methods.requests import FixedContextMethod, final_parts, frame_list, panorama_parts
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Part
 from jrdb_avr.agent.model.prompts import mode_text, render
@@ -29,13 +22,30 @@ class Monolithic(FixedContextMethod):
     stages: ClassVar = {"calls": 1, "retries": 1}
 
     def answer(self, task: Task) -> Prediction:
-        """One call, and a second one where its reply cannot be read."""
+        """Answer in one call, or two if the first reply cannot be read.
+
+        Args:
+            task: The question to answer.
+
+        Returns:
+            The prediction.
+        """
         attempt = Attempt(task, self.chat, self.convention)
         return answer_from(attempt, attempt.panoramas(self.n), "monolithic")
 
 
-def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, known: Sequence[Part] = ()) -> Prediction:
-    """The call that answers from panoramas and what is `known` beside them, and the prediction that it makes."""
+def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, facts: Sequence[Part] = ()) -> Prediction:
+    """Answer from panoramas in one call, or two if the first reply cannot be read.
+
+    Args:
+        attempt: The attempt.
+        panoramas: The panoramas.
+        prompt: The name of the stage's prompt.
+        facts: Further parts of the message.
+
+    Returns:
+        The prediction.
+    """
     task = attempt.task
     text = mode_text(task.question.answer_mode, task.sequence.frame_count)
     stage = render(prompt, answer_form=text.form, answer_rule=text.rule, frames=frame_list(panoramas))
@@ -50,6 +60,6 @@ def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, kn
 
     try:
         schema = decode.closed_object(final_parts(task.question))
-        return attempt.prediction(attempt.ask_stage((*panorama_parts(panoramas), *known), stage, schema, read))
+        return attempt.prediction(attempt.ask_stage((*panorama_parts(panoramas), *facts), stage, schema, read))
     except DecodeError as error:
         return attempt.prediction(replace(kept, faults=(str(error),)))

@@ -1,8 +1,8 @@
-"""ReAct: look, think, look again, answer; the whole history travels with every turn.
+"""ReAct: look, think, look again, answer; every turn sends the whole history.
 
-The rules are those of `Episode`; a turn is one of its moves, and the turn after a malformed one is told the error.
-Every crop made so far, or the last few, is sent again with its metadata, so a turn needs nothing but its own request:
-servers may be stateless, and a finished call can be replayed from its request alone.
+`Episode` has the rules: a turn is one of its moves, and the turn after a malformed one states the error. Every crop so
+far, or the newest ones, is sent again with its metadata. Servers may therefore be stateless, and a finished call can be
+replayed from its request alone.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, final_parts, history_settings, shared_settings
+from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG
 from jrdb_avr.agent.methods.episode import BUDGET, Episode, most_moves
+from jrdb_avr.agent.methods.requests import final_parts, history_settings, shared_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
@@ -25,9 +26,9 @@ from jrdb_avr.schema.method import Observation, Prediction, Question, Task
 
 @dataclass(frozen=True)
 class ReAct:
-    """The method `react` with a budget of observations; at most twice as many model calls and two.
+    """The method `react` with a maximum of looks, and of twice as many model calls and two.
 
-    history: how many of the newest crops are sent in each turn, of others their metadata alone; None: all.
+    history: the number of newest crops in each turn, None for all; of older crops a turn has the metadata.
     """
 
     name: ClassVar = "react"
@@ -38,7 +39,7 @@ class ReAct:
     history: int | None = None
 
     def settings(self) -> dict[str, Any]:
-        """The method's settings in a run's manifest."""
+        """Return the method's settings for a run's manifest."""
         return {
             "budget": self.budget,
             "most_calls": most_moves(self.budget),
@@ -48,17 +49,31 @@ class ReAct:
         }
 
     def answer(self, task: Task) -> Prediction:
-        """Play one question to its answer, or to the last allowed call."""
+        """Play a question to its answer, or to the last allowed call.
+
+        Args:
+            task: The question to answer.
+
+        Returns:
+            The prediction.
+        """
         return self.play(Episode(task, budget=self.budget, convention=self.convention, chat=self.chat))
 
     def play(self, episode: Episode) -> Prediction:
-        """Play an episode to its end. Its `chat` must be that of this method."""
+        """Play an episode to its end.
+
+        Args:
+            episode: The episode, with the chat of this method.
+
+        Returns:
+            The prediction.
+        """
         system, schema = episode.rules("react_turns"), react_turn_schema(episode.question)
         looks: list[tuple[Observation, Picture]] = []
         while not episode.over:
             user = with_last_pictures([Message("user", _parts(episode, looks))], self.history)
             reply = episode.attempt.ask([Message("system", (system,)), *user], schema)
-            # The next turn states why a move was refused.
+            # The next turn states the reason of a refusal.
             with contextlib.suppress(RefusedError):
                 if (seen := episode.reply(reply)) is not None:
                     looks.append((seen, picture_of(seen)))
@@ -66,14 +81,13 @@ class ReAct:
 
 
 def _parts(episode: Episode, looks: Sequence[tuple[Observation, Picture]]) -> tuple[Part, ...]:
-    """The question, every crop with its metadata, and the state at the end.
+    """Return the question, every crop with its metadata, and the state.
 
-    A turn's parts begin as those of the turn before up to its newest picture, so that a server can keep its work on the
-    common beginning.
+    The state comes last, so that a server can cache the common beginning of two turns.
     """
     parts: list[Part] = [episode.text]
-    for number, (observation, picture) in enumerate(looks, 1):
-        parts += [f"Picture {number}: {metadata_line(observation)}", picture]
+    for count, (observation, picture) in enumerate(looks, 1):
+        parts += [f"Picture {count}: {metadata_line(observation)}", picture]
     frames, left = sorted({observation.frame_id for observation, _ in looks}), episode.left
     state = render(
         "react_state",
@@ -90,7 +104,14 @@ def _parts(episode: Episode, looks: Sequence[tuple[Observation, Picture]]) -> tu
 
 
 def react_turn_schema(question: Question) -> dict[str, Any]:
-    """The JSON Schema of a turn: a look, or the answer."""
+    """Return the JSON Schema of a turn: a look, or the answer.
+
+    Args:
+        question: The question.
+
+    Returns:
+        The schema.
+    """
     look = {"frame_id": decode.FRAME_ID_SCHEMA, "angle_deg": {"type": "number"}}
     actions = {"observe": look, "answer": final_parts(question)}
     return {

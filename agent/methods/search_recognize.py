@@ -1,25 +1,16 @@
 """Search, then recognize: propose a box of the person, refine it in one crop, choose the answer.
 
-Three stages of one call, or two where a reply cannot be used. The evidence is the refined box, whatever the last stage
-replies; where the crop gives no usable box it is the proposed one, and without a proposal the panoramas are answered
-from as in `monolithic`.
+Each of the three stages is one call, or two if a reply cannot be used. The evidence is the refined box, or the proposed
+one if the crop gives no usable box. Without a proposal, the method answers from the panoramas, as `monolithic` does.
 """
 
 from __future__ import annotations
 
 from typing import Any, ClassVar, Final
 
-from jrdb_avr.agent.methods.attempt import (
-    Attempt,
-    FixedContextMethod,
-    ImageFrame,
-    ParsedReply,
-    frame_list,
-    on_crop,
-    on_panoramas,
-    panorama_parts,
-)
+from jrdb_avr.agent.methods.attempt import Attempt, ImageFrame, ParsedReply, on_crop, on_panoramas
 from jrdb_avr.agent.methods.monolithic import answer_from
+from jrdb_avr.agent.methods.requests import FixedContextMethod, frame_list, panorama_parts
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Part, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import mode_text, render
@@ -38,14 +29,21 @@ class SearchRecognize(FixedContextMethod):
     stages: ClassVar = {"crops": 1, "calls": 3, "retries": 1}
 
     def answer(self, task: Task) -> Prediction:
-        """Propose, refine, answer."""
+        """Propose a box, refine it, and answer.
+
+        Args:
+            task: The question to answer.
+
+        Returns:
+            The prediction.
+        """
         attempt = Attempt(task, self.chat, self.convention)
         panoramas = attempt.panoramas(self.n)
         try:
             proposal = _propose(attempt, panoramas)
         except DecodeError:
             return answer_from(attempt, panoramas, "monolithic")
-        # Rounded to a hundredth of a column, so that the prompt holds no rounding error of a sum.
+        # Rounded to a hundredth of a column, because the prompt must not show rounding errors.
         crop = attempt.look(proposal.frame, round(center_angle(proposal.box[0], proposal.box[2]), 3))
         try:
             refined = _refine(attempt, crop)
@@ -57,19 +55,19 @@ class SearchRecognize(FixedContextMethod):
 
 
 def _propose(attempt: Attempt, panoramas: tuple[Panorama, ...]) -> Evidence:
-    """The coarse box, in one of the panoramas."""
+    """Get the coarse box, in one of the panoramas."""
     stage = render("search_recognize_propose", frames=frame_list(panoramas))
     return _box(attempt, panorama_parts(panoramas), stage, on_panoramas(panoramas))
 
 
 def _refine(attempt: Attempt, crop: Observation) -> Evidence:
-    """The refined box, in the crop."""
+    """Get the refined box, in the crop."""
     stage = render("search_recognize_refine", frame_id=crop.frame_id)
     return _box(attempt, _crop_parts(crop), stage, on_crop(crop))
 
 
 def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Evidence) -> Answer:
-    """The answer, with the refined box as evidence."""
+    """Get the answer about the person in the refined box."""
     question, sequence = attempt.task.question, attempt.task.sequence
     text = mode_text(question.answer_mode, sequence.frame_count)
     box = ", ".join(f"{value:.1f}" for value in refined.box)
@@ -84,7 +82,7 @@ def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Ev
 
 
 def _box(attempt: Attempt, parts: tuple[Part, ...], stage: str, image: ImageFrame) -> Evidence:
-    """The box that a stage returns, in stitched pixels."""
+    """Get the box of a stage, in stitched pixels."""
     return attempt.ask_stage(
         parts, stage, _BOX_SCHEMA, lambda reply: attempt.read_evidence(_only(reply, "evidence_bboxes"), image)
     )

@@ -23,17 +23,12 @@ from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import StoreError
 
 
-class _Line(msgspec.Struct):
-    request: str
-
-
 class _Entry(msgspec.Struct):
     request: str
     reply: Reply
 
 
 # Made at import: threads that meet a type first at the same time crash the decoder.
-_LINE: Final = msgspec.json.Decoder(_Line)
 _ENTRY: Final = msgspec.json.Decoder(_Entry)
 _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
@@ -51,6 +46,7 @@ class Calls:
         self._file: io.FileIO | None = None
         self._lines: dict[str, tuple[int, int]] = {}
         """The first byte and the length of each request's line."""
+        self._prompt_tokens = self._completion_tokens = 0
 
     def digest(self, request: Mapping[str, Any]) -> str:
         """Return the key of a call: the sha256 of its request in canonical JSON.
@@ -83,14 +79,16 @@ class Calls:
             return None
 
     def tokens(self) -> tuple[int, int]:
-        """Return the prompt and completion tokens of all calls in the file."""
-        prompt = completion = 0
-        with contextlib.suppress(OSError), self._path.open("rb") as lines:
-            for line in lines:
-                with contextlib.suppress(*_UNREADABLE):
-                    reply = _ENTRY.decode(line).reply
-                    prompt, completion = prompt + reply.prompt_tokens, completion + reply.completion_tokens
-        return prompt, completion
+        """Return the prompt and completion tokens of the calls in the file when it was opened.
+
+        Raises:
+            StoreError: The file cannot be read.
+        """
+        try:
+            self._open()
+        except OSError as error:
+            raise StoreError(f"cannot read the finished calls in {self._path}: {error.strerror}") from None
+        return self._prompt_tokens, self._completion_tokens
 
     def append(self, digest: str, reply: Reply) -> None:
         """Append a reply.
@@ -131,10 +129,13 @@ class Calls:
             return self._file
 
     def _index(self) -> None:
-        """Note the position of each whole line of the file."""
+        """Note the position and the tokens of each whole line of the file."""
         start = 0
         with self._path.open("rb") as lines:
             for line in lines:
                 with contextlib.suppress(*_UNREADABLE):
-                    self._lines[_LINE.decode(line).request] = start, len(line)
+                    entry = _ENTRY.decode(line)
+                    self._lines[entry.request] = start, len(line)
+                    self._prompt_tokens += entry.reply.prompt_tokens
+                    self._completion_tokens += entry.reply.completion_tokens
                 start += len(line)

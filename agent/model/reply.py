@@ -54,40 +54,21 @@ class _Choice(msgspec.Struct):
     error: Any = None
 
 
-class _Failure(msgspec.Struct):
-    """The error fields of a reply's body, whatever its HTTP status."""
-
-    error: Any = None
-    object: Any = None
-
-    @property
-    def reports_error(self) -> bool:
-        return bool(self.error) or self.object == "error"
-
-
-class _Completion(_Failure, kw_only=True):
+class _Completion(msgspec.Struct):
     choices: list[_Choice]
     model: str | None = None
     usage: Any = None
 
 
-# Made at import: threads that meet a type first at the same time crash the decoder.
-_COMPLETION: Final = msgspec.json.Decoder(_Completion)
-_FAILURE: Final = msgspec.json.Decoder(_Failure)
+# Converted at import, because threads that meet a type first at the same time crash the decoder.
+msgspec.convert({"choices": []}, _Completion)
 
 _FAILED: Final = ("error", "abort")
 """Finish reasons of a reply that the server aborted."""
 
 _ENDS: Final = {
-    "stop": "stop",
-    "length": "length",
-    "eos": "stop",
-    "eos_token": "stop",
-    "end_turn": "stop",
-    "stop_sequence": "stop",
-    "max_tokens": "length",
-    "max_output_tokens": "length",
-    "model_length": "length",
+    **dict.fromkeys(("stop", "eos", "eos_token", "end_turn", "stop_sequence"), "stop"),
+    **dict.fromkeys(("length", "max_tokens", "max_output_tokens", "model_length"), "length"),
     "safety": "content_filter",
 }
 """Finish reasons of chat completions for those of other protocols, which some servers pass on."""
@@ -107,13 +88,12 @@ def read_completion(data: bytes) -> Reply:
         ValueError: The body is not a chat completion.
     """
     try:
-        completion = _COMPLETION.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        if _tells_failure(data):
-            raise ErrorReply(*server_reason(data)) from None
+        body = msgspec.json.decode(data)
+        if isinstance(body, dict) and (body.get("error") or body.get("object") == "error"):
+            raise ErrorReply(*server_reason(data))
+        completion = msgspec.convert(body, _Completion)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(str(error) or "nested too deep") from None
-    if completion.reports_error:
-        raise ErrorReply(*server_reason(data))
     if not completion.choices:
         raise ValueError("it holds no choice")
     choice = completion.choices[0]
@@ -166,13 +146,6 @@ def _reason(value: object) -> tuple[str | None, object]:
             reason = next((reason for reason, _ in nested if reason is not None), None)
             return reason, next((code for code in codes if code is not None), None)
     return None, None
-
-
-def _tells_failure(data: bytes) -> bool:
-    try:
-        return _FAILURE.decode(data).reports_error
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return False
 
 
 def _parts(content: str | list[Any] | None) -> tuple[str, str]:

@@ -17,7 +17,8 @@ from typing import Any, Final
 import msgspec
 
 from jrdb_avr.agent.beliefs.arguments import printable
-from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, PANORAMAS, Attempt, ParsedReply, fixed_settings
+from jrdb_avr.agent.methods.attempt import DUPLICATE_DEG, Attempt, ParsedReply
+from jrdb_avr.agent.methods.requests import PANORAMAS, fixed_settings
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory

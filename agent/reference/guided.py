@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from jrdb_avr.agent.methods.attempt import Attempt, heading
+from jrdb_avr.agent.methods.attempt import Attempt
+from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.prompts import render
@@ -26,22 +27,21 @@ def pick_look(attempt: Attempt, looks: Sequence[NextLook], best: RankedHypothesi
 
     best: the likeliest hypothesis, None where nobody was seen; left: looks that may still be made.
     """
-    fault = ""
     lines = [
         heading(attempt.task.question),
         f"Looks left: {left}",
         f"Most likely so far: {json.dumps({} if best is None else dict(best.nodes))}",
         *(f"Look {number}: {_described(look)}" for number, look in enumerate(looks, 1)),
     ]
-    for _ in range(2):
-        again = [f"Your last reply could not be used: {fault}"] if fault else []
-        text = "\n".join((*lines, *again, PICK_LINE))
-        messages = [Message("system", (render("agent_guided"),)), Message("user", (text,))]
-        try:
-            return looks[_read(attempt.ask_object(messages, _SCHEMA), len(looks)) - 1]
-        except DecodeError as error:
-            fault = str(error)
-    return looks[0]
+
+    def messages(faults: Sequence[str]) -> list[Message]:
+        text = "\n".join((*lines, *faults, PICK_LINE))
+        return [Message("system", (render("agent_guided"),)), Message("user", (text,))]
+
+    try:
+        return looks[attempt.ask_twice(messages, _SCHEMA, lambda reply: _read(reply, len(looks))) - 1]
+    except DecodeError:
+        return looks[0]
 
 
 def _described(look: NextLook) -> str:

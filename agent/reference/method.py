@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver, beliefs_of
-from jrdb_avr.agent.methods.attempt import Attempt, heading, history_settings, shared_settings, uniform_frames
+from jrdb_avr.agent.methods.attempt import Attempt
+from jrdb_avr.agent.methods.requests import heading, history_settings, shared_settings, uniform_frames
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render

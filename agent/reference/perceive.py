@@ -198,26 +198,29 @@ class Perceiver:
 
     def people(self, seen: Observation, name: str) -> tuple[PersonReading, ...] | None:
         """The people read in a picture; None where neither of two replies could be read."""
-        fault, sound = "", None
-        for _ in range(2):
-            again = [f"Your last reply could not be used: {fault}"] if fault else []
-            place = (f"Picture: {metadata_line(seen)}", picture_of(seen))
-            user: tuple[Part, ...] = (field_line(self.fields), *place, *again, PEOPLE_LINE)
-            messages = [Message("system", (perceive_prompt(self.fields),)), Message("user", user)]
-            try:
-                reply = self.attempt.ask_object(messages, perceive_schema(self.fields))
-                people = read_people(reply, self.fields, seen, name, self.attempt.convention)
-            except DecodeError as error:
-                fault = str(error)
-                continue
+        sound: tuple[PersonReading, ...] | None = None
+        system = Message("system", (perceive_prompt(self.fields),))
+        before: tuple[Part, ...] = (field_line(self.fields), f"Picture: {metadata_line(seen)}", picture_of(seen))
+
+        def read(reply: Mapping[str, Any]) -> tuple[PersonReading, ...]:
+            nonlocal sound
+            people = read_people(reply, self.fields, seen, name, self.attempt.convention)
             twice = [(one, other) for one, other in itertools.combinations(people, 2) if _alike(one, other)]
             if not twice:
                 return people
-            fault = "; ".join(f"{one.number} and {other.number} have the same box" for one, other in twice)
             # Which of two people has the box of the other cannot be told.
             doubtful = {one.number for pair in twice for one in pair}
             sound = tuple(_without(one, doubtful) for one in people if one.number not in doubtful)
-        return sound
+            raise DecodeError("; ".join(f"{one.number} and {other.number} have the same box" for one, other in twice))
+
+        try:
+            return self.attempt.ask_twice(
+                lambda faults: [system, Message("user", (*before, *faults, PEOPLE_LINE))],
+                perceive_schema(self.fields),
+                read,
+            )
+        except DecodeError:
+            return sound
 
 
 def perceive_prompt(fields: Sequence[Field]) -> str:

@@ -10,7 +10,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from jrdb_avr.agent.beliefs.arguments import printable
-from jrdb_avr.agent.methods.attempt import Attempt, heading
+from jrdb_avr.agent.methods.attempt import Attempt
+from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.prompts import frame_ranges, render

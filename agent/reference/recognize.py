@@ -34,18 +34,15 @@ def recognize(
         *(f"Picture 2: {metadata_line(seen)}", picture_of(seen)),
         f"Person in picture 1: {json.dumps(_inside(known, then))}",
         f"People in picture 2: {json.dumps({str(one.number): box for one, box in zip(people, boxes, strict=True)})}",
-        SAME_LINE,
     )
-    fault = ""
-    for _ in range(2):
-        again = (f"Your last reply could not be used: {fault}",) if fault else ()
-        parts = (*user[:-1], *again, user[-1])
-        try:
-            reply = attempt.ask_object([Message("system", (render("agent_same"),)), Message("user", parts)], _SCHEMA)
-            return _read(reply, [one.number for one in people])
-        except DecodeError as error:
-            fault = str(error)
-    return None
+
+    def messages(faults: Sequence[str]) -> list[Message]:
+        return [Message("system", (render("agent_same"),)), Message("user", (*user, *faults, SAME_LINE))]
+
+    try:
+        return attempt.ask_twice(messages, _SCHEMA, lambda reply: _read(reply, [one.number for one in people]))
+    except DecodeError:
+        return None
 
 
 def _inside(one: PersonReading, seen: Observation) -> list[int]:

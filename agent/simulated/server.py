@@ -217,6 +217,7 @@ def marker_server(log: Path | None = None, knobs: Knobs = PERFECT) -> Iterator[s
     # The process ends when the pipe to its standard input closes, however this process ends.
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
+            assert process.stdout is not None, "its output is a pipe"
             line = process.stdout.readline()
             if not line.startswith(READY):
                 raise EndpointError(

@@ -1,6 +1,7 @@
 """A method in forty lines: one look straight ahead, one question to the model, its box in that picture."""
 
-from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, final_parts, heading, on_crop
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, on_crop
+from jrdb_avr.agent.methods.requests import final_parts, heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import Message, metadata_line, picture_of

@@ -1,4 +1,4 @@
-"""`jrdb-avr runs`: the runs of a store, listed, shown, compared and removed."""
+"""`jrdb-avr runs`: list, show, compare, merge and remove the runs of a store."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Examples:
 
 @click.group(cls=NamingGroup, epilog=_EXAMPLES)
 def command() -> None:
-    """The runs of a store: list them, show, compare or remove some."""
+    """List, show, compare, merge or remove the runs of a store."""
 
 
 @command.command(
@@ -73,6 +73,25 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, list) and name.startswith("commonest"):
         return [(name, own) for own in value]
     return [(name, value)]
+
+
+@command.command(
+    name="merge",
+    short_help="Make one run of all shards of a run.",
+    epilog="Example: jrdb-avr runs merge react-M-1of2 react-M-2of2 --run-id react-M --store S",
+)
+@run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
+@store_option()
+@click.option("--run-id", required=True, help="Name of the new run.")
+def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
+    """Make one run of all shards of a run (evaluate --shard), after their folders are copied into STORE/runs.
+
+    The shards must agree in questions, method, model and settings. They stay as they are.
+    """
+    from jrdb_avr.engine.run.merging import merge_runs
+
+    predictions = merge_runs(store, run_ids, run_id)
+    note(f"wrote {store.run_path(run_id)}: {len(predictions)} predictions")
 
 
 @command.command(

@@ -1,8 +1,8 @@
-"""A run on disk: its manifest, its journal, and the tables at its end.
+"""Store a run on disk: its manifest, its journal, and its tables.
 
 runs/<run_id>/run.json                    the manifest: questions, method, model and settings; written first
 runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
-runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
+runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _ACCESS: Final = (
     *("base_url", "timeout_s", "retries", "token_parameter", "headers", "api_key_env"),
     *("rpm", "tpm", "price", "max_cost"),
 )
-"""Settings of an endpoint that do not shape replies: a server may have moved, or need more time."""
+"""Settings of an endpoint that do not shape replies, such as its address."""
 
 _MAY_BE_EMPTY: Final = ("server version",)
-"""Settings that are empty where the server did not report them: too busy to answer once, it is no other server."""
+"""Settings that are empty if the server was too busy to report them."""
 
 
 class Run(Journal):
-    """A run that answers are added to: `start` writes its manifest, `append` its journal, `finish` its tables.
+    """A run in progress: `start` writes its manifest, `append` its journal, `finish` its tables.
 
-    listeners: called with each entry once it is on disk.
+    `listeners` are called with each entry when it is on disk.
 
         with Run(store, "mine") as run:
             run.start("method", "model", ids, {}, False, {})
@@ -45,7 +45,16 @@ class Run(Journal):
     """
 
     def __init__(self, store: Store, run_id: str) -> None:
-        """Take the run's lock. Raises LockedError, or StoreError for a run that is damaged."""
+        """Open the run and take its lock.
+
+        Args:
+            store: The store of the run.
+            run_id: The id of the run.
+
+        Raises:
+            LockedError: Another process has the run.
+            StoreError: The run is damaged.
+        """
         folder = store.run_path(run_id)
         if (folder / "journal.jsonl").exists():
             raise StoreError(f"{folder} was begun by an older version: delete it, or give another --run-id")
@@ -56,7 +65,7 @@ class Run(Journal):
         self.listeners: list[Callable[[Finished], None]] = []
         if self.finished and not has_manifest(store, run_id):
             self.close()
-            # They may be another model's.
+            # Without a manifest, the answers may be of another model.
             raise StoreError(
                 f"{store.run_path(run_id)} holds answers and no run.json: delete it, or give another --run-id"
             )
@@ -70,9 +79,21 @@ class Run(Journal):
         synthetic: bool,
         selection: dict[str, Any],
     ) -> RunManifest:
-        """Write the manifest, or check that it is that of the run, which more questions enlarge.
+        """Write the manifest, or compare it with the manifest of the run on disk, which more questions enlarge.
 
-        Raises StoreError for another one. `selection`: `QuestionSelection.record()` of the questions.
+        Args:
+            method: The name of the method.
+            model: The id of the model.
+            question_ids: The questions of the run.
+            settings: Everything else that shapes the answers, as plain JSON.
+            synthetic: Whether the run is of the simulated model or on the sample world.
+            selection: `QuestionSelection.record()` of the questions.
+
+        Returns:
+            The manifest.
+
+        Raises:
+            StoreError: The run on disk differs.
         """
         manifest = RunManifest(
             run_id=self.run_id,
@@ -89,8 +110,14 @@ class Run(Journal):
         return manifest
 
     def append(self, entry: Finished) -> None:
-        """Add a finished question; returns when it is on disk. Raises StoreError also after `finish`: a player's thread
-        may still be at work."""
+        """Add a finished question, and return when it is on disk.
+
+        Args:
+            entry: The question.
+
+        Raises:
+            StoreError: The disk refuses, or the run has ended; the thread of a player may still be at work then.
+        """
         with self._writing:
             if self._over:
                 raise StoreError(f"run {self.run_id!r} has ended: play this question again with --resume")
@@ -99,7 +126,7 @@ class Run(Journal):
             listen(entry)
 
     def finish(self) -> pa.Table:
-        """Write the tables of the run's questions that are finished; returns the predictions."""
+        """Write the tables of all finished questions of the run, and return the predictions."""
         with self._writing:
             self._over = True
         ids = read_run_manifest(self.store, self.run_id).question_ids
@@ -107,46 +134,62 @@ class Run(Journal):
 
 
 def check_manifest(store: Store, manifest: RunManifest) -> None:
-    """Write a new run's manifest, or compare it with the one that the run has; more questions enlarge the run.
+    """Write the manifest of a new run, or compare it with the manifest on disk; more questions enlarge the run.
 
-    Raises StoreError for a difference in anything that shapes predictions, and names it.
+    Args:
+        store: The store of the run.
+        manifest: The manifest.
+
+    Raises:
+        StoreError: A setting that shapes predictions differs; the message names it.
     """
     if not has_manifest(store, manifest.run_id):
         write_run_manifest(store, manifest)
         return
     known = read_run_manifest(store, manifest.run_id)
-    before, now = _shaping(known), _shaping(manifest)
-    for what in sorted(before.keys() | now.keys()):
-        pair = before.get(what), now.get(what)
-        if pair[0] != pair[1] and not (what in _MAY_BE_EMPTY and "" in pair):
-            raise StoreError(
-                f"run {manifest.run_id!r} had another {what}: resume it as it was, or give another --run-id"
-            )
+    if what := find_difference(known, manifest):
+        raise StoreError(f"run {manifest.run_id!r} had another {what}: resume it as it was, or give another --run-id")
     if set(known.question_ids) != set(manifest.question_ids):
-        # Without predictions it is unfinished, as it now is; the journal keeps its answers.
+        # A run without predictions counts as unfinished. The journal keeps its answers.
         for name in ("scores", "predictions"):
             (store.run_path(manifest.run_id) / f"{name}.parquet").unlink(missing_ok=True)
         grown = {"question_ids": manifest.question_ids, "selection": manifest.selection}
         write_run_manifest(store, msgspec.structs.replace(known, **grown))
 
 
+def find_difference(first: RunManifest, second: RunManifest) -> str:
+    """Return the name of the first setting that shapes predictions and differs between two runs; "" if none does."""
+    before, now = _shaping(first), _shaping(second)
+    for what in dict.fromkeys(["method", "model", *sorted(before.keys() | now.keys())]):
+        pair = before.get(what), now.get(what)
+        if pair[0] != pair[1] and not (what in _MAY_BE_EMPTY and "" in pair):
+            return what
+    return ""
+
+
 def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> None:
-    """Add how often this session read and wrote the world model to the counts in the run's manifest."""
+    """Add reads and writes of the world model to the counts in the manifest of a run.
+
+    Args:
+        store: The store of the run.
+        run_id: The id of the run.
+        counts: Numbers of statements of this session, by kind.
+    """
     manifest = read_run_manifest(store, run_id)
     total = {kind: manifest.world.get(kind, 0) + number for kind, number in counts.items()}
     write_run_manifest(store, msgspec.structs.replace(manifest, world=total))
 
 
 def has_manifest(store: Store, run_id: str) -> bool:
-    """Whether a run has begun."""
+    """Return whether a run has begun."""
     return (store.run_path(run_id) / "run.json").exists()
 
 
 def _shaping(manifest: RunManifest) -> dict[str, Any]:
-    """The settings that must be equal where a run is resumed, by their names in the error message."""
+    """Return the settings that must be equal if a run is resumed, by their names in the error message."""
     settings = dict(manifest.settings)
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
-    # What the checks found is known of the server that the run began with.
+    # Preflight results belong to the server that the run began with.
     settings.pop("preflight", None)
     return {
         "method": manifest.method,
@@ -160,9 +203,21 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
 def run_questions(
     store: Store, run_id: str, selection: QuestionSelection, resume: bool, image_root: str | None
 ) -> tuple[list[QuestionRow], dict[str, Any]]:
-    """The questions of a run and the record of their selection: as selected, or as of the run that is resumed.
+    """Return the questions of a new or a resumed run.
 
-    Raises StoreError where the run exists and is not to be resumed, or has questions that the selection leaves out.
+    Args:
+        store: The store of the run.
+        run_id: The id of the run.
+        selection: The options of the selection; without any, a resumed run keeps its questions.
+        resume: Whether the run may exist.
+        image_root: Folder with one folder of panoramas per sequence.
+
+    Returns:
+        The questions, and the record of their selection.
+
+    Raises:
+        InputError: The selection has an unknown name.
+        StoreError: The run exists and `resume` is false, or the selection leaves out some of its questions.
     """
     questions = read_question_rows(store)
     exists, record = has_manifest(store, run_id), selection.record()

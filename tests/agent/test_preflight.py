@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, completion, images, schema_of, seeing, texts
 
-from jrdb_avr.agent.methods.attempt import PANORAMAS
+from jrdb_avr.agent.methods.requests import PANORAMAS
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions

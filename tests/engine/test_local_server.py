@@ -3,7 +3,7 @@
 from urllib.parse import urlsplit
 
 import pytest
-from local_pages import fetch, serving
+from browser import fetch, serving
 
 from jrdb_avr.engine.local_server import PLAIN, LocalServer, Response
 from jrdb_avr.schema.errors import InputError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from failing_runs import stored_failures
+from scored_runs import stored_failures
 
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.synthetic.write import Order, sequence_name, write_sequence

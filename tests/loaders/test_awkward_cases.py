@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from quick_store import NAME, load_root, reported_store
+from loaded_stores import NAME, load_root, reported_store
 from worlds import VISIBLE, load_reported, load_world, member, person, person_3d, pose, thing, write_root
 
 from jrdb_avr.queries.graph.handle import Graph
@@ -535,7 +535,7 @@ def test_case_30_members_disagree_on_their_group(graphed, tmp_path):
         ("venue", "indoor_room/class", 2, True),
         ("venue", "outdoor_street", 1, False),
     ]
-    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
         ("group 5", "venue", {"indoor_room/class": 2, "outdoor_street": 1}, 3)
     ]
     assert report.problems == []
@@ -660,7 +660,7 @@ def test_case_37_demographics_that_change(tmp_path):
         (2, "male", 2, False),
         (3, "female", 1, True),
     ]
-    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
         ("person 1", "gender", {"male": 3, "female": 2}, 5),
         ("person 2", "gender", {"male": 2, "female": 2}, 4),
     ]

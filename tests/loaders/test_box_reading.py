@@ -5,7 +5,7 @@ import random
 from collections import Counter
 
 import pytest
-from known_runs import table
+from scored_runs import table
 
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import QUESTIONS, RUNS

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 
 import pytest
-from places import REAL
-from quick_store import NAME, read_store, reported_store
+from environment import REAL
+from loaded_stores import NAME, read_store, reported_store
 from worlds import person
 
 from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW

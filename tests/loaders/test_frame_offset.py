@@ -10,9 +10,8 @@ import math
 
 import numpy as np
 import pytest
-from effort import examples
-from places import REAL
-from quick_store import NAME, read_store
+from environment import REAL, examples
+from loaded_stores import NAME, read_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.loaders.layers.frame_offset import Tracks, check_shift

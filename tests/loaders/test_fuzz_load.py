@@ -17,10 +17,10 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from compared_tables import compare_tables
+from loaded_stores import compare_tables
 from mutate import mutate
 from oracle_facts import Oracle
-from oracle_reading import Found, RefusedError, read
+from oracle_files import Found, RefusedError, read
 from worlds import CAMERAS, STAMPS, as_bytes, member, person, person_3d, pose, thing, write_root
 
 from jrdb_avr.loaders.layers.social import load_reasoning

@@ -1,7 +1,7 @@
 """Interval tables of small sequences, worked out by hand: segments, keyframes, poses, groups and sectors."""
 
 import pytest
-from labelled_people import HARD, SEQUENCE, World, toward
+from readings import HARD, SEQUENCE, World, toward
 
 from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.schema.rules import LoadRules

@@ -12,7 +12,7 @@ from functools import cache
 from itertools import combinations
 
 import pytest
-from quick_store import NAME, read_store
+from loaded_stores import NAME, read_store
 from random_worlds import random_world
 from worlds import CAMERAS, VISIBLE, member, person, person_3d, pose, thing
 

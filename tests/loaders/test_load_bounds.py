@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from quick_store import NAME, load_root, read_store
+from loaded_stores import NAME, load_root, read_store
 from worlds import load_reported, member, person, person_3d, write_root
 
 from jrdb_avr.loaders.intervals import neighbors

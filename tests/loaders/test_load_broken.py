@@ -12,7 +12,7 @@ import time
 import msgspec
 import pyarrow.compute as pc
 import pytest
-from quick_store import NAME, read_store, without_graph
+from loaded_stores import NAME, read_store, without_graph
 from worlds import load_reported, person, person_3d, write_root
 
 from jrdb_avr.engine.rederive.labels import Annotations

@@ -9,17 +9,13 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from compared_tables import compare_tables, rows_of
-from effort import examples
+from environment import REAL, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from lively_worlds import lively_world
+from loaded_stores import NAME, compare_tables, memory_store, reported_store, rows_of
 from oracle_facts import Oracle, facts
-from oracle_reading import read_root
-from other_words import in_other_words
-from places import REAL
-from quick_store import NAME, memory_store, reported_store
-from random_worlds import random_world
+from oracle_files import read_root
+from random_worlds import in_other_words, lively_world, random_world
 from worlds import load_world, person
 
 from jrdb_avr.engine.generate.scene import load_scene

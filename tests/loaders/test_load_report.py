@@ -6,7 +6,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
-from quick_store import without_graph
+from loaded_stores import without_graph
 from worlds import member, person, write_root
 
 from jrdb_avr.engine.cli import group

@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from loaded_stores import without_graph
 from processes import COMMAND, run, run_program, started
-from quick_store import without_graph
 from random_worlds import random_world
 from worlds import load_reported, load_world, person, person_3d, write_root
 

@@ -8,11 +8,11 @@ import json
 import random
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loaded_stores import graphless_store
 from pycocotools.coco import COCO
-from quick_store import graphless_store
 from worlds import coco_file, person, pose
 
 from jrdb_avr.loaders.intervals.derive import derive

@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 
 import pytest
-from placed_people import placed
-from quick_store import reported_store
-from social_files import BOX, NAME, read, reasons, record, rows
+from label_records import BOX, NAME, placed, read, reasons, record, rows
+from loaded_stores import reported_store
 from worlds import member, person, thing
 
 from jrdb_avr.loaders.layers.social import load_reasoning

@@ -7,7 +7,7 @@ import os
 
 import pytest
 from click.testing import CliRunner
-from quick_store import NAME, reported_store
+from loaded_stores import NAME, reported_store
 from worlds import coco_file, member, person, person_3d, pose, write_root
 
 from jrdb_avr.engine.commands.load import command

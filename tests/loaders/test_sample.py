@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from click.testing import CliRunner
-from quick_store import MemoryStore, kept_in
+from loaded_stores import MemoryStore, kept_in
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.loaders.load import Shard, load_shard

@@ -6,8 +6,8 @@ Worlds are small enough to see through. What is refused is counted and leaves no
 from __future__ import annotations
 
 import pytest
-from quick_store import load_root
-from social_files import BOX, NAME, read, reasons, record, rows
+from label_records import BOX, NAME, read, reasons, record, rows
+from loaded_stores import load_root
 from worlds import member, write_root
 
 from jrdb_avr.loaders.root import find_root

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 import pytest
-from placed_people import placed
-from quick_store import NAME, reported_store
+from label_records import placed
+from loaded_stores import NAME, reported_store
 from worlds import member, person
 
 from jrdb_avr.loaders.intervals.derive import derive
@@ -111,7 +111,7 @@ def test_case_37_a_vote_that_differs_makes_the_attribute_unknown(tmp_path):
         (2, "gender", "male", 2, False),
         (3, "gender", "female", 1, True),
     ]
-    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
         ("person 1", "gender", {"female": 2, "male": 3}, 5),
         ("person 2", "gender", {"female": 2, "male": 2}, 4),
     ]
@@ -152,7 +152,7 @@ def test_case_30_members_agree_by_majority(tmp_path):
         (7, "venue", "outdoor_street", 1, False),
         (8, "venue", "outdoor_street", 1, True),
     ]
-    assert [(d.subject, d.attribute, d.votes, d.told) for d in report.disagreements] == [
+    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
         ("group 7", "venue", {"indoor_street": 2, "outdoor_street": 1}, 3)
     ]
 

@@ -6,10 +6,10 @@ import json
 
 import numpy as np
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from quick_store import NAME, read_store, reported_store
+from loaded_stores import NAME, read_store, reported_store
 from worlds import person
 
 from jrdb_avr.loaders.intervals.timeline import Clock

@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 import pytest
+from made_tables import table_store
 from processes import run
-from scene_tables import table_store
 
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.loaders.load import load, rebuild

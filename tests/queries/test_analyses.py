@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 
 import msgspec
 import pytest
-from known_runs import BOX, ELSEWHERE, Benchmark, table
+from scored_runs import BOX, ELSEWHERE, Benchmark, table
 
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.scoring import score_predictions

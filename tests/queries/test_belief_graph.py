@@ -3,8 +3,8 @@
 import os
 
 import pytest
-from processes import run_program, started
-from world_play import SCENE, believe, beside_scene, tables_of
+from processes import run_program
+from world_calls import SCENE, believe, beside_scene, tables_of
 
 from jrdb_avr.queries.beliefs import graph as beliefs
 from jrdb_avr.queries.beliefs.graph import WorldGraph, check_world
@@ -219,31 +219,6 @@ def test_closing_twice_is_harmless_and_what_comes_later_is_told():
     world.close()
     with pytest.raises(QueryError, match="closed"):
         world.query("MATCH (n:Entity) RETURN count(*) AS n")
-
-
-KILLED = """
-from world_play import believe
-from jrdb_avr.queries.beliefs.graph import WorldGraph
-world = WorldGraph.open({path!r})
-for number in range(1000):
-    believe(world, number)
-    print(number, flush=True)
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_writer_leaves_a_graph_that_opens(scene, tmp_path):
-    before = scene_rows(scene)
-    with started(KILLED.format(path=str(scene)), until=lambda process: process.stdout.readline() == b"3\n") as process:
-        assert process.poll() is None
-    assert scene_rows(scene) == before, "a reader opens it as it was left"
-    with WorldGraph.open(scene) as world:
-        kept = tables_of(world)
-        believe(world, 1)
-        assert len(tables_of(world)["Related"]) == len(kept["Related"])
-    # Nothing that was written is lost, and what was under way is there in whole writes.
-    assert len(kept["Episode"]) >= 4 and len(kept["Related"]) >= 4
-    assert scene_rows(scene) == before
 
 
 def test_statements_of_many_texts_do_not_pile_up(monkeypatch):

@@ -6,12 +6,11 @@ import random
 from collections import Counter
 
 import pytest
-from believed import Story, parsed, planned, write
-from effort import examples
+from belief_stories import READS, Story, parsed, planned, random_plan, random_story, write
+from environment import examples
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from oracle_beliefs import Mind, plain
-from random_beliefs import READS, random_plan, random_story
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.queries.graph.handle import Graph

@@ -9,7 +9,7 @@ import sys
 from types import SimpleNamespace
 
 import pytest
-from extras import needs
+from environment import needs
 from processes import run
 
 from jrdb_avr.queries.workers import map_sequences

@@ -7,13 +7,10 @@ import re
 from collections import Counter, defaultdict
 
 import pytest
-from lively_worlds import form, lively_world, sociable_world
-from oracle_people import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES
-from oracle_questions import World
-from oracle_words import AGES, VERBS
-from other_words import in_other_words
-from quick_store import memory_store
-from random_worlds import random_world
+from loaded_stores import memory_store
+from oracle_candidates import EMPTY, FIRST, GROUP, MAYBE, NO, PLACES, SEVERAL, TOGETHER, WINDOWS, YES, World
+from oracle_files import AGES, VERBS
+from random_worlds import form, in_other_words, lively_world, random_world, sociable_world
 
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.compiler.find import compile_find, outcome_of_people

@@ -10,7 +10,6 @@ import itertools
 import random
 import resource
 import signal
-import time
 
 import duckdb
 import pyarrow as pa
@@ -18,7 +17,7 @@ import pytest
 from processes import run_program
 
 from jrdb_avr.queries.graph.database import engine
-from jrdb_avr.queries.graph.file import ENGINE, is_as_built
+from jrdb_avr.queries.graph.file import ENGINE
 from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.errors import QueryError
@@ -154,37 +153,6 @@ def test_two_hops_are_counted_right():
     assert not wrong, f"{len(wrong)} of {total} are wrong, the first: {wrong[0]}"
 
 
-def test_trap_patterns_are_walks(memory):
-    """One edge is walked there and back; statements say that nodes differ."""
-    fill(memory, [(1, 2, 0)])
-    back = "MATCH (a:N)-[r:R]-(b:N)-[s:R]-(c:N) WHERE {} RETURN a.id, b.id, c.id ORDER BY a.id"
-    assert raw(memory, back.format("true")) == [[1, 2, 1], [2, 1, 2]], MENDED
-    assert raw(memory, back.format("a.id <> c.id")) == []
-
-
-def test_trap_exists_over_patterns_that_are_not_connected(memory):
-    """Nothing leads to 2, so there is no b = 2; a pattern at a time is right."""
-    fill(memory, [(1, 1, 0), (2, 1, 0)], (1, 2))
-    inner = "MATCH (a)-[:R]->(:N), (y:N)-[:R]->(b) WHERE a.id < y.id"
-    wrong = f"MATCH (a:N), (b:N) WHERE EXISTS {{ {inner} }} RETURN a.id, b.id ORDER BY a.id, b.id"
-    assert raw(memory, wrong) == [[1, 1], [1, 2]], MENDED
-    one = "MATCH (a:N)-[:R]->(:N) WITH DISTINCT a MATCH (y:N)-[:R]->(b:N) WHERE a.id < y.id RETURN a.id, b.id"
-    assert memory.query(f"{one} ORDER BY a.id, b.id").to_pylist() == [{"a.id": 1, "b.id": 1}]
-
-
-def test_trap_matches_in_a_row_exhaust_memory():
-    with Graph.memory(buffer_bytes=64 << 20) as graph:
-        fill(graph, [(i, i % 3000 + 1, 0) for i in range(1, 3001)], range(1, 3001))
-        rows = pa.table({"x": range(1, 3001), "y": range(1, 3001)})
-        text = (
-            "LOAD FROM $rows WITH x, y MATCH (a:N)-[:R]->(b:N) WHERE a.id = x {} MATCH (c:N)-[:R]->(d:N) WHERE c.id = y"
-        )
-        with pytest.raises(QueryError, match="needs more memory"):
-            graph.query(f"{text.format('')} RETURN count(*) AS n", {"rows": rows})
-        found = graph.query(f"{text.format('WITH y, b')} RETURN count(*) AS n", {"rows": rows})
-    assert found["n"].to_pylist() == [3000]
-
-
 # -- NULL ------------------------------------------------------------------------------------------------------------
 
 NULLS = [(i, i if i % 3 else None, i if i % 4 else None) for i in range(12)]
@@ -211,14 +179,6 @@ def test_trap_joins_by_values_lose_rows_where_there_is_null(nulls, join):
     assert raw(nulls, join.format(""))[0][0] != truth, MENDED
     more = "b.w IS NOT NULL AND a.v IS NOT NULL AND" if "EXISTS" in join else "b.w IS NOT NULL AND"
     assert nulls.query(join.format(more))["n"].to_pylist() == [truth]
-
-
-def test_trap_not_exists_forgets_what_is_null(nulls):
-    wrong = "MATCH (a:A) WHERE NOT EXISTS { MATCH (b:A) WHERE b.w IS NOT NULL AND b.w = a.v } RETURN count(*) AS n"
-    truth = sum(v is None or all(v != w for _, _, w in NULLS) for _, v, _ in NULLS)
-    assert raw(nulls, wrong)[0][0] != truth, MENDED
-    right = "MATCH (a:A) OPTIONAL MATCH (b:A) WHERE b.w IS NOT NULL AND b.w = a.v WITH b WHERE b IS NULL"
-    assert nulls.query(f"{right} RETURN count(*) AS n")["n"].to_pylist() == [truth]
 
 
 def test_trap_a_missing_parameter_is_null(memory):
@@ -523,34 +483,7 @@ def test_trap_explain_runs_the_second_statement(memory):
         memory.explain(both.removeprefix("EXPLAIN "))
 
 
-def test_trap_range_does_not_look_at_the_clock(memory):
-    """Statements of strangers run in a process of their own, which is ended."""
-    memory._connection.set_query_timeout(10)
-    begun = time.monotonic()
-    with pytest.raises(RuntimeError, match="Interrupted"):
-        raw(memory, "UNWIND range(1, 500000) AS x RETURN count(*)")
-    assert time.monotonic() - begun > 0.1, MENDED
-
-
 # -- files, locks, transactions -------------------------------------------------------------------------------------
-
-
-def test_trap_damage_to_data_is_not_noticed(path):
-    """A changed page gives another sum without an error; the checksum of the file tells it, as `load --verify` does."""
-    data = path.read_bytes()
-    truth = sum(i * i for i in range(5000))
-    found = set()
-    for page in range(1, 10):
-        changed = bytearray(data)
-        changed[4096 * page + 100] ^= 0xFF
-        path.write_bytes(changed)
-        try:
-            with Graph.open(path, read_only=True) as graph:
-                found.add(raw(graph, "MATCH (n:N) RETURN sum(n.v)")[0][0])
-        except (RuntimeError, QueryError):
-            continue
-        assert not is_as_built(path)
-    assert found - {truth}, MENDED
 
 
 def test_trap_a_checkpoint_of_a_reader_hinders_later_ones(path):
@@ -574,12 +507,3 @@ def test_trap_closing_the_file_drops_the_engines_lock(path):
     # Nor does it keep a second database of this process out.
     engine().Database(str(path), max_db_size=1 << 30).close()
     database.close()
-
-
-def test_trap_a_second_writer_is_refused_at_once(memory):
-    """Writers of the handle wait for each other."""
-    fill(memory, [])
-    with engine().Connection(memory._shared.database) as other, memory.transaction():
-        memory.execute("CREATE (:N {id: 5})")
-        with pytest.raises(RuntimeError, match="Only one write transaction"):
-            other.execute("CREATE (:N {id: 6})")

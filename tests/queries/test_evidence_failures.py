@@ -6,7 +6,7 @@ from collections import Counter
 
 import msgspec
 import pytest
-from known_runs import Benchmark, table
+from scored_runs import Benchmark, table
 
 from jrdb_avr.engine.report.comparison import report
 from jrdb_avr.engine.report.truth import Truth

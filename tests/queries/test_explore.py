@@ -4,8 +4,8 @@ from pathlib import Path
 
 import duckdb
 import pytest
-from believing import BELIEF_QUERIES
-from scene_tables import table_store
+from belief_runs import BELIEF_QUERIES
+from made_tables import table_store
 
 import jrdb_avr
 from jrdb_avr.queries.graph.handle import Graph

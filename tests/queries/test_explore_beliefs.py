@@ -6,9 +6,8 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
-from belief_runs import ASKED
-from believing import BELIEF_QUERIES, Believer
-from world_play import PLAN, begin, join, seen_twice
+from belief_runs import ASKED, BELIEF_QUERIES, Believer
+from world_calls import PLAN, begin, join, seen_twice
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.engine.run import answering

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processes import run_program, run_statement_here

@@ -8,7 +8,7 @@ from collections import Counter
 
 import duckdb
 import pytest
-from places import DOCS, REAL, ROOT
+from environment import DOCS, REAL, ROOT
 
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root

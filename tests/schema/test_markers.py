@@ -5,7 +5,7 @@ import random
 import cv2
 import numpy as np
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from keyframe_layers import visible_share
 from pycocotools import mask as coco
-from visible import visible_share
 
 from jrdb_avr.schema.panorama import (
     CROP,

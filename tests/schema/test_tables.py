@@ -3,7 +3,7 @@
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from places import DOCS
+from environment import DOCS
 
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.catalog import tables_page

@@ -5,7 +5,7 @@ import re
 
 import msgspec
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

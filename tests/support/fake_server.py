@@ -1,19 +1,18 @@
-"""A chat-completions server for tests that behaves, and misbehaves, as it is told.
-
-`FakeServer(script)` calls `script(request, n)` for the n-th request (from 0) and sends what it returns: a text (a clean
-reply), a dict (a whole reply body), or one of the faults below. Every request body is kept in `requests`. `seeing` is a
-script that passes every check of a server; tests spoil it in one way at a time.
-"""
+"""Servers that a test scripts or records, hosts of a model's tools, and the models with declared conventions."""
 
 import base64
+import contextlib
 import functools
 import json
 import re
 import socket
 import threading
 import time
+import urllib.request
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from jrdb_avr.agent.simulated.server import Server
 
 
 @dataclass
@@ -296,3 +295,62 @@ def sound(script, model="fake"):
         return completion(reply, model=model) if isinstance(reply, str) else reply
 
     return answer
+
+
+@contextlib.contextmanager
+def recorded_server():
+    """Yield the server's address and the list of bodies, which grows."""
+    server, sent = Server(), []
+    reply = server.reply
+    server.reply = lambda body: (sent.append(body), reply(body))[1]
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server.url, sent
+    server.shutdown()
+    server.server_close()
+
+
+OBSERVE = {"frame_id": {"type": "string"}, "angle_deg": {"type": "number"}}
+SUBMIT = {"answer": {}, "evidence_bboxes": {"type": "array"}}
+TOOLS = [
+    {"type": "function", "function": {"name": name, "parameters": {"type": "object", "properties": properties}}}
+    for name, properties in (("observe", OBSERVE), ("submit_answer", SUBMIT))
+]
+
+
+def complete(url, messages):
+    body = json.dumps({"model": "marker", "messages": messages, "tools": TOOLS}).encode()
+    request = urllib.request.Request(f"{url}/chat/completions", body, {"Content-Type": "application/json"})
+    with urllib.request.urlopen(request, timeout=60) as reply:
+        return json.load(reply)["choices"][0]["message"]
+
+
+async def play(url, prompt, call, most=60):
+    """Let the model play a question: `await call(name, arguments)` gives a result's text and picture, JPEG or None.
+
+    Ends with the answer, and returns how many calls were made.
+    """
+    messages = [{"role": "user", "content": prompt}]
+    for made in range(1, most):
+        message = complete(url, messages)
+        messages.append(message)
+        (wanted,) = message["tool_calls"]
+        name = wanted["function"]["name"]
+        text, jpeg = await call(name, json.loads(wanted["function"]["arguments"]))
+        if name == "submit_answer":
+            return made
+        content = [{"type": "text", "text": text}]
+        if jpeg is not None:
+            uri = "data:image/jpeg;base64," + base64.b64encode(jpeg).decode()
+            content.append({"type": "image_url", "image_url": {"url": uri}})
+        messages.append({"role": "tool", "tool_call_id": wanted["id"], "content": content})
+    raise AssertionError("no answer")
+
+
+BACKBONES = (
+    "google/gemma-4-E2B-it",
+    "google/gemma-4-E4B-it",
+    "Qwen/Qwen3-VL-4B-Instruct",
+    "Qwen/Qwen3-VL-8B-Instruct",
+    "Qwen/Qwen3.5-4B",
+    "Qwen/Qwen3.5-9B",
+)

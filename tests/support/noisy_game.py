@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 import msgspec
-from painted_world import World, still
+from painted import World, still
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import wire

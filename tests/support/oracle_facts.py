@@ -15,8 +15,7 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from oracle_reading import read_root
-from oracle_words import PERSON_CATEGORIES, POSES, said_too
+from oracle_files import PERSON_CATEGORIES, POSES, read_root, said_too
 
 LAYERS = (
     "2d",

@@ -11,7 +11,7 @@ import time
 
 import pyarrow as pa
 import pytest
-from places import SUPPORT
+from environment import SUPPORT
 
 from jrdb_avr.engine.cli import main
 from jrdb_avr.queries.graph import guard

@@ -1,16 +1,11 @@
-"""Random small worlds with the awkward cases of real labels, for comparison with the oracle.
-
-Everything comes from one `random.Random`, so a seed names a world. People enter, leave and drop out for a few frames,
-change pose, get hard labels and two poses, change groups, cross the seam, hide, and stand at odd distances; frames are
-missing or empty, and some records are unusable. Each of the other layers is there or not, at every frame or one per
-second, with one-sided and repeated interactions, partners who are not there, attributes that change from frame to
-frame, spellings that vary, things without a category, and timestamps that begin late.
-"""
+"""Worlds for `worlds.write_root`: random ones, ones in synonymous labels, and ones built from lines of text."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
+import re
 
 from worlds import CATEGORIES, member, person, person_3d, pose, thing
 
@@ -238,3 +233,202 @@ def _frame_3d(rng, frame, people):
             x, y, z = here["spot"]
             rows.append(person_3d(here["track"], x, y, z, here["heading"], here["points"], distance))
     return [*rows, rows[0] | {"label_id": "Pedestrian:1"}] if rows and frame % 50 == 7 else rows
+
+
+def lively_world(rng, name):
+    """A world annotated once a second in which much can be asked: few words, many changes, people who come and go."""
+    frames = [15 * i for i in range(rng.randrange(12, 30)) if rng.random() < 0.99]
+    layers = {"2d": {frame: [] for frame in frames}, "3d": {frame: [] for frame in frames}}
+    for track in range(1, rng.randrange(3, 7)):
+        x, radius = rng.uniform(0, 3760), rng.uniform(2, 9)
+        pose, extra, code, here, group = "standing", None, 1, rng.random() < 0.7, 1
+        for frame in frames:
+            here = here if rng.random() < 0.93 else not here
+            pose = rng.choice(("walking", "standing", "sitting")) if rng.random() < 0.15 else pose
+            extra = rng.choice((None, "reading", "eating sth")) if rng.random() < 0.12 else extra
+            code = 3 if rng.random() < 0.02 else 1
+            group = rng.choice((1, 1, 2)) if rng.random() < 0.1 else group
+            x, radius = x + rng.uniform(-30, 30), max(0.6, radius + rng.choice((0, 0, 0.1, 0.7, -0.7)))
+            if not here:
+                continue
+            actions = {pose: code} | ({extra: 1} if extra else {})
+            box = (round(x % 3760, 1), 100, 50, 37 if rng.random() < 0.02 else 150)
+            layers["2d"][frame].append(person(track, box, actions, (group, 1)))
+            if rng.random() < 0.95:
+                layers["3d"][frame].append(person_3d(track, round(radius, 2), 0.0, distance=round(radius, 2)))
+    if rng.random() < 0.2:
+        layers["images"] = sorted(rng.sample(frames, len(frames) - 2))
+    return {name: layers}
+
+
+def sociable_world(rng, name):
+    """A world annotated once a second in which people move, keep their postures for long, meet and hold things."""
+    frames = [15 * i for i in range(rng.randrange(18, 32)) if rng.random() < 0.995]
+    world = {layer: {frame: [] for frame in frames} for layer in ("2d", "3d", "social", "reasoning", "pose")}
+    tracks = range(1, rng.randrange(5, 9))
+    meets = {}  # (frame, pair) -> label
+    for pair in itertools.combinations(tracks, 2):
+        label = None
+        for frame in frames:
+            if rng.random() < 0.12:
+                label = rng.choice((None, None, None, "conversation", "conversation", "walking together"))
+            meets[frame, pair] = label
+    for track in tracks:
+        x, drift = rng.uniform(0, 3760), 0
+        spot, heading = [rng.uniform(-5, 5), rng.uniform(-5, 5)], rng.uniform(-3, 3)
+        poses = []
+        while len(poses) < 60:
+            poses += [rng.choice(("walking", "standing", "sitting", "bending"))] * rng.choice((4, 6, 12, 14))
+        poses = poses[rng.randrange(10) :]
+        told = {"gender": {rng.choice(("Male", "Female")): "1"}, "age": {"Young_Adulthood": rng.choice(("1", "3"))}}
+        extra, thing, group, away = None, None, rng.randrange(1, 5), 0
+        for second, frame in enumerate(frames):
+            drift = rng.choice((0, 0, 0, 40, -40, 110)) if rng.random() < 0.15 else drift
+            x, heading = x + drift, heading + rng.uniform(-0.2, 0.2)
+            spot = [value + rng.uniform(-0.3, 0.3) for value in spot]
+            extra = rng.choice((None, None, "reading", "eating sth")) if rng.random() < 0.12 else extra
+            thing = rng.choice((None, None, ((1, 57), {"holding": "1"}))) if rng.random() < 0.1 else thing
+            group = rng.randrange(1, 5) if rng.random() < 0.03 else group
+            away = away - 1 if away else rng.choice((1, 5)) if rng.random() < 0.02 else 0
+            if away:
+                continue
+            code = 3 if rng.random() < 0.01 else 1
+            box = (round(x % 3760, 1), 100, 50, 37 if rng.random() < 0.01 else 150)
+            actions = {poses[second]: code} | ({extra: 1} if extra else {})
+            world["2d"][frame].append(person(track, box, actions, (group, 3 if rng.random() < 0.01 else 1)))
+            world["3d"][frame].append(person_3d(track, *spot, 0.0, heading, 0 if rng.random() < 0.02 else 90))
+            with_whom = [
+                (other, {label: "3" if rng.random() < 0.02 else "1"})
+                for other in tracks
+                if other != track and (label := meets[frame, (min(track, other), max(track, other))])
+            ]
+            listed = None if rng.random() < 0.01 else with_whom
+            world["social"][frame].append(member(track, box, told, listed))
+            world["reasoning"][frame].append(member(track, box, handles=[thing] if thing else []))
+            if rng.random() < 0.7:
+                world["pose"][frame].append(pose(track, float(box[0])))
+    return {name: world}
+
+
+def form(template, program):
+    """The template, with the form where it has several."""
+    forms = {'"read":"count"': "gap_count", '"event":"leaves"': "gap_absence"}
+    return next((name for mark, name in forms.items() if template == "gap" and mark in program), template)
+
+
+WORDINGS = {
+    "walking": ("walking", "running", "going upstairs", "bending", "going downstairs"),
+    "standing": ("standing", "standing", "bending", "scootering", "skating"),
+    "sitting": ("sitting", "sitting", "cycling", "bending"),
+    "reading": ("reading", "looking at sth", "holding sth", "looking at robot", "talking on the phone"),
+    "eating sth": ("eating sth", "holding sth", "looking into sth"),
+    "talking to someone": ("talking to someone", "talking on the phone"),
+    "conversation": ("conversation", "looking at robot together", "looking at sth together"),
+    "walking together": ("walking together", "moving together", "going upstairs together", "cycling together"),
+    "looking_at something together": ("looking_at something together", "looking into sth together"),
+    "holding": ("holding", "carrying", "using", "handling/manipulating"),
+    "looking_into": ("looking_into", "looking_at"),
+    "Young_Adulthood": ("Young_Adulthood", "adolescent", "middle_aged", "Late_Adulthood"),
+    "Middle_Adulthood": ("Middle_Adulthood", "Late_Adulthood", "child"),
+}
+
+
+def in_other_words(make):
+    """A maker of worlds that calls what people do by other words of the same family."""
+
+    def made(rng, name):
+        world = make(rng, name)
+        words = random.Random(rng.getrandbits(64))
+        wordings = {}
+
+        def said(track, label):
+            if label not in WORDINGS:
+                return label
+            if (track, label) not in wordings:
+                wordings[track, label] = words.choice(WORDINGS[label])
+            return wordings[track, label]
+
+        def worded(value, track):
+            if isinstance(value, list):
+                return [worded(one, track) for one in value]
+            if not isinstance(value, dict):
+                return value
+            return {said(track, key): worded(one, track) for key, one in value.items()}
+
+        layers = {
+            layer: {frame: [worded(row, row.get("label_id")) for row in rows] for frame, rows in content.items()}
+            if layer in ("2d", "social", "reasoning")
+            else content
+            for layer, content in world[name].items()
+        }
+        return {name: layers}
+
+    return made
+
+
+SEQUENCE = "yard-2020-01-01_0"
+
+
+LETTERS = {"w": {"walking": 1}, "t": {"standing": 1}, "s": {"sitting": 1}, "?": {"standing": 3}}
+LETTERS |= {"u": {"going upstairs": 1}, "b": {"bending": 1}}
+
+
+def seconds(text):
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
+
+
+def build(lines):
+    """The JRDB world of a fixture's lines about people, images and lost seconds."""
+    layers = {"2d": {}}
+    lost, met, told, lists = (), {}, {}, {}
+    for line in lines:
+        if line.startswith("images "):
+            layers["images"] = [15 * second for second in seconds(line.split()[1])]
+        if line.startswith("lost "):
+            lost = seconds(line.split()[1])
+        if not re.match(r"\d+ \|", line):
+            continue
+        track, letters, *facts = (part.strip() for part in line.split("|"))
+        columns, group, metres, tiny, more = [400.0], None, None, (), {}
+        for fact in facts:
+            word, _, rest = fact.partition(" ")
+            if word == "column":
+                columns = [float(part) for part in rest.split()]
+            elif word == "group":
+                group = (int(rest), 1)
+            elif word == "metres":
+                metres = rest.split()
+            elif word in ("gender", "age"):
+                value, when = rest.split()
+                told |= {(int(track), second): {word: {value: 1}} for second in seconds(when)}
+            elif word == "tiny":
+                tiny = seconds(rest)
+            else:
+                action, when = fact.rsplit(" ", 1)
+                if match := re.fullmatch(r"(hard )?(.+) with (\d+)", action):
+                    for second in seconds(when):
+                        label = {match[2]: 3 if match[1] else 1}
+                        met.setdefault((int(track), second), []).append((int(match[3]), label))
+                else:
+                    more |= {(action, second): 1 for second in seconds(when)}
+        for second, letter in enumerate(letters):
+            rows = layers["2d"].setdefault(15 * second, [])
+            if letter == "-":
+                continue
+            actions = LETTERS[letter] | {action: 1 for action, when in more if when == second}
+            # Whoever has fewer columns than seconds stays at the last.
+            column = columns[min(second, len(columns) - 1)]
+            box = (column - 25, 100, 50, 20 if second in tiny else 150)
+            rows.append(person(int(track), box, actions, group))
+            here = int(track), second
+            lists.setdefault(15 * second, []).append(member(here[0], box, told.get(here), met.get(here, [])))
+            if metres is not None and metres[second] != "x":
+                away = float(metres[second])
+                solid = layers.setdefault("3d", {}).setdefault(15 * second, [])
+                solid.append(person_3d(int(track), away, 0.0, distance=away))
+    if met or told:
+        layers["social"] = lists
+    for layer in {"2d", "3d", "social"} & layers.keys():
+        layers[layer] = {frame: rows for frame, rows in layers[layer].items() if frame // 15 not in lost}
+    return {SEQUENCE: layers}

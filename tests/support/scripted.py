@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from painted_world import World
+from painted import World
 
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply

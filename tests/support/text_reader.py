@@ -1,22 +1,618 @@
-"""A careful reader of questions: finds the person and the answer from the text and the raw labels alone.
+"""Raw label files of one sequence as plain records: what the text reader knows of the world.
 
-It takes no plan and no bindings. `Reader.disputes` follows a question under the ordinary readings of its words and
-reports those that find nobody, several people, another person or another answer than the rest.
+It reads the JSON itself and shares no code with the loaders. Every record of a frame is kept that may be a person:
+one without a usable number gets a negative one, so that it can still be somebody who fits a description.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
+import json
+import math
+import re
+from collections import Counter, defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from pathlib import Path
 
-from text_reader_answers import Asked, ConfusedError, only
-from text_reader_facts import Facts, all_of, turn
-from text_reader_labels import Recording
-from text_reader_vocabulary import FPS, HELD, OPEN, Reading
-from text_reader_words import Condition, Link, Question, Step, parse
+from text_reader_language import (
+    ACTIONS,
+    AHEAD,
+    FPS,
+    HELD,
+    OPEN,
+    PARTNERS,
+    POSES,
+    SIDES,
+    WIDER,
+    WIDER_AGES,
+    WIDER_PARTNERS,
+    WIDER_VERBS,
+    Condition,
+    Link,
+    Question,
+    Reading,
+    Step,
+    parse,
+)
+
+WIDTH = 3760
+SOCIAL = ("labels_2d_activity_social_stitched", "labels_2d_social")
+REASONING = ("labels_2d_stitched_new_version", "labels_2d_stitched_test_new_version1")
+PANOPTIC = ("labels_2d_panoptic_stitched_CW", "labels_2d_panoptic_stitched_OW")
+CERTAIN = 2
+"""The highest difficulty code of a label that annotators were sure of."""
+
+
+@dataclass
+class Seen:
+    """One record of a person in one frame."""
+
+    box: tuple[float, float, float, float] | None
+    hidden: bool | None = None
+    doubtful: bool = False
+    actions: dict[str, int] = field(default_factory=dict)
+    group: object = None
+    grouping: int = 3
+    partners: dict[tuple[str, int], int] | None = None
+    things: dict[tuple[str, str], int] | None = None
+    place: tuple[float, float, float] | None = None
+    heading: float | None = None
+    metres: float | None = None
+
+    @property
+    def angle(self) -> float:
+        x, _, width, _ = self.box
+        return (x + width / 2) / WIDTH * 360 % 360
+
+
+def code(value) -> int:
+    """A difficulty from 1 to 3; what cannot be read is as doubtful as the hardest."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return 3
+    return int(number) if number in (1, 2, 3) else 3
+
+
+@cache
+def plain(label: str) -> str:
+    """One spelling of a label."""
+    text = re.sub(r"[_\-\s]+", " ", str(label)).strip().lower().replace("something", "sth")
+    return re.sub(r"\btogether together\b", "together", text)
+
+
+def labels_of(value) -> dict[str, int]:
+    return {plain(name): code(level) for name, level in value.items()} if isinstance(value, dict) else {}
+
+
+def track_of(label) -> int | None:
+    """The number of a person, 0 for a person without one, and None for a thing."""
+    text = str(label).strip()
+    if found := re.fullmatch(r"pedestrian:(\d+)", text):
+        return int(found[1]) + 1
+    return 0 if re.match(r"(ped|person|people|human|rider|bicyclist|other)", text, re.IGNORECASE) else None
+
+
+def listed(record: dict, *keys: str) -> list | None:
+    for key in keys:
+        if isinstance(record.get(key), list):
+            return [entry for entry in record[key] if isinstance(entry, dict)]
+    return None
+
+
+class Recording:
+    """People by frame of one sequence. Numbers of people are those of the files; strangers have negative ones."""
+
+    def __init__(self, root: Path, sequence: str):
+        self.root, self.sequence = root, sequence
+        self.frames: dict[int, dict[int, Seen]] = {}
+        self.votes: dict[int, dict[str, Counter]] = defaultdict(lambda: defaultdict(Counter))
+        for frame, records in self.records("labels_2d_stitched"):
+            self.frames[frame] = self.people(records)
+        for frame, records in self.records(*SOCIAL):
+            self.add_social(frame, records)
+        for frame, records in self.records(*REASONING):
+            self.add_social(frame, records, absent_means_empty=True)
+        for frame, records in self.records("labels_3d"):
+            self.add_places(frame, records)
+        gaps = Counter(later - first for first, later in zip(self.order, self.order[1:], strict=False))
+        self.step = gaps.most_common(1)[0][0] if gaps else 1
+
+    @cached_property
+    def order(self) -> list[int]:
+        return sorted(self.frames)
+
+    def file(self, *folders: str) -> dict:
+        for folder in folders:
+            for path in (self.root / "labels" / folder, self.root / folder):
+                if (path / f"{self.sequence}.json").exists():
+                    return json.loads((path / f"{self.sequence}.json").read_text("utf-8"))
+        return {}
+
+    def records(self, *folders: str):
+        for name, records in self.file(*folders).get("labels", {}).items():
+            if isinstance(records, list) and (stem := Path(name).stem).isdigit():
+                yield int(stem), [record for record in records if isinstance(record, dict)]
+
+    def people(self, records: list[dict]) -> dict[int, Seen]:
+        people: dict[int, Seen] = {}
+        for record in records:
+            number = track_of(record.get("label_id"))
+            if number is None:
+                continue
+            # The second of two records of a number may be somebody else's.
+            unnumbered = not number or number - 1 in people
+            people[-1 - len(people) if unnumbered else number - 1] = self.seen(record)
+        return people
+
+    def seen(self, record: dict) -> Seen:
+        box, marks = record.get("box"), record.get("attributes")
+        usable = isinstance(box, list) and len(box) == 4 and all(isinstance(side, int | float) for side in box)
+        marks = marks if isinstance(marks, dict) else {}
+        occlusion = marks.get("occlusion")
+        group = record.get("social_group")
+        group = group if isinstance(group, dict) else {}
+        return Seen(
+            box=tuple(box) if usable and box[2] > 0 and box[3] > 0 else None,
+            hidden=None if occlusion is None else occlusion not in ("Fully_visible", "Mostly_visible"),
+            doubtful=marks.get("no_eval") in (True, "true"),
+            actions=labels_of(record.get("action_label")),
+            group=group.get("cluster_ID"),
+            grouping=code(group.get("cluster_stat")),
+        )
+
+    def known(self, frame: int, record: dict) -> tuple[int, Seen] | None:
+        number = track_of(record.get("label_id"))
+        seen = self.frames.get(frame, {}).get(number - 1) if number else None
+        return None if seen is None or not number else (number - 1, seen)
+
+    def add_social(self, frame: int, records: list[dict], absent_means_empty: bool = False) -> None:
+        for record in records:
+            if (found := self.known(frame, record)) is None:
+                continue
+            number, seen = found
+            if absent_means_empty:
+                record = {"HHI": [], "HOI": [], **record}
+            for entry in listed(record, "demographics_info") or ():
+                for kind in ("gender", "age"):
+                    for value, level in labels_of(entry.get(kind)).items():
+                        if level <= CERTAIN and value != "impossible":
+                            self.votes[number][kind][value] += 1
+            if (entries := listed(record, "H-interaction", "HHI")) is not None:
+                seen.partners = {} if seen.partners is None else seen.partners
+                for entry in entries:
+                    other = entry.get("pair")
+                    other = (
+                        track_of(other) if isinstance(other, str) and ":" in other else track_of(f"pedestrian:{other}")
+                    )
+                    for label, level in labels_of(entry.get("inter_labels")).items():
+                        key = (label, (other or 0) - 1)
+                        seen.partners[key] = min(level, seen.partners.get(key, 3))
+            if (entries := listed(record, "HOI")) is not None:
+                seen.things = {} if seen.things is None else seen.things
+                for entry in entries:
+                    pair = entry.get("pair")
+                    kind = self.kinds.get(int(pair[1]), "") if isinstance(pair, list) and len(pair) == 2 else ""
+                    for verb, level in labels_of(entry.get("inter_labels")).items():
+                        seen.things[verb, kind] = min(level, seen.things.get((verb, kind), 3))
+
+    @cached_property
+    def kinds(self) -> dict[int, str]:
+        """Names of things by category number."""
+        return {
+            row["id"]: re.sub(r"^[tm] ", "", plain(row["name"])) for row in self.file(*PANOPTIC).get("categories", [])
+        }
+
+    def add_places(self, frame: int, records: list[dict]) -> None:
+        for record in records:
+            found, box = self.known(frame, record), record.get("box")
+            marks = record.get("attributes") or {}
+            if found is None or not isinstance(box, dict) or not marks.get("num_points"):
+                continue
+            try:
+                seen, place = found[1], (float(box["cx"]), float(box["cy"]), float(box["cz"]))
+                seen.place, seen.heading = place, math.pi - float(box["rot_z"])
+            except (KeyError, TypeError, ValueError):
+                continue
+            metres = marks.get("distance")
+            seen.metres = float(metres) if isinstance(metres, int | float) else math.hypot(*place[:2])
+
+
+KNOWN = set().union(*ACTIONS.values())
+"""All labels of actions: a list with another label tells only what it names."""
+
+
+def turn(angle: float) -> float:
+    """An angle between -180 and 180 degrees."""
+    return (angle + 180) % 360 - 180
+
+
+def either(*facts: bool | None) -> bool | None:
+    return True if True in facts else None if None in facts else False
+
+
+def all_of(facts: Iterable[bool | None]) -> bool | None:
+    unknown = False
+    for fact in facts:
+        if fact is False:
+            return False
+        unknown = unknown or fact is None
+    return None if unknown else True
+
+
+def best(levels: Iterable[int]) -> bool | None:
+    """What difficulty codes of the same fact say: certain, doubtful, or not listed."""
+    least = min(levels, default=9)
+    return True if least <= CERTAIN else None if least <= 3 else False
+
+
+class Facts:
+    """Facts of one recording under one reading; every method takes people by number and a frame."""
+
+    def __init__(self, recording: Recording, reading: Reading):
+        self.recording, self.reading = recording, reading
+
+    def seen(self, person: int, frame: int) -> Seen | None:
+        return self.recording.frames.get(frame, {}).get(person)
+
+    def people(self, frame: int) -> dict[int, Seen]:
+        return self.recording.frames.get(frame, {})
+
+    # What one person does and is.
+
+    def labelled(self, person: int, frame: int, labels: set[str], poses: bool) -> bool | None:
+        seen = self.seen(person, frame)
+        if seen is None or not seen.actions:
+            return None
+        whole = seen.actions.keys() <= KNOWN
+        certain = {label for label, level in seen.actions.items() if level <= CERTAIN}
+        listed = seen.actions.keys() & set(POSES.values())
+        if poses and (len(listed) != 1 or not listed <= certain or not whole):
+            return None
+        if labels & certain:
+            return True
+        return None if labels & seen.actions.keys() or not whole else self.between(person, frame, labels)
+
+    def between(self, person: int, frame: int, labels: set[str]) -> bool | None:
+        """None in a short break of a label, False outside."""
+        if self.recording.step != 1:
+            return False
+        for way in (-1, 1):
+            near = (self.seen(person, frame + way * away) for away in range(1, 8))
+            if not any(seen is not None and labels & seen.actions.keys() for seen in near):
+                return False
+        return None
+
+    def labels(self, phrase: str) -> set[str]:
+        """What a phrase stands for among the actions."""
+        return ACTIONS[phrase] | (WIDER.get(phrase, set()) if self.reading.words == "wide" else set())
+
+    def doing(self, person: int, frame: int, phrase: str) -> bool | None:
+        return self.labelled(person, frame, self.labels(phrase), phrase in POSES)
+
+    def handling(self, person: int, frame: int, verb: str, kind: str) -> bool | None:
+        seen = self.seen(person, frame)
+        if seen is None or seen.things is None:
+            return None
+        verbs = {verb} | (WIDER_VERBS.get(verb, set()) if self.reading.words == "wide" else set())
+        return best(level for (name, thing), level in seen.things.items() if name in verbs and thing == kind)
+
+    def attribute(self, person: int, kind: str, value: str) -> bool | None:
+        votes = self.recording.votes[person][kind] if person in self.recording.votes else None
+        if not votes:
+            return None
+        values = {value} | (WIDER_AGES.get(value, set()) if self.reading.age == "wide" else set())
+        count = sum(votes[one] for one in values)
+        if count > votes.total() / 2:
+            return True
+        return None if count and self.reading.votes == "any" else False
+
+    # Where a person is.
+
+    def in_sector(self, person: int, frame: int, axis: int) -> bool | None:
+        seen = self.seen(person, frame)
+        if seen is None or seen.box is None:
+            return None
+        return abs(turn(seen.angle - axis)) <= self.reading.sector
+
+    def metres(self, person: int, frame: int) -> float | None:
+        seen = self.seen(person, frame)
+        if seen is None or seen.place is None:
+            return None
+        x, y, z = seen.place
+        return {"recorded": seen.metres, "ground": math.hypot(x, y), "space": math.hypot(x, y, z)}[self.reading.metres]
+
+    def at_metres(self, person: int, frame: int, low: float, high: float) -> bool | None:
+        metres = self.metres(person, frame)
+        return None if metres is None else low < metres <= high
+
+    def visible(self, person: int, frame: int) -> bool | None:
+        """In the picture at a frame; unknown where a record without a number may be of the person."""
+        about = range(frame - 15, frame + 16) if self.reading.seen == "about" else (frame,)
+        records = [seen for near in about if (seen := self.seen(person, near)) is not None]
+        if any(self.reading.seen != "clear" or not (seen.hidden or seen.doubtful) for seen in records):
+            return True
+        return None if self.strangers(frame) else False
+
+    def strangers(self, frame: int) -> bool:
+        return any(person < 0 for person in self.people(frame))
+
+    # Relations of two people.
+
+    def same_group(self, person: int, other: int, frame: int) -> bool | None:
+        one, two = self.seen(person, frame), self.seen(other, frame)
+        if one is None or two is None or one.group is None or two.group is None:
+            return None
+        if one.group != two.group:
+            return False
+        return True if max(one.grouping, two.grouping) <= CERTAIN else None
+
+    def group_size(self, person: int, frame: int, size: int) -> bool | None:
+        own = self.seen(person, frame)
+        if own is None or own.group is None or own.grouping > CERTAIN:
+            return None
+        facts = [self.same_group(person, other, frame) for other in self.people(frame) if other != person]
+        least, most = 1 + facts.count(True), 1 + facts.count(True) + facts.count(None)
+        if self.reading.group == "around":
+            most += len(self.away(own.group, frame))
+        return False if not least <= size <= most else True if least == most else None
+
+    def away(self, group: object, frame: int) -> set[int]:
+        """Who is not in the picture, but is in the group within a second of it."""
+        about = (self.people(near).items() for near in range(frame - 15, frame + 16))
+        return {one for people in about for one, seen in people if seen.group == group} - self.people(frame).keys()
+
+    def together(self, person: int, other: int, frame: int, label: str) -> bool | None:
+        one, two = self.seen(person, frame), self.seen(other, frame)
+        if one is None or two is None:
+            return None
+        labels = self.partnerships(label)
+        sides = [(one.partners or {}, other), (two.partners or {}, person)]
+        levels = [partners[name, whom] for partners, whom in sides for name in labels if (name, whom) in partners]
+        if levels:
+            return best(levels)
+        if one.partners is None and two.partners is None:
+            return None
+        return self.parted(person, other, frame, labels)
+
+    def partnerships(self, label: str) -> set[str]:
+        return {label} | (WIDER_PARTNERS.get(label, set()) if self.reading.words == "wide" else set())
+
+    def parted(self, person: int, other: int, frame: int, labels: set[str]) -> bool | None:
+        """None in a short break of a relation, False outside."""
+        if self.recording.step != 1:
+            return False
+        for way in (-1, 1):
+            near = range(frame + way, frame + way * 8, way)
+            if not any(
+                self.lists(one, labels, two, at) for at in near for one, two in ((person, other), (other, person))
+            ):
+                return False
+        return None
+
+    def lists(self, person: int, labels: set[str], other: int, frame: int) -> bool:
+        seen = self.seen(person, frame)
+        return seen is not None and any((label, other) in (seen.partners or {}) for label in labels)
+
+    def with_someone(self, person: int, frame: int, label: str) -> bool | None:
+        facts = [self.together(person, other, frame, label) for other in self.people(frame) if other != person]
+        seen, labels = self.seen(person, frame), self.partnerships(label)
+        own = [level for (name, _), level in ((seen and seen.partners) or {}).items() if name in labels]
+        if own and self.reading.partner == "anybody":
+            facts.append(True if min(own) <= CERTAIN else None)
+        if seen is None or seen.partners is None:
+            facts.append(None)
+        return either(*facts)
+
+    def aside(self, person: int, other: int, frame: int, side: str) -> float | None:
+        """Degrees from one person to another on a side, None on the other side or unknown."""
+        one, two = self.seen(person, frame), self.seen(other, frame)
+        if one is None or two is None or one.box is None or two.box is None:
+            return None
+        away = (one.angle - two.angle) * SIDES[side] % 360
+        return away if 0 < away < 180 else None
+
+    def first_aside(self, person: int, other: int, frame: int, side: str) -> bool | None:
+        """Whether the other is the nearest on a side; unknown where a box is, or where two are as near."""
+        people = self.people(frame)
+        if any(seen.box is None for seen in people.values()):
+            return None
+        clear = [one for one, seen in people.items() if not (seen.hidden or seen.doubtful)]
+        among = clear if self.reading.beside == "visible" else [*people]
+        ways = {one: away for one in among if (away := self.aside(person, one, frame, side)) is not None}
+        nearest = [one for one, away in ways.items() if away == min(ways.values())]
+        return False if other not in nearest else True if len(nearest) == 1 else None
+
+    def within(self, person: int, other: int, frame: int, side: str, width: float) -> bool | None:
+        one, two = self.seen(person, frame), self.seen(other, frame)
+        if one is None or two is None or one.box is None or two.box is None:
+            return None
+        return 0 < turn(one.angle - two.angle) * SIDES[side] <= width
+
+    def near(self, person: int, other: int, frame: int, low: float, high: float) -> bool | None:
+        one, two = self.seen(person, frame), self.seen(other, frame)
+        if one is None or two is None or one.place is None or two.place is None:
+            return None
+        flat = self.reading.metres == "ground"
+        metres = math.dist(one.place[:2], two.place[:2]) if flat else math.dist(one.place, two.place)
+        return low < metres <= high
+
+    def facing(self, person: int, other: int, frame: int, word: str) -> bool | None:
+        """Whether the other is in front of, behind, to the left ... of a person, as that person faces."""
+        one, two = self.seen(person, frame), self.seen(other, frame)
+        if one is None or two is None or one.place is None or two.place is None or one.heading is None:
+            return None
+        to = math.atan2(two.place[1] - one.place[1], two.place[0] - one.place[0])
+        angle = turn(math.degrees(to - one.heading))
+        if word.endswith("right"):
+            word, angle = word.replace("right", "left"), -angle
+        if word in ("in front of", "behind"):
+            angle = abs(angle)
+        low, high = {
+            "drawn": ((0, 30), (30, 45), (45, 135), (135, 145), (145, 180)),
+            "eighths": ((0, 22.5), (22.5, 67.5), (67.5, 112.5), (112.5, 157.5), (157.5, 180)),
+            "quarters": ((0, 45), (0, 90), (45, 135), (90, 180), (135, 180)),
+            "halves": ((0, 90), (0, 90), (0, 180), (90, 180), (90, 180)),
+        }[self.reading.facing][AHEAD[word]]
+        return low <= angle <= high
+
+
+class ConfusedError(Exception):
+    """The reader finds nobody, several people or no answer; the message says which."""
+
+
+def only(fits: dict, name: str):
+    """The one who certainly fits while nobody else could."""
+    possible = [one for one, fact in fits.items() if fact is not False]
+    if len(possible) > 1:
+        raise ConfusedError(f"{name}: several fit: {sorted(possible)}")
+    if not possible or not fits[possible[0]]:
+        raise ConfusedError(f"{name}: nobody certainly fits")
+    return possible[0]
+
+
+@dataclass
+class Asked:
+    """A question about one person under one reading."""
+
+    question: Question
+    choices: list[str]
+    facts: Facts
+    person: int
+
+    @property
+    def recording(self) -> Recording:
+        return self.facts.recording
+
+    def answer(self) -> dict:
+        return getattr(self, f"read_{self.question.read}")()
+
+    def seen(self, frame: int) -> Seen | None:
+        return self.facts.seen(self.person, frame)
+
+    def later(self) -> list[int]:
+        return [frame for frame in self.recording.order if frame > self.question.frame]
+
+    def read_pose(self, frame: int | None = None) -> dict:
+        frame = frame if frame is not None else (*self.question.values, self.question.frame)[0]
+        chosen = only({choice: self.facts.doing(self.person, frame, choice) for choice in self.choices}, "choices")
+        return self.choice(chosen)
+
+    def choice(self, words: str) -> dict:
+        return {"choice": self.choices.index(words) + 1}
+
+    def read_next_pose(self) -> dict:
+        def pose(frame: int) -> str | None:
+            """The one pose that is certain at a frame."""
+            listed = (self.seen(frame) or Seen(None)).actions
+            poses = [label for label in POSES.values() if label in listed]
+            return poses[0] if len(poses) == 1 and listed[poses[0]] < 3 else None
+
+        first = pose(self.question.frame)
+        return self.read_pose(next((frame for frame in self.later() if pose(frame) not in (None, first)), -1))
+
+    def spell(self, phrase: str) -> tuple[int, int]:
+        """First and last frame of the first spell of an action after the description."""
+        longest, first, last, before = max(self.facts.reading.pause, self.recording.step), None, 0, self.question.frame
+        for frame in self.later():
+            if first is not None and frame - last > longest:
+                break
+            if (seen := self.seen(frame)) is None:
+                continue
+            if self.does(seen, phrase, frame):
+                if first is None and frame - before > FPS:
+                    raise ConfusedError(f"nobody sees the start of {phrase}")
+                first, last = frame if first is None else first, frame
+            before = frame
+        if first is None:
+            raise ConfusedError(f"never {phrase}")
+        return first, last
+
+    def does(self, seen: Seen, phrase: str, frame: int) -> bool:
+        if not self.facts.labels(phrase) & seen.actions.keys():
+            return False
+        fact = self.facts.doing(self.person, frame, phrase)
+        if fact is None and self.facts.reading.spell == "possible":
+            return True
+        return fact is True
+
+    @property
+    def half(self) -> int:
+        """What lies between the first label and the start: half a step where labels come once per second."""
+        return self.recording.step // 2
+
+    def read_start(self) -> dict:
+        return {"frame": self.spell(self.question.values[0])[0] - self.half}
+
+    def read_span(self) -> dict:
+        first, last = self.spell(self.question.values[0])
+        return {"start_frame": first - self.half, "end_frame": last + self.half}
+
+    def read_view(self) -> dict:
+        first, _ = self.spell(self.question.values[0])
+        angle, before = self.facts.people(first)[self.person].angle, self.seen(first - self.recording.step)
+        if self.facts.reading.moment == "between" and before is not None:
+            angle = (before.angle + turn(angle - before.angle) / 2) % 360
+        return {"frame": first - self.half, "angle_deg": angle}
+
+    def read_starts(self) -> dict:
+        one, two = (self.spell(phrase)[0] for phrase in self.question.values)
+        return {"value": (two - one) / FPS}
+
+    def read_absence(self) -> dict:
+        last = self.question.frame
+        strangers = False
+        for frame in self.later():
+            clear = self.facts.reading.seen != "clear" or self.facts.visible(self.person, frame)
+            if self.seen(frame) is None or not clear:
+                strangers = strangers or self.facts.strangers(frame)
+                continue
+            if frame - last > 2 * max(self.recording.step, FPS):
+                if strangers:
+                    raise ConfusedError("a record without a number may be of the absent person")
+                return {"value": (frame - last) / FPS}
+            last, strangers = frame, False
+        raise ConfusedError("never away and back")
+
+    def read_count(self) -> dict:
+        words, end = self.question.values
+        label = PARTNERS.get(words, "")
+        frames = [self.question.frame, *(frame for frame in self.later() if frame <= end)]
+        met = {other for frame in frames for other in self.facts.people(frame) if self.meets(other, frame, label)}
+        return {"value": float(len(met - {self.person}))}
+
+    def meets(self, other: int, frame: int, label: str) -> bool:
+        if label:
+            return self.facts.together(self.person, other, frame, label) is True
+        one, two = self.seen(frame), self.facts.seen(other, frame)
+        if self.facts.reading.spell == "possible":
+            return one is not None and two is not None and one.group is not None and one.group == two.group
+        return self.facts.same_group(self.person, other, frame) is True
+
+    def visible(self, frame: int) -> bool:
+        if (fact := self.facts.visible(self.person, frame)) is None:
+            raise ConfusedError("a record without a number may be of the person")
+        return fact
+
+    def read_presence(self) -> dict:
+        first, second = (self.visible(frame) for frame in self.question.values)
+        if first == second:
+            return self.choice("both times" if first else "neither time")
+        return self.choice("only at the first time" if first else "only at the second time")
+
+    def read_distance(self) -> dict:
+        later = self.question.values[0]
+        if not self.visible(later):
+            return self.choice("not in view")
+        one, two = self.facts.metres(self.person, self.question.frame), self.facts.metres(self.person, later)
+        if one is None or two is None:
+            raise ConfusedError("a distance is unknown")
+        if abs(two - one) < 1:
+            return self.choice("about the same distance")
+        return self.choice("closer to the robot" if two < one else "farther from the robot")
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 import json
 
 import msgspec
-from evidence_files import all_evidence
-from known_runs import table
+from question_files import all_evidence
+from scored_runs import table
 
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.schema.beliefs import AttributeRow, EntityRow, Fact, RelationRow, SightingRow

@@ -6,11 +6,11 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from believed import hash_of
-from world_calls import VICTIM
-from world_play import (
+from belief_stories import hash_of
+from world_calls import (
     BOX,
     PLAN,
+    VICTIM,
     add,
     begin,
     believe,

@@ -4,12 +4,11 @@ import json
 import math
 import random
 
-import effort
+import environment
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from world_calls import VICTIM, calls_of, play
-from world_play import PLAN, begin, believe, belongs, beside_scene, replay, rows_of, tables_of
+from world_calls import PLAN, VICTIM, begin, believe, belongs, beside_scene, calls_of, play, replay, rows_of, tables_of
 
 from jrdb_avr.agent.beliefs.display import shown_graph
 from jrdb_avr.queries.beliefs.graph import WorldGraph
@@ -26,7 +25,7 @@ def graph(tmp_path_factory):
         yield world
 
 
-@settings(max_examples=effort.examples(10), phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=environment.examples(10), phases=(Phase.explicit, Phase.generate))
 @given(st.integers(0, 2**32))
 def test_whatever_is_called_nothing_ungrounded_is_written(graph, seed):
     calls = calls_of(random.Random(seed))

@@ -2,12 +2,11 @@
 
 import random
 
-import effort
+import environment
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from world_calls import calls_of, play
-from world_play import PLAN, add, begin, belongs, look, replay, rows_of, say, tables_of
+from world_calls import PLAN, add, begin, belongs, calls_of, look, play, replay, rows_of, say, tables_of
 
 from jrdb_avr.agent.beliefs.display import shown_graph
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
@@ -24,7 +23,7 @@ def graph():
         yield made
 
 
-@settings(max_examples=effort.examples(6), phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=environment.examples(6), phases=(Phase.explicit, Phase.generate))
 @given(st.integers(0, 2**32))
 def test_an_episode_believes_what_its_tables_say(graph, seed):
     """Whatever is called, a turn at a time: the rows that an episode tells are those that the solver reads."""

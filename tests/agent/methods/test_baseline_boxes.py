@@ -4,7 +4,7 @@ import json
 from fractions import Fraction
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted import MODES, RedWorld, blank_task, evidence, final, play, proposal, red_eyes, shown

@@ -4,15 +4,15 @@ import json
 from itertools import pairwise
 
 import pytest
+from environment import SNAPSHOTS
 from hypothesis import given
 from hypothesis import strategies as st
-from painted_world import World, still
-from places import SNAPSHOTS
+from painted import World, still
 from scripted import CHOICES, MODES, Chat, blank_task, evidence, final, play, proposal
 
-from jrdb_avr.agent.methods.attempt import uniform_frames
 from jrdb_avr.agent.methods.chain_of_thought import LONGEST_FACT, MOST_FACTS, ChainOfThought
 from jrdb_avr.agent.methods.monolithic import Monolithic
+from jrdb_avr.agent.methods.requests import uniform_frames
 from jrdb_avr.agent.methods.search_recognize import SearchRecognize
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.messages import Picture

@@ -5,7 +5,7 @@ import re
 
 import msgspec
 import pytest
-from places import DOCS
+from environment import DOCS
 from scripted import MODES, blank_task, evidence
 
 from jrdb_avr.agent.methods.episode import Episode, Remaining, most_moves

@@ -5,11 +5,11 @@ from itertools import chain, repeat
 
 import numpy as np
 import pytest
+from environment import SNAPSHOTS
 from fake_server import FakeServer, completion, images, texts
 from hypothesis import example, given
 from hypothesis import strategies as st
-from painted_world import World, still
-from places import SNAPSHOTS
+from painted import World, still
 
 from jrdb_avr.agent.methods.react import ReAct
 from jrdb_avr.agent.model.client import Client

@@ -6,7 +6,7 @@ import json
 import time
 
 import pytest
-from backbones import BACKBONES
+from fake_server import BACKBONES
 from hypothesis import assume, given
 from hypothesis import strategies as st
 

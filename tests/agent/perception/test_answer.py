@@ -4,11 +4,10 @@ import itertools
 from dataclasses import replace
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labelled_people import toward
-from read_worlds import WOMAN, reading_at
+from readings import WOMAN, reading_at, toward
 
 from jrdb_avr.agent.perception.answer import conclude
 from jrdb_avr.agent.perception.attention import next_looks

@@ -4,11 +4,10 @@ import random
 
 import numpy as np
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labelled_people import toward
-from read_worlds import Noise, ReadWorld, f1, pairwise
+from readings import Noise, ReadWorld, f1, pairwise, toward
 from scipy.optimize import linear_sum_assignment
 
 from jrdb_avr.agent.perception.association import assign, expected_place, match_people, with_picture

@@ -3,11 +3,10 @@
 import random
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labelled_people import toward
-from read_worlds import POSES, WOMAN, Noise, ReadWorld, asked_of, reading_at
+from readings import POSES, WOMAN, Noise, ReadWorld, asked_of, reading_at, toward
 
 from jrdb_avr.agent.perception.attention import RESERVES, next_looks
 from jrdb_avr.agent.perception.geometry import SeenColumns, covered, seen_from

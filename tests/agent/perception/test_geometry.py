@@ -3,10 +3,10 @@
 import itertools
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from labelled_people import World, toward
+from readings import World, toward
 
 from jrdb_avr.agent.perception.geometry import (
     CIRCLE,

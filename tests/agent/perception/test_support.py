@@ -4,11 +4,10 @@ import itertools
 import random
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labelled_people import toward
-from read_worlds import VALUES, Noise, ReadWorld, asked_of, identified
+from readings import VALUES, Noise, ReadWorld, asked_of, identified, toward
 
 from jrdb_avr.agent.perception.geometry import SeenColumns
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie

@@ -3,10 +3,10 @@
 import itertools
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labelled_people import toward
+from readings import toward
 
 from jrdb_avr.agent.perception.geometry import SeenColumns
 from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie

@@ -4,11 +4,11 @@ import random
 from collections import Counter
 from types import SimpleNamespace
 
-import effort
+import environment
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from world_play import PLAN, begin, edges_of, look
+from world_calls import PLAN, begin, edges_of, look
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
 from jrdb_avr.agent.perception.answer import conclude
@@ -130,7 +130,7 @@ def test_an_answer_is_certain_only_where_the_engine_finds_its_person(graph):
 
 
 @pytest.mark.slow
-@settings(max_examples=effort.examples(8))
+@settings(max_examples=environment.examples(8))
 @given(st.integers(0, 2**32))
 def test_what_is_current_is_what_the_readings_come_to(graph, seed):
     rng = random.Random(seed)

@@ -12,10 +12,10 @@ import noisy_game
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from painted_world import World, still
+from painted import World, still
 from reference_play import CHOICES, Scripted, text_of
-from world_play import PLAN as WORDY
-from world_play import look as observation
+from world_calls import PLAN as WORDY
+from world_calls import look as observation
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.methods.attempt import Attempt

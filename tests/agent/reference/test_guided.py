@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from painted_world import World
+from painted import World
 from reference_play import CHOICES, Scripted, text_of
 from test_driven import CHANGE, FRAMES, OTHERS, READER, Chat
 

@@ -3,8 +3,8 @@
 import json
 
 import pytest
-from painted_world import World, still
-from places import SNAPSHOTS
+from environment import SNAPSHOTS
+from painted import World, still
 from reference_play import (
     GRAPH,
     PLAN,

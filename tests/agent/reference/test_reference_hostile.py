@@ -8,10 +8,10 @@ import threading
 import time
 
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from painted_world import SEQUENCE, World, still
+from painted import SEQUENCE, World, still
 from reference_play import (
     CHOICES,
     GRAPH,
@@ -28,7 +28,7 @@ from reference_play import (
     text_of,
     turn,
 )
-from segments import opened
+from scored_runs import opened
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.reply import Reply

@@ -13,7 +13,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-from places import DOCS
+from environment import DOCS
 
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import reply_object

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from painted_world import Actor, World, still
+from painted import Actor, World, still
 
 from jrdb_avr.agent.methods.react import ReAct
 from jrdb_avr.agent.model.client import Client

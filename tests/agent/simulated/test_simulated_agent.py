@@ -4,7 +4,7 @@ import json
 
 import msgspec
 import pytest
-from painted_world import Actor, World, still
+from painted import Actor, World, still
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.messages import wire

@@ -5,7 +5,7 @@ import threading
 from dataclasses import replace
 
 import pytest
-from painted_world import Actor, World, still
+from painted import Actor, World, still
 
 from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
 from jrdb_avr.agent.methods.monolithic import Monolithic

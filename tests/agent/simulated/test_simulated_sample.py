@@ -7,7 +7,7 @@ import cv2
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from evidence_files import all_evidence
+from question_files import all_evidence
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.queries.store import Store

@@ -5,7 +5,7 @@ import urllib.error
 import urllib.request
 
 import pytest
-from painted_world import World, still
+from painted import World, still
 
 from jrdb_avr.agent.model.messages import picture_of
 from jrdb_avr.agent.simulated.knobs import Knobs

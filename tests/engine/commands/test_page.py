@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from places import DOCS
+from environment import DOCS
 
 from jrdb_avr.engine.cli import COMMANDS
 

@@ -3,9 +3,9 @@
 import random
 
 import pytest
-from keyframe_layer import layers_in_memory
-from lively_worlds import lively_world
-from quick_store import graphless_store
+from keyframe_layers import layers_in_memory
+from loaded_stores import graphless_store
+from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import confirm
 from jrdb_avr.engine.generate.run import generate

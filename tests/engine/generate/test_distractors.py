@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from built_worlds import SEQUENCE, build
-from keyframe_layer import search
-from quick_store import quick_store
+from keyframe_layers import search
+from loaded_stores import quick_store
+from random_worlds import SEQUENCE, build
 from worlds import person
 
 from jrdb_avr.engine.generate import sequence

@@ -10,9 +10,9 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-from keyframe_layer import layers_in_memory
-from lively_worlds import lively_world
-from quick_store import graphless_store
+from keyframe_layers import layers_in_memory
+from loaded_stores import graphless_store
+from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import found, publish, run
 from jrdb_avr.engine.generate.sequence import SequenceJob, SequenceResult, search_sequence

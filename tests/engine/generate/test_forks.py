@@ -9,8 +9,8 @@ import random
 from collections import Counter
 
 import pytest
-from keyframe_layer import searched
-from quick_store import memory_store
+from keyframe_layers import searched
+from loaded_stores import memory_store
 from worlds import person
 
 from jrdb_avr.engine.generate import fork_join

@@ -10,12 +10,11 @@ import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from keyframe_layer import search, searched
-from quick_store import memory_store, quick_store
-from visible import visible_share
+from keyframe_layers import search, searched, visible_share
+from loaded_stores import memory_store, quick_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table

@@ -13,15 +13,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from evidence_files import all_evidence, question_files
+from environment import REAL
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keyframe_layer import layer_rows, layers_in_memory
-from lively_worlds import lively_world
-from places import REAL
+from keyframe_layers import layer_rows, layers_in_memory, visible_share
+from loaded_stores import graphless_store
 from processes import run_program
-from quick_store import graphless_store
-from visible import visible_share
+from question_files import all_evidence, question_files
+from random_worlds import lively_world
 from worlds import load_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command

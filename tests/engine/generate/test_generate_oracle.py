@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from keyframe_layer import searched
-from lively_worlds import form, lively_world, sociable_world
-from oracle_questions import proven
-from other_words import in_other_words
-from quick_store import memory_store
-from random_worlds import random_world
+from keyframe_layers import searched
+from loaded_stores import memory_store
+from oracle_candidates import proven
+from random_worlds import form, in_other_words, lively_world, random_world, sociable_world
 from worlds import person, person_3d
 
 from jrdb_avr.engine.generate.candidates import PASSED, to_table

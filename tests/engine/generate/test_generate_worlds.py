@@ -6,11 +6,11 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from built_worlds import SEQUENCE, build
-from keyframe_layer import search, searched
-from oracle_people import People
-from places import TESTS
-from quick_store import memory_store
+from environment import TESTS
+from keyframe_layers import search, searched
+from loaded_stores import memory_store
+from oracle_candidates import People
+from random_worlds import SEQUENCE, build
 from worlds import write_root
 
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, RULES, VALUES

@@ -10,10 +10,10 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pyarrow.parquet as pq
 import pytest
-from evidence_files import all_evidence
-from keyframe_layer import layers_in_memory
-from oracle_questions import proven
-from quick_store import graphless_store
+from keyframe_layers import layers_in_memory
+from loaded_stores import graphless_store
+from oracle_candidates import proven
+from question_files import all_evidence
 from worlds import load_world, member, person, person_3d
 
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer

@@ -9,12 +9,12 @@ import time
 
 import msgspec
 import pytest
-from effort import examples
-from evidence_files import question_files
-from keyframe_layer import layer_rows
-from lively_worlds import lively_world
+from environment import examples
+from keyframe_layers import layer_rows
 from processes import run, run_program, started
-from world_play import believe, tables_of
+from question_files import question_files
+from random_worlds import lively_world
+from world_calls import believe, tables_of
 from worlds import load_world
 
 from jrdb_avr.engine.generate import keyframe_graph, sequence
@@ -241,7 +241,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(made, tmp_path):
 
 BELIEVER = """
 import os, signal, sys
-from world_play import believe
+from world_calls import believe
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 world = WorldGraph.open(sys.argv[1])
 believe(world)

@@ -5,7 +5,7 @@ import random
 
 import pytest
 from click.testing import CliRunner
-from extras import needs
+from environment import needs
 
 from jrdb_avr.engine.generate.blind import QuestionText, blind_check
 from jrdb_avr.engine.generate.learned import learned_guesser, learned_share

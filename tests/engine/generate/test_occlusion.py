@@ -5,8 +5,8 @@ import warnings
 
 import pytest
 from click.testing import CliRunner
-from keyframe_layer import layers_in_memory
-from quick_store import without_graph
+from keyframe_layers import layers_in_memory
+from loaded_stores import without_graph
 from worlds import load_world, person, write_root
 
 from jrdb_avr.engine.cli import group

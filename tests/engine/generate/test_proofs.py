@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from built_worlds import SEQUENCE, build
-from quick_store import memory_store
+from loaded_stores import memory_store
+from random_worlds import SEQUENCE, build
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Effect, PerturbationResult, first_refusing, proven_rules
 from jrdb_avr.engine.generate.conditions import find_conditions

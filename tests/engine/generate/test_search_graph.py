@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from scene_tables import scene_tables, table_store
+from made_tables import scene_tables, table_store
 
 from jrdb_avr.loaders import graph as scene
 from jrdb_avr.loaders.graph import STAGE, build_scene, stage_scene

@@ -8,7 +8,7 @@ from itertools import pairwise, product
 
 import pyarrow as pa
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

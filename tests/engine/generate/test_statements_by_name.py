@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from lax_sample import LAX_RULES, lax_sample
-from scene_tables import table_store
+from keyframe_layers import LAX_RULES, lax_sample
+from made_tables import table_store
 
 import jrdb_avr
 from jrdb_avr.engine.generate.candidates import OUTCOMES, RULES, VALUES

@@ -10,11 +10,10 @@ import math
 import shutil
 
 import pytest
-from evidence_files import all_evidence
-from places import REAL, SUPPORT
+from environment import REAL, SUPPORT
+from question_files import all_evidence
 from text_reader import Found, Reader, differs, open_readings
-from text_reader_vocabulary import HELD, Reading
-from text_reader_words import BY_MIDDLES, UnreadableError, parse
+from text_reader_language import BY_MIDDLES, HELD, Reading, UnreadableError, parse
 
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.plan import parse_plan

@@ -8,8 +8,8 @@ from collections import Counter
 
 import pyarrow.parquet as pq
 import pytest
-from evidence_files import question_files
-from lively_worlds import lively_world
+from question_files import question_files
+from random_worlds import lively_world
 from worlds import load_world
 
 from jrdb_avr.engine.generate.run import generate

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

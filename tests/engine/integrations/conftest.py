@@ -4,8 +4,8 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
-from evidence_files import all_evidence
-from recorded_server import recorded_server
+from fake_server import recorded_server
+from question_files import all_evidence
 
 from jrdb_avr.queries.store import Store
 

@@ -7,9 +7,8 @@ import warnings
 
 import numpy as np
 import pytest
-from extras import needs
-from places import DOCS
-from tool_host import play
+from environment import DOCS, needs
+from fake_server import play
 
 from jrdb_avr.agent.model.messages import jpeg_picture
 from jrdb_avr.engine.run.journal import finished_entry

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
-from evidence_files import blocked_store
-from extras import needs
+from environment import needs
+from question_files import blocked_store
 
 from jrdb_avr.schema.errors import AvrError
 

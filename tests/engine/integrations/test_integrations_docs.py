@@ -10,8 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-from extras import needs
-from places import DOCS
+from environment import DOCS, needs
 
 needs("inspect_ai", "openai", "mcp", "gymnasium")
 

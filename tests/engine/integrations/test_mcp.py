@@ -13,12 +13,12 @@ from pathlib import Path
 import httpx2
 import pyarrow.parquet as pq
 import pytest
-from asked_world import QUESTIONS_ASKED
 from click.testing import CliRunner
-from evidence_files import blocked_store
-from extras import needs
-from segments import journal_lines
-from tool_host import play
+from environment import needs
+from fake_server import play
+from painted import QUESTIONS_ASKED
+from question_files import blocked_store
+from scored_runs import journal_lines
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.queries.runs import read_run_manifest

@@ -8,7 +8,7 @@ import threading
 import cv2
 import numpy as np
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

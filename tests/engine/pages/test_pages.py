@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from browser import browser, complaints
-from failing_runs import stored_failures
 from processes import run
+from scored_runs import stored_failures
 from traced_runs import trace_runs
 
 from jrdb_avr.engine.observe.observer import Observer

@@ -6,10 +6,8 @@ import shutil
 
 import msgspec
 import pytest
-from browser import browser, complaints
-from failing_runs import CASES, stored_failures
-from known_runs import BOX, ELSEWHERE
-from local_pages import fetch, serving
+from browser import browser, complaints, fetch, serving
+from scored_runs import BOX, CASES, ELSEWHERE, stored_failures
 from traced_runs import HOSTILE, stored_run, trace_runs
 
 from jrdb_avr.engine.pages.view import SCORE_OUTCOMES, Viewer, address

@@ -1,7 +1,7 @@
 """What the second path finds of every perturbation of a plan, in worlds to work out by hand."""
 
 import pytest
-from labelled_people import EASY, HARD, RULES, World, at_t0, toward
+from readings import EASY, HARD, RULES, World, at_t0, toward
 
 from jrdb_avr.engine.rederive import prove_again, rederive
 from jrdb_avr.schema.relations import FIRST_RIGHT

@@ -2,7 +2,7 @@
 
 import msgspec
 import pytest
-from labelled_people import EASY, HARD, MIDDLE, RULES, World, ask, at_t0
+from readings import EASY, HARD, MIDDLE, RULES, World, ask, at_t0
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, rederive
 from jrdb_avr.schema.templates import TEMPLATES, Slots

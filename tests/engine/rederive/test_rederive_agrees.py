@@ -5,13 +5,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from built_worlds import SEQUENCE, build
-from effort import DEEP
-from keyframe_layer import all_steps, searched
-from lively_worlds import lively_world, sociable_world
-from other_words import in_other_words
-from quick_store import memory_store
-from random_worlds import random_world
+from environment import DEEP
+from keyframe_layers import all_steps, searched
+from loaded_stores import memory_store
+from random_worlds import SEQUENCE, build, in_other_words, lively_world, random_world, sociable_world
 
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, VALUES, to_table
 from jrdb_avr.engine.generate.candidates import RULES as RULE_NAMES

@@ -1,7 +1,7 @@
 """What the second path finds at the end of chains, at events and over time, in worlds to work out by hand."""
 
 import pytest
-from labelled_people import EASY, HARD, World, ask, at_t0, toward
+from readings import EASY, HARD, World, ask, at_t0, toward
 
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP

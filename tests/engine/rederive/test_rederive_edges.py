@@ -1,7 +1,7 @@
 """The second path's facts about people and between them, on worlds small enough to work out by hand."""
 
 import pytest
-from labelled_people import EASY, HARD, MIDDLE, World, ask, at_t0, toward
+from readings import EASY, HARD, MIDDLE, World, ask, at_t0, toward
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN
 from jrdb_avr.schema.plan import Condition

@@ -5,7 +5,7 @@ Their import takes seconds, so that only the worker that runs a test pays for it
 
 import numpy as np
 import pytest
-from effort import examples
+from environment import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -9,10 +9,10 @@ import subprocess
 import msgspec
 import pyarrow as pa
 import pytest
-from failing_runs import stored_failures
 from hypothesis import given
 from hypothesis import strategies as st
 from processes import run
+from scored_runs import stored_failures
 
 from jrdb_avr.engine.report.bundle import read_bundle, write_bundle
 from jrdb_avr.engine.report.comparison import score

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from known_runs import BOX, ELSEWHERE, Benchmark
+from scored_runs import BOX, ELSEWHERE, Benchmark
 
 from jrdb_avr.engine.report.epochs import epoch_rows
 

@@ -1,6 +1,6 @@
 """How far people agree, counted by hand."""
 
-from known_runs import BOX, ELSEWHERE, Benchmark
+from scored_runs import BOX, ELSEWHERE, Benchmark
 
 from jrdb_avr.engine.report.people import HUMAN, agreement_rows
 from jrdb_avr.schema.tables import QUESTIONS

@@ -14,9 +14,8 @@ import msgspec
 import numpy as np
 import processes
 import pytest
-from failing_runs import CASES, stored_failures
-from known_runs import BOX, ELSEWHERE, Benchmark, table
-from places import SUPPORT
+from environment import SUPPORT
+from scored_runs import BOX, CASES, ELSEWHERE, Benchmark, stored_failures, table
 
 from jrdb_avr.engine.console import csv_text
 from jrdb_avr.engine.report.bootstrap import cluster_sums, intervals, mean_ratio

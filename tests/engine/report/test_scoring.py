@@ -3,18 +3,18 @@
 import json
 import math
 
-import known_runs
 import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from effort import examples
+import scored_runs
+from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from known_runs import Benchmark, scored_run
 from pycocotools import mask as coco
+from scored_runs import Benchmark, scored_run
 
 from jrdb_avr.engine.report import scoring
 from jrdb_avr.engine.report.comparison import report
@@ -522,11 +522,10 @@ def test_a_run_of_nothing():
     assert row_of([], [])["answer"] is None
 
 
-# -- mutants --------------------------------------------------------------------------------------------------------
+# -- a battery on the bounds ----------------------------------------------------------------------------------------
 
 
 def test_battery_passes_the_scorer():
-
     def run(rows, predicted, threshold=0.5, fps=15.0):
         truth = truth_of(rows, fps)
         table = score_predictions(truth, "r", [row[0] for row in rows], predictions_of(predicted), threshold)
@@ -649,7 +648,7 @@ def test_predictions_may_be_in_any_order_and_may_be_missing(tmp_path):
     """Six questions about three sequences, not in the order of their ids; the last has no prediction."""
     store, benchmark = Store(tmp_path), Benchmark([(f"q{n}", f"s{n % 3}", "long_range") for n in range(6)])
     benchmark.write(store)
-    run = benchmark.run([(1 + n % 2, known_runs.BOX, 7) for n in range(6)])
+    run = benchmark.run([(1 + n % 2, scored_runs.BOX, 7) for n in range(6)])
     write_run_manifest(store, msgspec.structs.replace(run.manifest, questions_sha256=questions_hash(store)))
     predictions = benchmark.written["predictions"].filter(pc.field("question_id") != "q5")
     for order in ("ascending", "descending"):
@@ -672,7 +671,7 @@ def test_sequence_and_track_identify_a_target():
         {"sequence": sequence, "track": 1, "frame": 7, **dict(zip("xywh", box, strict=True))}
         for _, sequence, box in targets
     ]
-    benchmark.tables["evidence"] = known_runs.table(boxes, QUESTIONS["evidence"])
+    benchmark.tables["evidence"] = scored_runs.table(boxes, QUESTIONS["evidence"])
     benchmark.truth = Truth(*benchmark.tables.values())
     assert benchmark.run([(1, box, 7) for _, _, box in targets]).scores.tolist() == [[1, 1, 1]] * 2
     assert benchmark.run([(1, box, 7) for _, _, box in reversed(targets)]).scores.tolist() == [[1, 0, 0]] * 2

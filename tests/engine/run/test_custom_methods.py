@@ -3,8 +3,8 @@
 import json
 
 import pytest
+from environment import DOCS
 from fake_server import FakeServer, images, sound, texts
-from places import DOCS
 from processes import run
 
 from jrdb_avr.engine.run.methods import is_custom, load_custom_method

@@ -17,13 +17,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from asked_world import BLIND, FRAMES, POSES, QUESTIONS_ASKED, question
 from click.testing import CliRunner
 from fake_server import FakeServer, Status, sound
 from hypothesis import given
 from hypothesis import strategies as st
-from painted_world import SEQUENCE
-from segments import InMemory, journal_lines, opened
+from painted import BLIND, FRAMES, POSES, QUESTIONS_ASKED, SEQUENCE, question
+from scored_runs import InMemory, journal_lines, opened
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run import answering

@@ -10,15 +10,13 @@ import time
 
 import pyarrow as pa
 import pytest
-from asked_world import write_public
-from belief_runs import ASKED, run
-from believing import Believer, world_dump
+from belief_runs import ASKED, Believer, run, world_dump
 from click.testing import CliRunner
-from effort import examples
-from places import SUPPORT
+from environment import SUPPORT, examples
+from made_tables import table_store
+from painted import write_public
 from processes import COMMAND, run_program, started
-from scene_tables import table_store
-from segments import InMemory, segment_of
+from scored_runs import InMemory, segment_of
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run import journal as journals

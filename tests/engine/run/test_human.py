@@ -4,8 +4,7 @@ import json
 import shutil
 
 import pytest
-from browser import browser, complaints
-from local_pages import fetch, serving
+from browser import browser, complaints, fetch, serving
 
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.report.comparison import report

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from asked_world import BLIND, QUESTIONS_ASKED
-from judged_world import Reader, write_answers
+from painted import BLIND, QUESTIONS_ASKED, Reader, write_answers
 
 from jrdb_avr.engine.run.answering import answer_one
 from jrdb_avr.engine.run.bench import Bench

@@ -18,9 +18,9 @@ from hashlib import sha256
 
 import pyarrow.parquet as pq
 import pytest
-from asked_world import write_store
-from believing import PLAN, world_dump
+from belief_runs import PLAN, world_dump
 from fake_server import FakeServer, images, sound, texts
+from painted import write_store
 
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import replayed

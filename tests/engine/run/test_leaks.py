@@ -15,10 +15,9 @@ import sys
 
 import pyarrow.parquet as pq
 import pytest
-from asked_world import QUESTIONS_ASKED
 from click.testing import CliRunner
-from painted_world import SEQUENCE
-from recorded_server import recorded_server
+from fake_server import recorded_server
+from painted import QUESTIONS_ASKED, SEQUENCE
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS

@@ -9,12 +9,10 @@ import threading
 
 import msgspec
 import pytest
-from asked_world import FRAMES, QUESTIONS_ASKED
 from click.testing import CliRunner
 from fake_server import FakeServer, images, sound, texts
-from judged_world import Reader, asked_frame, shown_at, write_answers
-from painted_world import SEQUENCE
-from segments import opened, segment_of
+from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE, Reader, asked_frame, shown_at, write_answers
+from scored_runs import opened, segment_of
 
 from jrdb_avr.engine.commands import evaluate
 from jrdb_avr.engine.report.comparison import report

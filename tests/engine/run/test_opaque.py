@@ -6,8 +6,7 @@ import hmac
 import stat
 
 import pytest
-from asked_world import FRAMES, QUESTIONS_ASKED
-from painted_world import SEQUENCE
+from painted import FRAMES, QUESTIONS_ASKED, SEQUENCE
 
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.opaque import key_path, opaque_names

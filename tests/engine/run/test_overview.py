@@ -6,9 +6,8 @@ import shutil
 import msgspec
 import numpy as np
 import pytest
-from known_runs import BOX, ELSEWHERE, Benchmark
 from processes import run
-from segments import opened, segment_of
+from scored_runs import BOX, ELSEWHERE, Benchmark, opened, segment_of
 
 from jrdb_avr.engine.report.comparison import diff
 from jrdb_avr.engine.run.journal import Finished

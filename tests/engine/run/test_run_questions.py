@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from asked_world import BLIND, QUESTIONS_ASKED, SEQUENCE, question, write_public
 from hypothesis import given
 from hypothesis import strategies as st
+from painted import BLIND, QUESTIONS_ASKED, SEQUENCE, question, write_public
 from processes import run
 
 from jrdb_avr.engine.run.options import QuestionSelection

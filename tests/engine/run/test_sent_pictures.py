@@ -7,7 +7,7 @@ import struct
 import cv2
 import numpy as np
 import pytest
-from painted_world import SEQUENCE, World, still
+from painted import SEQUENCE, World, still
 from reference_play import CHOICES, PLAN, Scripted, look, turn
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel

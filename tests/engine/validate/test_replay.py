@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from processes import run as run_command
-from spoiled_questions import keep_only, rewrite
+from question_files import keep_only, rewrite
 
 from jrdb_avr.engine.rederive import Annotations
 from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, check_replay, read_records

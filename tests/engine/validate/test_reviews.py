@@ -10,10 +10,10 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keyframe_layer import layers_in_memory
-from lively_worlds import lively_world
+from keyframe_layers import layers_in_memory
+from loaded_stores import graphless_store
 from processes import run
-from quick_store import graphless_store
+from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import found
 from jrdb_avr.engine.validate.reviews import read_reviews, rejected

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from processes import run
-from spoiled_questions import keep_only, rewrite
+from question_files import keep_only, rewrite
 
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.validate.checks import CHECKS, validate

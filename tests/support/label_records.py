@@ -1,4 +1,4 @@
-"""Social label files with one record, and what is read of them."""
+"""Social label files with one record, and people at stated places."""
 
 from __future__ import annotations
 
@@ -38,3 +38,7 @@ def reasons(problems):
 
 def record(**fields):
     return {"label_id": "pedestrian:1", "box": list(BOX)} | fields
+
+
+def placed(track):
+    return (100 * track + 10, 60, 50, 200)

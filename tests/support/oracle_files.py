@@ -1,21 +1,4 @@
-"""What the label files say, read by brute force: the rows of every annotation table, from the raw text.
-
-Plain Python over parsed JSON, sharing no code with the loaders; spellings are written out again. It states what counts
-as usable:
-- A file must be UTF-8 and JSON in structure, with the object or lists that its format has; else nothing of it is.
-- A value that is no JSON is broken, and so is a list or object with broken structure inside. Broken values cost what
-  needs them and nothing else: a record without a person or a box is lost, a label without a code is uncertain.
-- Of members with equal keys the first holds. Decoders usually keep the last, so whoever compares a file that repeats
-  keys takes `last=True` too.
-- A person is `pedestrian:N`. Numbers are finite, bools are none; whole numbers may come as 7.0 or "7".
-
-- Of equal persons in a frame (poses and things alike) the first usable one holds. `every=True` keeps them all: what
-  anybody sees who judges the records one by one.
-- A record that is lost and may be a person's makes its frame doubtful: nobody's list is then all, what people are is
-  not told there, and no 3D box is.
-
-`read(layer, data)` gives a `Found` for one file; `read_root(root, sequence)` brings a sequence's files together.
-"""
+"""Words that the oracle knows: written out again from the definitions, as data."""
 
 from __future__ import annotations
 
@@ -25,7 +8,106 @@ import re
 from functools import lru_cache, partial
 from pathlib import Path
 
-from oracle_words import ACTIONS, POSTURES, TOGETHER, VERBS
+POSES = {
+    "walking",
+    "standing",
+    "sitting",
+    "cycling",
+    "going upstairs",
+    "going downstairs",
+    "bending",
+    "skating",
+    "scootering",
+    "running",
+    "lying",
+}
+OTHERS = {
+    "holding sth",
+    "listening to someone",
+    "talking to someone",
+    "looking at robot",
+    "looking into sth",
+    "looking at sth",
+    "typing",
+    "interaction with door",
+    "eating sth",
+    "talking on the phone",
+    "pointing at sth",
+    "reading",
+    "pushing",
+    "greeting gestures",
+    "writing",
+    "pulling",
+}
+ACTIONS = POSES | OTHERS
+TOGETHER = tuple(
+    """walking together|standing together|conversation|sitting together|going upstairs together|moving together|
+    looking at robot together|looking at sth together|walking toward each other|eating together|
+    going downstairs together|bending together|holding sth together|cycling together|interaction with door together|
+    hugging|looking into sth together|shaking hand|waving hand together|pointing at sth together""".replace(
+        "\n    ", ""
+    ).split("|")
+)
+VERBS = set(
+    """working|opening|closing|entering|exiting|touching|cleaning|watering|pruning|planting|pushing|pulling|carrying|
+    holding|looking at|looking into|looking out|presenting|organizing|leaning|painting|installing|removing|repairing|
+    riding|parking|mounting|depositing|placing|warning|blocking|adjusting|constructing|maintaining|
+    handling/manipulating|accessing|inspecting|storing|pressing|switching|drinking|refilling|moving|operating|
+    displaying|arranging|talking on|browsing/engaging|loading|unloading|transporting|connecting|using|configuring|
+    disconnecting|printing/copying|identifying|locating|promoting|advertising|finding_something|putting_something|
+    directing|attracting|investigating|exploring|utilizing|understanding|observing|turning|wearing|adorning|replacing|
+    matching|collecting|folding|servicing|feeding|climbing|going down|going up""".replace("\n    ", "").split("|")
+)
+POSTURES = {"sitting", "walking", "standing", "running"}
+"""Verbs of the files that no question uses."""
+PERSON_CATEGORIES = {"pedestrian", "bicyclist/rider", "child"}
+AGES = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
+
+_SAID_TOO = """
+going upstairs: walking
+going downstairs: walking
+running: walking
+walking: running
+bending: walking, standing, sitting
+cycling: sitting
+scootering: standing
+skating: standing
+looking at robot: looking at sth
+looking into sth: looking at sth
+reading: looking at sth, looking into sth, holding sth
+eating sth: holding sth
+pushing: holding sth
+pulling: holding sth
+interaction with door: holding sth
+pointing at sth: looking at sth
+talking on the phone: holding sth, talking to someone, listening to someone
+walking together: moving together
+cycling together: moving together
+going upstairs together: moving together, walking together
+going downstairs together: moving together, walking together
+looking at robot together: looking at sth together
+looking into sth together: looking at sth together
+carrying: holding, handling/manipulating
+holding: carrying, using, handling/manipulating
+using: handling/manipulating, utilizing
+utilizing: using
+transporting: carrying
+observing: looking at
+looking at: observing
+handling/manipulating: using
+looking into: looking at
+"""
+SAID_TOO = {
+    label: others.split(", ") for label, others in (line.split(": ") for line in _SAID_TOO.strip().splitlines())
+}
+"""What else may be said in ordinary words of whoever has a label: of them it is unknown, if it is not written."""
+
+
+def said_too(difficulties):
+    """{label: difficulty} as written, and what may be said beside it, which nobody can be sure of."""
+    also = {other: None for label in difficulties for other in SAID_TOO.get(label, ())}
+    return also | difficulties
+
 
 BROKEN = type("Broken", (), {"__repr__": lambda self: "BROKEN"})()
 TRACK_MAX = 2**31 - 2
@@ -302,7 +384,7 @@ bench road counter pillar bin gate table wall fence door trolley coffee_machine 
 stroller statue standboard poster show_case window crutches tree pole building food_truck bus robot baggage
 stand_pillar screen forecourt shop cabinet light_street car copy_machine drink_fountain class at
 """
-AGES = {
+AGE_WORDS = {
     "child": "childhood",
     "adolescent": "adolescence",
     "young": "young adulthood",
@@ -517,7 +599,7 @@ def told_values(attribute, name):
             continue
         value = {
             "gender": word,
-            "age": AGES.get(word, word),
+            "age": AGE_WORDS.get(word, word),
             "ethnicity": word,
             "inter": interaction_name(word),
             "venue": re.sub("^(indoor|outdoor) (.*)", lambda m: f"{m[1]}_{_spelled(m[2])}", word),

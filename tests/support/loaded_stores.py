@@ -7,7 +7,10 @@ store, found = read_store(tmp_path, layers) # the same, and what its files gave;
 store = graphless_store(tmp_path, world)    # all that generation reads but the graph
 """
 
+from __future__ import annotations
+
 import contextlib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -162,3 +165,23 @@ def _instead(**parts):
 
 def _nothing(*arguments):
     """In place of writing down what a graph is built from."""
+
+
+def plain(value):
+    """A value that compares: floats to nine digits, so that another order of summing does not show."""
+    if isinstance(value, float):
+        return round(value, 9) + 0.0
+    return tuple(value) if isinstance(value, list) else value
+
+
+def rows_of(rows, names):
+    """How often each row is there."""
+    return Counter(tuple(plain(row[name]) for name in names) for row in rows)
+
+
+def compare_tables(store, expected, sequence):
+    for kind, schema in INTERVALS.items():
+        found = rows_of(store.interval(kind, sequence).to_pylist(), schema.names)
+        wanted = rows_of(expected[kind], schema.names)
+        assert found - wanted == Counter(), kind
+        assert wanted - found == Counter(), kind

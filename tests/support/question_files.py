@@ -1,7 +1,10 @@
-"""Evidence of a store question by question; all files of a generation; blocked files."""
+"""Evidence of a store as one table, the files of a generation, and files that are changed, removed or blocked."""
 
 import os
 import shutil
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import PRIVATE, QUESTIONS
@@ -33,3 +36,29 @@ def blocked_store(original, path):
         place.unlink(missing_ok=True)
         os.mkfifo(place)
     return store
+
+
+def rewrite(store, name, change, schema=None):
+    """Apply `change` to the rows of a table; its metadata stay."""
+    path = store.question_path(name)
+    table = pq.read_table(path)
+    rows = table.to_pylist()
+    change(rows)
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema or table.schema), path)
+
+
+def keep_only(store, ids):
+    """Keep these questions, and the evidence of their targets."""
+
+    def keep(rows):
+        rows[:] = [row for row in rows if row["question_id"] in ids]
+
+    for name in ("questions", "answers"):
+        rewrite(store, name, keep)
+    sequences = {row["question_id"]: row["sequence"] for row in store.questions("questions").to_pylist()}
+    targets = {(sequences[row["question_id"]], row["target_track"]) for row in store.questions("answers").to_pylist()}
+
+    def drop_others(rows):
+        rows[:] = [row for row in rows if (row["sequence"], row["track"]) in targets]
+
+    rewrite(store, "evidence", drop_others)

@@ -1,0 +1,180 @@
+"""Parts of requests and of manifests that methods share: the heading of a task, panoramas, and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.client import Chat
+from jrdb_avr.agent.model.conventions import CONTRACT, Convention
+from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
+from jrdb_avr.agent.model.prompts import choice_lines, render
+from jrdb_avr.schema.method import Panorama, Question, Task
+from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH
+
+PANORAMAS: Final = 8
+"""Number of panoramas for a method that cannot choose its looks."""
+
+UNIFORM: Final = "evenly spaced by position among the legal ones, first and last included"
+"""The selection of `uniform_frames` in a run's manifest."""
+
+
+def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
+    """Select frames that are evenly spaced by position.
+
+    Args:
+        frames: The m legal frames, ascending.
+        n: The number of frames to select, from 1.
+
+    Returns:
+        For each i from 0 the frame at position i * (m - 1) / (n - 1), rounded to the nearest, halves up. If n is 1,
+        the middle frame, the earlier of two. If m is at most n, all frames.
+
+    Raises:
+        ValueError: n is below 1.
+
+    >>> uniform_frames(range(0, 100, 5), 4)
+    (0, 30, 65, 95)
+    """
+    if n < 1:
+        raise ValueError("a fixed context holds one panorama at least")
+    if len(frames) <= n:
+        return tuple(frames)
+    last = len(frames) - 1
+    if n == 1:
+        return (frames[last // 2],)
+    # Because steps are longer than one position, rounding never selects a frame twice.
+    return tuple(frames[(2 * i * last + n - 1) // (2 * (n - 1))] for i in range(n))
+
+
+def panorama_parts(panoramas: Sequence[Panorama]) -> tuple[Part, ...]:
+    """Return panoramas as parts of a message.
+
+    Args:
+        panoramas: The panoramas.
+
+    Returns:
+        A line with number and metadata before each picture.
+    """
+    return tuple(
+        part
+        for count, panorama in enumerate(panoramas, 1)
+        for part in (f"Panorama {count}: {metadata_line(panorama)}", picture_of(panorama))
+    )
+
+
+def frame_list(panoramas: Sequence[Panorama]) -> str:
+    """List the frame ids of panoramas.
+
+    Args:
+        panoramas: The panoramas.
+
+    Returns:
+        The ids with commas between.
+    """
+    return ", ".join(panorama.frame_id for panorama in panoramas)
+
+
+def fixed_settings(n: int) -> dict[str, Any]:
+    """Return the settings of a method with panoramas for a run's manifest.
+
+    Args:
+        n: The number of panoramas.
+
+    Returns:
+        The settings.
+    """
+    return {"panoramas": n, "frames": UNIFORM}
+
+
+IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
+"""Width and height in pixels of a model's pictures."""
+
+
+def heading(question: Question) -> str:
+    """Return the first lines of every task.
+
+    Args:
+        question: The question.
+
+    Returns:
+        The question, its mode, and its choices numbered from 1.
+    """
+    choices = choice_lines(question.choices)
+    return render(
+        "heading",
+        question=question.question,
+        mode=question.answer_mode,
+        choices=f"Choices:\n{choices}" if choices else "No choices.",
+    )
+
+
+def final_parts(question: Question) -> dict[str, Any]:
+    """Return the JSON Schemas of a final reply's keys.
+
+    Args:
+        question: The question.
+
+    Returns:
+        A schema per key.
+    """
+    return {
+        "answer": decode.answer_schema(question.answer_mode, question.choices),
+        "evidence_bboxes": decode.EVIDENCE_SCHEMA,
+    }
+
+
+def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
+    """Return the messages of a call with panoramas.
+
+    Args:
+        task: The question to answer.
+        parts: The parts of the stage. Its instructions come last, so that a server can cache the common beginning.
+
+    Returns:
+        The shared system message and the user message.
+    """
+    system = render("panorama_system", fps=f"{task.sequence.fps:g}")
+    return [Message("system", (system,)), Message("user", (heading(task.question), *parts))]
+
+
+def shared_settings(convention: Convention) -> dict[str, Any]:
+    """Return the settings that every method has in a run's manifest.
+
+    Args:
+        convention: The backbone's convention.
+
+    Returns:
+        The settings.
+    """
+    return {"convention": convention.settings(), "image_sizes": IMAGE_SIZES}
+
+
+def history_settings(history: int | None) -> dict[str, Any]:
+    """Return the settings of a chat that sends its newest pictures only.
+
+    Args:
+        history: The number of pictures; None if all are sent.
+
+    Returns:
+        The settings, empty if all pictures are sent.
+    """
+    return {} if history is None else {"history": history}
+
+
+@dataclass(frozen=True)
+class FixedContextMethod:
+    """A method that answers from `n` evenly spaced panoramas; `stages` are the settings of its calls."""
+
+    name: ClassVar[str]
+    stages: ClassVar[Mapping[str, int]]
+
+    chat: Chat
+    convention: Convention = CONTRACT
+    n: int = PANORAMAS
+
+    def settings(self) -> dict[str, Any]:
+        """Return the method's settings for a run's manifest."""
+        return {**fixed_settings(self.n), **self.stages, **shared_settings(self.convention)}

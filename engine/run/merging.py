@@ -1,0 +1,126 @@
+"""Join the shards of a run to one run; each was answered by `evaluate --shard`, on any machine."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import pyarrow as pa
+
+from jrdb_avr.engine.run.journal import Finished, world_rows
+from jrdb_avr.engine.run.methods import WORLD_METHODS
+from jrdb_avr.engine.run.run import Run, find_difference
+from jrdb_avr.queries.beliefs.graph import open_graph
+from jrdb_avr.queries.beliefs.record import merge_world
+from jrdb_avr.queries.files import write_atomic
+from jrdb_avr.queries.questions import read_question_rows
+from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import StoreError
+
+_KEYS: Final = ("run", "id", "episode", "source", "target", "observation", "freed")
+"""Fields of a fact (`schema.beliefs.Fact`) that hold the id of the run, or keys that begin with it."""
+
+
+def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -> pa.Table:
+    """Make one run of all shards of a run. The shards stay.
+
+    Args:
+        store: The store, or its folder, whose folder `runs` holds the shards.
+        run_ids: The runs of the shards.
+        run_id: The id of the new run.
+
+    Returns:
+        The predictions of the new run.
+
+    Raises:
+        StoreError: A shard is missing or unfinished, or differs in questions, method, model or settings.
+        LockedError: Another process uses a shard, or the graph of the store.
+    """
+    store = Store.of(store)
+    names = list(dict.fromkeys(run_ids))
+    manifests = [read_run_manifest(store, name) for name in names]
+    selection = _check_shards(store, manifests)
+    if (store.run_path(run_id) / "predictions.parquet").exists():
+        raise StoreError(f"run {run_id!r} exists: give another --run-id")
+    with contextlib.ExitStack() as stack:
+        answers = [stack.enter_context(Run(store, name)).finished for name in names]
+        for manifest, finished in zip(manifests, answers, strict=True):
+            if missing := set(manifest.question_ids) - set(finished):
+                raise StoreError(f"run {manifest.run_id!r} lacks {len(missing)} answers: finish it with --resume")
+        run = stack.enter_context(Run(store, run_id))
+        owners = {
+            name: (manifest.run_id, finished)
+            for manifest, finished in zip(manifests, answers, strict=True)
+            for name in manifest.question_ids
+        }
+        ids = [row.question_id for row in read_question_rows(store) if row.question_id in owners]
+        first, synthetic = manifests[0], any(manifest.synthetic for manifest in manifests)
+        merged = run.start(first.method, first.model, ids, first.settings, synthetic, selection)
+        counts = sum((Counter(manifest.world) for manifest in manifests), Counter[str]())
+        write_run_manifest(store, msgspec.structs.replace(merged, world=dict(counts)))
+        # A merge that was killed has a part of the answers.
+        for name in ids:
+            if name not in run.finished:
+                owner, finished = owners[name]
+                run.append(_rename_world(finished[name], owner, run_id))
+        _join_calls([store.run_path(name) for name in names], store.run_path(run_id))
+        if first.method in WORLD_METHODS and store.graph_path.exists():
+            with open_graph(store.graph_path) as graph:
+                merge_world(graph, run_id, world_rows(run_id, run.finished))
+        return run.finish()
+
+
+def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, Any]:
+    """Return the selection that the shards share. Raise StoreError if they are not all shards of one run."""
+    first = manifests[0]
+    selections = [dict(manifest.selection) for manifest in manifests]
+    shards = [tuple(selection.pop("shard", ())) for selection in selections]
+    for manifest, selection, shard in zip(manifests, selections, shards, strict=True):
+        if not shard:
+            raise StoreError(f"run {manifest.run_id!r} is not a shard: evaluate with --shard I/N")
+        if manifest.questions_sha256 != questions_hash(store):
+            raise StoreError(f"run {manifest.run_id!r} has other questions than the store has now")
+        what = "selection" if selection != selections[0] else find_difference(first, manifest)
+        if what or shard[1] != shards[0][1]:
+            raise StoreError(f"run {manifest.run_id!r} has another {what or 'number of shards'} than {first.run_id!r}")
+    numbers, count = sorted(shard[0] for shard in shards), shards[0][1]
+    if numbers != list(range(1, count + 1)):
+        raise StoreError(f"the runs are the shards {', '.join(map(str, numbers))} of {count}: give each shard once")
+    return selections[0]
+
+
+def _rename_world(entry: Finished, old: str, new: str) -> Finished:
+    """Return the entry with another run in the keys of its facts."""
+    world = [{**row, "fact": _rename_fact(row["fact"], old, new)} for row in entry.world]
+    return msgspec.structs.replace(entry, world=world)
+
+
+def _rename_fact(fact: str, old: str, new: str) -> str:
+    def rename(value: Any, field: str = "") -> Any:
+        if isinstance(value, dict):
+            return {name: rename(own, name) for name, own in value.items()}
+        if isinstance(value, list):
+            return [rename(own, field) for own in value]
+        is_key = field in _KEYS and isinstance(value, str) and (value == old or value.startswith(f"{old}/"))
+        return new + value.removeprefix(old) if is_key else value
+
+    return msgspec.json.encode(rename(msgspec.json.decode(fact))).decode() if fact else fact
+
+
+def _join_calls(folders: Sequence[Path], folder: Path) -> None:
+    """Write the finished calls of all shards as those of a run, so that a resumed run need not pay for them again."""
+
+    def write(path: Path) -> None:
+        with path.open("wb") as joined:
+            for source in (own / "calls.jsonl" for own in folders):
+                if source.exists():
+                    with source.open("rb") as lines:
+                        shutil.copyfileobj(lines, joined)
+
+    write_atomic(folder / "calls.jsonl", write)

@@ -1,0 +1,135 @@
+"""Shards of a run, merged: they make the run that one machine would have made."""
+
+import json
+import shutil
+
+import pyarrow.parquet as pq
+import pytest
+from painted import FRAMES, SEQUENCE, question, write_answers, write_public, write_store
+from processes import run
+
+from jrdb_avr.queries.beliefs.graph import make_world_tables
+from jrdb_avr.queries.graph.handle import build_graph
+from jrdb_avr.queries.runs import read_run_manifest
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import StoreError
+
+NAMES = (SEQUENCE, "second", "third")
+ASKED = [question(t0, t1, name) for name in NAMES for t0, t1 in ((0, 90), (15, 105))]
+
+
+@pytest.fixture
+def stores(asked_world, tmp_path):
+    """Equal stores of three sequences by name: `whole`, and a copy for each shard."""
+    images = tmp_path / "images"
+    for name in NAMES:
+        shutil.copytree(asked_world / "images" / SEQUENCE, images / name)
+    made = write_store(tmp_path / "whole", images, ASKED)
+    write_public(made, ASKED, dict.fromkeys(NAMES, FRAMES))
+    with build_graph(made.graph_path) as graph:
+        make_world_tables(graph)
+    write_answers(made, ASKED)
+    for number in "123":
+        shutil.copytree(made.path, tmp_path / number)
+    return {name: Store(tmp_path / name) for name in ("whole", "1", "2", "3")}
+
+
+def evaluate(store, *options):
+    code, out, err = run("evaluate", "--store", store.path, "--model", "marker", "--json", *options)
+    assert code == 0, err
+    return json.loads(out)[0]
+
+
+def collect(store, *names):
+    for name in names:
+        number = name.partition("of")[0][-1]
+        shutil.copytree(Store(store.path.parent / number).run_path(name), store.run_path(name))
+    return names
+
+
+def rows(store, run_id):
+    """The tables of a run without run ids and clock times; keys of facts begin with the run's id."""
+    found = {}
+    for name in ("predictions", "steps", "world"):
+        table = pq.read_table(store.run_path(run_id) / f"{name}.parquet")
+        found[name] = table.drop_columns(
+            [own for own in ("run_id", "seconds") if own in table.column_names]
+        ).to_pylist()
+    for row in found["world"]:
+        row["fact"] = row["fact"].replace(f'"{run_id}/', '"R/').replace(f'"run":"{run_id}"', '"run":"R"')
+    return found
+
+
+@pytest.mark.parametrize("method", ["react", "agent"])
+def test_merged_shards_are_the_whole_run(stores, method):
+    whole = stores["whole"]
+    evaluate(whole, "--method", method, "--run-id", "all")
+    sizes = [evaluate(stores[n], "--method", method, "--run-id", "r", "--shard", f"{n}/3")["n"] for n in "123"]
+    assert sizes == [2, 2, 2]
+    names = collect(whole, *(f"r-{n}of3" for n in "123"))
+    code, _, err = run("runs", "merge", *names, "--run-id", "r", "--store", whole.path)
+    assert code == 0, err
+    assert rows(whole, "r") == rows(whole, "all")
+    one, other = (read_run_manifest(whole, name) for name in ("r", "all"))
+    assert (set(one.question_ids), one.selection) == (set(other.question_ids), other.selection)
+    if method == "agent":
+        assert one.world == other.world and rows(whole, "r")["world"]
+        _, out, _ = run("cypher", "world_runs", "--store", whole.path, "--json")
+        counts = {row.pop("run"): row for row in json.loads(out)}
+        assert counts["r"] == counts["all"]
+    assert run("score", "r", "all", "--store", whole.path)[0] == 0
+    scores = {n: pq.read_table(whole.run_path(n) / "scores.parquet").drop_columns(["run_id"]) for n in ("r", "all")}
+    assert scores["r"] == scores["all"] and sum(scores["r"]["answer_score"].to_pylist()) > 0
+    assert evaluate(whole, "--method", method, "--run-id", "r", "--resume")["answered"] == len(ASKED)
+    assert "exists" in run("runs", "merge", *names, "--run-id", "r", "--store", whole.path)[2]
+
+
+def test_an_empty_shard_merges(stores):
+    whole = stores["whole"]
+    only = ("--method", "react", "--run-id", "r", "--sequence", SEQUENCE)
+    assert sorted(evaluate(stores[n], *only, "--shard", f"{n}/3")["n"] for n in "123") == [0, 0, 2]
+    names = collect(whole, *(f"r-{n}of3" for n in "123"))
+    assert run("runs", "merge", *names, "--run-id", "r", "--store", whole.path)[0] == 0
+    assert len(rows(whole, "r")["predictions"]) == 2
+
+
+def test_shards_that_do_not_fit_are_refused_in_a_line(stores):
+    whole = stores["whole"]
+    evaluate(whole, "--method", "react", "--shard", "1/2", "--run-id", "r")
+
+    def refusal(*options):
+        shutil.rmtree(whole.run_path("r-2of2"), ignore_errors=True)
+        evaluate(whole, "--method", "react", "--shard", "2/2", "--run-id", "r", *options)
+        code, _, err = run("runs", "merge", "r-1of2", "r-2of2", "--run-id", "m", "--store", whole.path)
+        assert code == 1 and err.count("\n") == 1 and not whole.run_path("m").exists()
+        return err
+
+    assert "another request settings than 'r-1of2'" in refusal("--max-tokens", "99")
+    assert "another settings than" in refusal("--history", "3")
+    assert "another marker than" in refusal("--marker", "seed=3", "--marker", "wrong_box=0.1")
+    assert "another model than" in refusal("--model", "simulated:noisy")
+    assert "another method than" in refusal("--method", "monolithic")
+    assert "another selection than" in refusal("--limit", "3")
+    evaluate(whole, "--method", "react", "--run-id", "r", "--shard", "2/3")
+    evaluate(whole, "--method", "react", "--run-id", "plain")
+    for others, why in (
+        (["r-2of3"], "another number of shards"),
+        (["plain"], "'plain' is not a shard"),
+        ([], "the runs are the shards 1 of 2: give each shard once"),
+    ):
+        code, _, err = run("runs", "merge", "r-1of2", *others, "--run-id", "m", "--store", whole.path)
+        assert code == 1 and why in err and err.count("\n") == 1
+    write_public(whole, ASKED[1:], dict.fromkeys(NAMES, FRAMES))
+    assert "other questions" in run("runs", "merge", "r-1of2", "--run-id", "m", "--store", whole.path)[2]
+
+
+def test_an_unfinished_shard_is_refused(stores):
+    whole = stores["whole"]
+    for number in "12":
+        evaluate(whole, "--method", "react", "--run-id", "r", "--shard", f"{number}/2")
+    for path in (whole.run_path("r-1of2") / "journal").glob("*.jsonl"):
+        path.write_bytes(b"")
+    with pytest.raises(StoreError, match="'r-1of2' lacks 4 answers: finish it with --resume"):
+        from jrdb_avr.engine.run.merging import merge_runs
+
+        merge_runs(whole, ["r-1of2", "r-2of2"], "m")

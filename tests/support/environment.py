@@ -1,0 +1,33 @@
+"""Folders that tests read, the number of examples they try, and extras that they need."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import pytest
+
+SUPPORT = Path(__file__).parent
+TESTS = SUPPORT.parent
+ROOT = TESTS.parent
+DOCS = ROOT / "docs"
+SNAPSHOTS = TESTS / "snapshots"
+REAL = Path(os.environ.get("JRDB_REAL", ROOT.parent / "shared" / "jrdb-real"))
+"""Real annotations, which are not part of the repository: tests that need them are skipped where they are absent."""
+
+
+DEEP = os.environ.get("HYPOTHESIS_PROFILE") == "deep"
+
+
+def examples(gate):
+    """For `settings(max_examples=...)` of tests whose examples are dear."""
+    return 20 * gate if DEEP else gate
+
+
+def needs(*modules):
+    """Skip a file of tests where an extra is missing; its tests import it, which takes up to two seconds."""
+    for module in modules:
+        found = importlib.util.find_spec(module)
+        # Without an origin it is a mere folder of that name.
+        if found is None or found.origin is None:
+            assert not os.environ.get("REQUIRE_EXTRAS"), f"{module} is not installed"
+            pytest.skip(f"{module} is not installed", allow_module_level=True)
