@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from jrdb_avr.queries.graph.parameters import scalar
+from jrdb_avr.queries.graph.parameters import unwrap_scalar
 from jrdb_avr.queries.manifest import MANIFEST_NAME, read_manifest
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
@@ -124,7 +124,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
                 if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
                     raise QueryError("one SELECT statement is allowed, and nothing that writes, loads or attaches")
                 # A relation gives Arrow without a second copy of the rows.
-                values = {name: scalar(value) for name, value in (params or {}).items()}
+                values = {name: unwrap_scalar(value) for name, value in (params or {}).items()}
                 return connection.sql(sql, params=values or None).to_arrow_table()
             except duckdb.InterruptException:
                 raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None
