@@ -5,6 +5,7 @@ the functions `observe` and `panorama` that return images, and the functions `re
 the transcript and to the record of a world model. A task holds nothing else of the store.
 
 A method runs in the process of the run, with the rights of its user: it could open the files of the store.
+A public store (`export --public`) has no answers.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ def _plain(name: str, value: Any) -> Any:
         return value
     if isinstance(value, int):
         if not -_INT64 <= value < _INT64:
-            raise QueryError(f"${name}: {int(value)} does not fit 64 bits")
+            raise QueryError(f"${name}: {int(value)} does not fit into 64 bits")
         return int(value)
     if isinstance(value, list | tuple):
         return [_plain(name, item) for item in value]
