@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from jrdb_avr.engine.pages.page import readable, render, unit_of
 from jrdb_avr.engine.pages.trace import ROLES, evidence_box
 from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, Written
 from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.queries.questions import QuestionRow
-from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.method import SequenceInfo
@@ -22,15 +21,6 @@ _LONGEST: Final = 4_000
 
 _MOST: Final = 3_000
 """Maximum number of beliefs, and of steps; no built-in method writes as many."""
-
-
-class Answered(Protocol):
-    """A run as this page needs it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def manifest(self) -> RunManifest: ...
 
 
 class Belief(NamedTuple):
