@@ -1,10 +1,10 @@
-"""Interval tables -> the scene namespace of the graph, by COPY, with every table's rows counted afterwards.
+"""Interval tables -> the scene tables of the graph, by COPY, with a count of the rows of each table afterwards.
 
-The graph is only an index: it holds what `intervals/` holds, keyed for traversal, and can be built again at any time.
-The rows of each sequence are first staged as Parquet files, one per table of the graph, by whichever process has the
-interval tables at hand; the engine then reads all files of a table of edges in one COPY. (Every further COPY into one
-rewrites what is there: 950,000 sightings in four took twice the time of one. As Arrow tables in memory they took half a
-gigabyte more.) Key points of a pose stay in `annotations/poses`: in the graph they would be most of its bytes.
+The graph is only an index. It holds the content of `intervals/` with keys for traversal, and can be built again at any
+time. The process that has the interval tables of a sequence stages their rows as Parquet files, one per table of the
+graph. The engine then reads all files of a table of edges in one COPY, because every further COPY rewrites the table:
+950,000 sightings in four COPY statements took twice the time of one. Arrow tables in memory took half a gigabyte more.
+The key points of poses stay in `annotations/poses`, because they would take most of the bytes of the graph.
 """
 
 from __future__ import annotations
@@ -29,23 +29,33 @@ from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.tables import INTERVALS
 
 STAGE: Final = "scene"
-"""Folder of the staged files, inside the store that holds the interval tables; gone when the graph is built."""
+"""Folder of the staged files inside the store. It is deleted after the graph is built."""
 
 NODES: Final = SCENE_NODES | KEYFRAME_NODES
 RELS: Final = SCENE_RELS | KEYFRAME_RELS
-"""The tables of the scene and of the keyframe layer."""
+"""Tables of edges of the scene and of the keyframe layer."""
 
 R = TypeVar("R")
 
 BATCH_ROWS: Final = 1_200_000
-"""Rows per COPY at most, unless one sequence has more: they take about 700 bytes each of the engine's memory."""
+"""Maximum rows per COPY, unless one sequence has more. A row takes about 700 bytes of the engine's memory."""
 
 
 def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[str, int | str]:
-    """Fill an empty graph from the interval tables of `sequences`; returns rows per table and the storage version.
+    """Fill an empty graph from interval tables.
 
-    Sequences that are not staged are staged first. Changes the process's working folder while it runs. Raises
-    StoreError where the graph ends up with other row counts than the tables.
+    The function changes the working folder of the process while it runs.
+
+    Args:
+        graph: empty graph.
+        store: store with the interval tables.
+        sequences: names of sequences. The function stages a sequence that is not staged yet.
+
+    Returns:
+        The rows per table, and the storage version.
+
+    Raises:
+        StoreError: the graph has other row counts than the tables.
     """
     stage = store.path / STAGE
     try:
@@ -67,22 +77,26 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
 
 
 def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) -> None:
-    """Write one sequence's rows of every table but `Action` into the stage of `store`; empty tables have no file.
+    """Write the rows of one sequence into the stage of a store, one file per table except `Action` and empty tables.
 
-    Raises StoreError where the disk refuses.
+    Raises:
+        StoreError: the disk refuses.
     """
     for source in _SOURCES:
         stage_rows(store.path / STAGE, source, sequence, _shape(source, intervals))
 
 
 def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
-    """Write one sequence's rows of a source into a stage, where there are any. Raises StoreError where the disk
-    refuses."""
+    """Write the rows of one sequence from a source into a stage. No rows make no file.
+
+    Raises:
+        StoreError: the disk refuses.
+    """
     path = stage / source / f"{safe_sequence(sequence)}.parquet"
     try:
         if rows.num_rows:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # For every null the engine goes through all that it reads together: groups of 256 take a third.
+            # For every null the engine scans the row group: groups of 256 rows take a third of the time.
             at_once = 256 if source == "Object SeenIn" else None
             pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
     except OSError as error:
@@ -90,9 +104,13 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
 
 
 def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
-    """COPY the staged rows of sources, nodes first; returns the rows of each table, after counting them in the graph.
+    """Copy the staged rows of sources into the graph, nodes first, and count them, because the engine has no checksums.
 
-    Raises StoreError where the graph ends up with other row counts: the engine has no page checksums.
+    Returns:
+        The rows per table.
+
+    Raises:
+        StoreError: the graph has other row counts.
     """
     copied: Counter[str] = Counter()
     for source in sources:
@@ -101,7 +119,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         copied[table] += 0
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in NODES:
-                # Files are read side by side, and nodes are numbered as they come.
+                # The engine reads files in parallel and numbers nodes in reading order, so nodes are copied in order.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
                 graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())
@@ -109,27 +127,31 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
     graph.execute("CHECKPOINT")
     for table, expected in copied.items():
         pattern = f"(n:{table})" if table in NODES else f"()-[r:{table}]->()"
-        found = graph.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py()
-        if found != expected:
-            raise StoreError(f"the graph holds {found} rows of {table} instead of {expected}: run the command again")
+        rows = graph.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py()
+        if rows != expected:
+            raise StoreError(f"the graph holds {rows} rows of {table} instead of {expected}: run the command again")
     return copied
 
 
 def write_graph(store: Store, write: Callable[[], R]) -> R:
-    """Call a function that writes the store's graph in a process of its own, which the engine may end."""
+    """Call a function that writes the graph of a store in a separate process, because the engine may abort it.
+
+    Raises:
+        StoreError: the process died.
+    """
     try:
         return processes.run_alone(write)
     except BrokenProcessPool:
-        for left in store.path.glob(".graph.kuzu.building*"):
-            left.unlink(missing_ok=True)
+        for unfinished in store.path.glob(".graph.kuzu.building*"):
+            unfinished.unlink(missing_ok=True)
         raise StoreError(
-            f"the graph could not be written into {store.path}: is the disk full, or the memory? "
+            f"the graph could not be written into {store.path}: is the disk or the memory full? "
             'Free some space and run the command again (and in a script call this under `if __name__ == "__main__":`)'
         ) from None
 
 
 def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[str], int]]:
-    """Names in batches of at most so many rows, or one name, with the rows of each batch."""
+    """Yield batches of names with their rows. A batch has at most `most` rows, or one name."""
     batch: list[str] = []
     rows = 0
     for name, more in sizes:
@@ -143,14 +165,14 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 
 
 def column_names(table: str) -> list[str]:
-    """Columns of a table of the graph: nodes begin with their key, edges with their two keys."""
+    """Return the columns of a table of the graph. Nodes begin with their key, edges with their two keys."""
     if table in RELS:
         return ["from", "to", *(column.split()[0] for column in RELS[table][2])]
     return [column.split()[0] for column in NODES[table].split(", ")]
 
 
 def with_wide_integers(rows: pa.Table) -> pa.Table:
-    """The rows with all whole numbers as 64 bits, as the graph stores them."""
+    """Return the rows with all whole numbers as 64 bits, as the graph stores them."""
     fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in rows.schema]
     return rows.cast(pa.schema(fields))
 
@@ -161,17 +183,17 @@ Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
 
 
 def _number_key(name: str) -> Column:
-    """`<sequence>/<number>`: the key of a person or a group."""
+    """Return a function for the key of a person or a group, `<sequence>/<number>`."""
     return lambda rows: pc.binary_join_element_wise(rows["sequence"], rows[name].cast(pa.string()), "/")
 
 
 def _frame_key(rows: pa.Table) -> pa.ChunkedArray:
-    """`<sequence>/<six digits>`: the key of a frame."""
+    """Return the keys of frames, `<sequence>/<six digits>`."""
     return pc.binary_join_element_wise(rows["sequence"], pc.utf8_lpad(rows["frame"].cast(pa.string()), 6, "0"), "/")
 
 
 def _object_key(rows: pa.Table) -> pa.ChunkedArray:
-    """`<sequence>/<category id>:<track>`: the key of a thing."""
+    """Return the keys of things, `<sequence>/<category id>:<track>`."""
     thing = pc.binary_join_element_wise(rows["category_id"].cast(pa.string()), rows["object"].cast(pa.string()), ":")
     return pc.binary_join_element_wise(rows["sequence"], thing, "/")
 
@@ -211,13 +233,13 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Person MayHandle": ("possible_handles", _HANDLES),
     "Person Beside": ("beside", _PAIR),
 }
-"""Per table of the graph but `Action`, nodes first: its kind of intervals, and the columns that these lack. Edges are
-named by the table that they start at and their own.
+"""Kind of intervals, and columns that the intervals lack, per table of the graph except `Action`, nodes first. The name
+of a table of edges follows the name of the table of their start.
 """
 
 
 def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
-    """One sequence's rows from a source; of things, null in the columns that only people have."""
+    """Return the rows of one sequence from a source. Columns that only people have are null for things."""
     kind, made = _SOURCES[source]
     rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if source == "SocialGroup" else intervals[kind]
     if source == "Object SeenIn":
@@ -227,13 +249,13 @@ def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
 
 
 def _actions(names: set[str]) -> pa.Table:
-    """The nodes `Action`: the vocabulary, and all other actions in the labels."""
-    known = sorted(names | set(ACTIONS))
-    return pa.table({"name": known, "pose": [name in POSES for name in known]})
+    """Return the nodes `Action`: the vocabulary, and further actions in the labels."""
+    actions = sorted(names | set(ACTIONS))
+    return pa.table({"name": actions, "pose": [name in POSES for name in actions]})
 
 
 def _groups(memberships: pa.Table, group_info: pa.Table) -> pa.Table:
-    """One row per cluster that anybody is a member of, with what was chosen of it; null where nothing was."""
+    """Return one row per cluster with a member, with the chosen attributes, null for attributes without a choice."""
     clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
     chosen = group_info.filter(group_info["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
     for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):

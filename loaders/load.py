@@ -1,9 +1,9 @@
 """Load a JRDB root into a store, or rebuild a store's derived parts from its annotation tables.
 
-Everything is first written into a staging folder inside the store; the graph is built and its rows are counted; only
-then the new parts are moved in and the manifest is written last. So a load that fails leaves the old store as it was,
-and one that is killed is repaired by running it again: what it left behind is swept away under the writer's lock. Once
-the moves have begun, they are finished by whoever writes next, so that the tables outlive a kill at any moment.
+A load writes everything into a staging folder inside the store, builds the graph, counts its rows, moves the new parts
+into the store, and writes the manifest last. A load that fails leaves the old store unchanged. After a kill, the next
+load deletes the staging folder under the writer's lock. If the kill came between the moves, the next writer finishes
+them, so that the tables survive a kill at any moment.
 
 The new graph also holds the world models of the finished runs of the store.
 """
@@ -48,12 +48,12 @@ from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 STAGING: Final = ".loading"
-"""Folder inside the store where a load prepares everything."""
+"""Folder inside the store for the files of an unfinished load."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """One sequence's share of a load, as it travels to a worker."""
+    """Arguments of a worker that loads one sequence."""
 
     files: SequenceFiles
     staging: str
@@ -61,12 +61,13 @@ class Shard:
 
     @property
     def sequence(self) -> str:
+        """Return the name of the sequence."""
         return self.files.sequence
 
 
 @dataclass(frozen=True)
 class ShardResult:
-    """What a worker sends back: the report, and the manifest's entry (None where nothing could be loaded)."""
+    """Result of a worker: the report, and the entry of the manifest (None if no file could be loaded)."""
 
     report: SequenceReport
     entry: SequenceEntry | None
@@ -83,13 +84,23 @@ def load(
 ) -> LoadResult:
     """Load a JRDB root into a store: annotation tables, intervals and the scene graph.
 
-    `layer_dirs`: folders with a layer's files, in the root or absolute; a layer with an empty list is left out.
-    `workers`: processes that share the sequences, or a cluster's address; the result does not depend on it.
+    An AvrWarning gives the number of sequences without occlusion attributes.
 
-    An AvrWarning says how many sequences have no occlusion attributes.
+    Args:
+        root: folder of the label files.
+        store: folder of the store, which is made if it does not exist.
+        rules: load rules; None for the defaults.
+        workers: number of processes that share the sequences, or an executor. The result does not depend on it.
+        layer_dirs: folders of a layer's files, in the root or absolute. An empty list leaves the layer out.
+        progress: display of the progress.
 
-    Raises InputError where nothing can be loaded, StoreError where the store cannot be written, LockedError where
-    another process writes it. The store is then unchanged.
+    Returns:
+        A report per sequence.
+
+    Raises:
+        InputError: no sequence can be loaded. The store is unchanged.
+        StoreError: the store cannot be written. It is unchanged.
+        LockedError: another process writes the store.
     """
     store, rules = Store.of(store), rules or LoadRules()
     if not isinstance(root, Root):
@@ -109,8 +120,8 @@ def load(
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: there every box of legal "
-                "size counts as a clear view, also one of somebody hidden; generate --require-occlusion skips them",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in them every box of legal "
+                "size counts as a clear view, also the box of a hidden person; generate --require-occlusion skips them",
                 AvrWarning,
                 stacklevel=2,
             )
@@ -120,11 +131,22 @@ def load(
 def rebuild(
     store: Store, rules: LoadRules, workers: Executor = 2, progress: Progress | None = None
 ) -> dict[str, SequenceEntry]:
-    """Derive intervals and graph again from the annotation tables of a store; an AvrWarning names each run whose world
-    model is left out of the graph.
+    """Derive intervals and graph again from the annotation tables of a store.
 
-    Raises StoreError where the store holds no annotations or one of its files does not read or is not the one loaded.
-    A load or rebuild that was killed while it moved things must have been brought to its end by `resume`.
+    An AvrWarning names each run with a world model that is left out of the graph. If a load was killed between its
+    moves, call `resume` first.
+
+    Args:
+        store: store to rebuild.
+        rules: load rules.
+        workers: number of processes that share the sequences, or an executor.
+        progress: display of the progress.
+
+    Returns:
+        The entries of the manifest by sequence.
+
+    Raises:
+        StoreError: an annotation file is missing, unreadable or not the loaded one.
     """
     with store.writing("load --rebuild"), _staging(store) as staging:
         manifest = store.manifest()
@@ -144,9 +166,13 @@ def rebuild(
 
 
 def resume(store: Store) -> None:
-    """Finish the moves of a load that was killed between them; does nothing to any other store.
+    """Finish the moves of a load that was killed between them. Do nothing to any other store.
 
-    The graph is taken away, as it may be the old one: a rebuild makes it anew. Raises LockedError, StoreError.
+    The graph is removed because it may be the old one; a rebuild makes it again.
+
+    Raises:
+        LockedError: another process writes the store.
+        StoreError: the store cannot be written.
     """
     if _half_moved(store):
         with store.writing("load"):
@@ -157,52 +183,52 @@ def resume(store: Store) -> None:
 
 
 def load_shard(shard: Shard) -> ShardResult:
-    """Read one sequence's files and write its annotation and interval tables into the staging folder."""
+    """Read the files of one sequence, and write its annotation and interval tables into the staging folder."""
     with without_collector(), _one_heap():
         sequence = shard.files.sequence
-        found = annotate(shard.files)
+        read = annotate(shard.files)
         files = {
             layer: shorten(f"{Path(path).parent.name}/{Path(path).name}", 200)
             for layer, path in shard.files.labels.items()
         }
-        if not found.frames:
-            return ShardResult(SequenceReport(sequence, found.problems, files=files), None)
+        if not read.frames:
+            return ShardResult(SequenceReport(sequence, read.problems, files=files), None)
         try:
-            intervals = derive(sequence, found.tables, shard.rules)
+            intervals = derive(sequence, read.tables, shard.rules)
         except InputError as error:
             refused = Problems(sequence)
             refused.add("sequence", str(error))
-            return ShardResult(SequenceReport(sequence, [*found.problems, *refused.listed()], files=files), None)
-        entry = _write(Store(shard.staging), sequence, found.tables, intervals)
-        tables, cameras = found.tables, cameras_check(found.tables["calibration"])
-        labels, images = frame_range(found.label_frames), frame_range(found.frames["images"][0])
+            return ShardResult(SequenceReport(sequence, [*read.problems, *refused.listed()], files=files), None)
+        entry = _write(Store(shard.staging), sequence, read.tables, intervals)
+        tables, cameras = read.tables, cameras_check(read.tables["calibration"])
+        labels, images = frame_range(read.label_frames), frame_range(read.frames["images"][0])
         report = SequenceReport(
             sequence,
-            found.problems,
+            read.problems,
             layers=list(entry.layers),
-            steps={layer: step_of(found.frames[layer][0]) for layer in entry.layers if layer not in NOT_LABELS},
+            steps={layer: step_of(read.frames[layer][0]) for layer in entry.layers if layer not in NOT_LABELS},
             files=files,
             frames=intervals["frames"].num_rows,
             people=intervals["persons"].num_rows,
             boxes=tables["boxes_2d"].num_rows,
             boxes_3d=tables["boxes_3d"].num_rows,
-            unknown_labels=found.unknown,
-            heading=found.heading,
+            unknown_labels=read.unknown,
+            heading=read.heading,
             label_frames=labels,
             image_frames=images,
-            shifts=found.shifts,
+            shifts=read.shifts,
             stamps=stamps_of(tables["timestamps"]),
             cameras=cameras,
             disagreements=disagreements(tables),
             absent_partners=absent_partners(tables["interactions"], tables["boxes_2d"]),
-            warnings=sequence_warnings(labels, images, found.heading, cameras),
+            warnings=sequence_warnings(labels, images, read.heading, cameras),
         )
         return ShardResult(report, entry)
 
 
 @contextlib.contextmanager
 def _one_heap() -> Iterator[None]:
-    """Arrow's memory taken from the heap that numpy uses: what one of them frees the other finds, without new pages."""
+    """Let Arrow allocate from the heap of numpy, so that each reuses memory that the other has freed."""
     before = pa.default_memory_pool()
     pa.set_memory_pool(pa.system_memory_pool())
     try:
@@ -213,7 +239,7 @@ def _one_heap() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class RebuildShard:
-    """One sequence's share of a rebuild."""
+    """Arguments of a worker that rebuilds one sequence."""
 
     sequence: str
     entry: SequenceEntry
@@ -223,12 +249,13 @@ class RebuildShard:
 
     @property
     def weight(self) -> int:
+        """Return the scheduling weight: larger sequences start first."""
         path = Store(self.store).annotation_path("boxes_2d", self.sequence)
         return path.stat().st_size if path.exists() else 0
 
 
 def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
-    """Derive one sequence's intervals from its annotation tables, into the staging folder."""
+    """Derive the intervals of one sequence from its annotation tables, and write them into the staging folder."""
     store = Store(shard.store)
     tables = {layer: _loaded_table(store, layer, shard) for layer in ANNOTATIONS}
     intervals = derive(shard.sequence, tables, shard.rules)
@@ -238,7 +265,7 @@ def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
 
 
 def _loaded_table(store: Store, layer: str, shard: RebuildShard) -> pa.Table:
-    """An annotation table, if its file is the one that was loaded. Raises StoreError naming the file otherwise."""
+    """Return an annotation table. Raise StoreError if its file is not the loaded one."""
     path = store.annotation_path(layer, shard.sequence)
     table = store.annotation(layer, shard.sequence)
     if file_hash(path) != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
@@ -250,11 +277,11 @@ def _write(
     staging: Store, sequence: str, annotations: dict[str, pa.Table], intervals: dict[str, pa.Table]
 ) -> SequenceEntry:
     tables = {}
-    for found, path_of, write in (
+    for kept, path_of, write in (
         (annotations, staging.annotation_path, staging.write_annotation),
         (intervals, staging.interval_path, staging.write_interval),
     ):
-        for name, table in found.items():
+        for name, table in kept.items():
             tables[path_of(name, sequence).relative_to(staging.path).as_posix()] = write(name, sequence, table)
     stage_scene(staging, sequence, intervals)
     return SequenceEntry(tuple(intervals["sequence"]["layers"][0].as_py()), tables)
@@ -265,7 +292,7 @@ def _write(
 
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
-    """The staging folder, empty; gone afterwards. Under the writer's lock, so what lies there is nobody's."""
+    """Yield the empty staging folder, and delete it afterwards. The caller holds the writer's lock."""
     staging = Store(store.path / STAGING)
     try:
         _finish_moves(store)
@@ -288,7 +315,7 @@ def _finish(
     entries: dict[str, SequenceEntry],
     parts: Sequence[str],
 ) -> list[str]:
-    """Build the graph, move what is staged in, and put the manifest back last. Returns why runs were left out of it."""
+    """Build the graph, move the staged parts, and the manifest last. Return why runs were left out of the graph."""
     manifest = Manifest(image_root and store.relative(image_root), rules, rules_hash(rules), entries, {})
     left_out = write_graph(store, partial(_build, store, staging, manifest))
     _move(store, staging, parts)
@@ -302,12 +329,12 @@ def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
 
 
 def _half_moved(store: Store) -> bool:
-    """Whether a load ended between taking the old manifest away and putting the new one in."""
+    """Return whether a load ended after it removed the old manifest and before it wrote the new one."""
     return (store.path / STAGING / "store.json").exists() and not (store.path / "store.json").exists()
 
 
 def _finish_moves(store: Store) -> None:
-    """As `resume`, under the writer's lock."""
+    """Do the work of `resume` under the writer's lock."""
     if _half_moved(store):
         staging = Store(store.path / STAGING)
         remove_graph(store.graph_path)
@@ -315,14 +342,11 @@ def _finish_moves(store: Store) -> None:
 
 
 def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
-    """Build and verify the graph and rename it in; just before, stage the manifest and take the old one away.
-
-    Returns a line per run whose world model was left out.
-    """
+    """Stage the manifest, remove the old one, and rename the new graph. Return a line per run that was left out."""
     with build_graph(store.graph_path) as graph:
         rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
-        # From here to the end there is no manifest, so nobody takes a half-moved store for a whole one.
+        # Without a manifest no reader takes a half-moved store for a complete one.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
 
@@ -333,10 +357,10 @@ def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tupl
     return rows, copy_all(graph, store, run_ids(store))
 
 
-def _swap(place: Path, new: Path, old: Path) -> None:
-    if place.exists():
-        place.rename(old)
-    new.rename(place)
+def _swap(path: Path, new: Path, old: Path) -> None:
+    if path.exists():
+        path.rename(old)
+    new.rename(path)
 
 
 # -- reports -----------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The load report: per sequence what was found, loaded and refused."""
+"""The load report: loaded and refused parts per sequence."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jrdb_avr.loaders.problems import Problem
 
 MIN_MOVES: Final = 100
 MAX_TURN_DEG: Final = 90.0
-"""A median angle between heading and displacement above this speaks against the headings; a moving robot blurs it."""
+"""Maximum plausible median angle between heading and displacement. A moving robot blurs the angle."""
 
 
 class UnknownLabel(msgspec.Struct):
@@ -24,16 +24,16 @@ class UnknownLabel(msgspec.Struct):
 
 
 class Heading(msgspec.Struct):
-    """Self-check of the heading convention: people faster than 0.5 m/s should face where they go."""
+    """Self-check of the heading convention: people faster than 0.5 m/s should face their direction of motion."""
 
     moves: int
-    """Displacements over one second that were looked at."""
+    """Number of displacements over one second."""
     median_deg: float | None
-    """Median angle between heading and displacement; near 0 when the convention holds, near 180 when it is reversed."""
+    """Median angle between heading and displacement: near 0 if the convention holds, near 180 if it is reversed."""
 
 
 class FrameRange(msgspec.Struct):
-    """Frames that are there, from the first to the last."""
+    """First, last and number of present frames."""
 
     first: int
     last: int
@@ -41,14 +41,14 @@ class FrameRange(msgspec.Struct):
 
 
 class ShiftCheck(msgspec.Struct):
-    """Whether the frame numbers of a layer's file are those of the 2D boxes, judged by the people they share."""
+    """Comparison of the frame numbers of a layer with the 2D boxes, by the people in both."""
 
     layer: str
     result: str
-    """`agrees`; `shifted`: refused; `not tested`: nothing speaks against the layer, and nothing for it."""
+    """`agrees`; `shifted`: the layer is refused; `not tested`: there is no evidence either way."""
     reason: str
     frames: float | None = None
-    """How many frames later in the 2D layer the layer's boxes fit best, estimated from moving people."""
+    """Shift in frames at which the layer fits the 2D layer, estimated from moving people."""
     error: float | None = None
     """Standard error of that estimate."""
 
@@ -63,7 +63,7 @@ class Stamps(msgspec.Struct):
 
 
 class Cameras(msgspec.Struct):
-    """Medians over the cameras, beside the constants that rows of the panorama are computed with, in pixels."""
+    """Medians over the cameras, and the constants for rows of the panorama, in pixels."""
 
     cameras: int
     fy: float
@@ -74,21 +74,21 @@ class Cameras(msgspec.Struct):
 
 
 class Disagreement(msgspec.Struct):
-    """Frames of a person, or records of a group's members, that disagree."""
+    """Disagreement between the frames of a person, or between the records of the members of a group."""
 
     subject: str
     """`person 12` or `group 7`."""
     attribute: str
     votes: dict[str, int]
     """Frames or records with each value."""
-    told: int
-    """Frames or records that state the attribute."""
+    stated: int
+    """Number of frames or records with the attribute."""
 
 
 class SequenceReport(msgspec.Struct):
-    """One row of the report. Layers are those of the `frames` table; images and timestamps have no annotation step.
+    """One row of the report. A row without a sequence describes the root as a whole.
 
-    A row without a sequence is about the root as a whole.
+    The layers are the layers of the `frames` table. Images and timestamps have no annotation step.
     """
 
     sequence: str
@@ -97,9 +97,9 @@ class SequenceReport(msgspec.Struct):
     steps: dict[str, int] = {}
     """Frames between annotated frames: 1, or 15 for one per second."""
     files: dict[str, str] = {}
-    """What was read for each layer: the folder and the name of the file."""
+    """Folder and name of the file of each layer."""
     frames: int = 0
-    """Frames that any layer knows."""
+    """Number of frames of all layers together."""
     people: int = 0
     boxes: int = 0
     boxes_3d: int = 0
@@ -113,47 +113,47 @@ class SequenceReport(msgspec.Struct):
     disagreements: list[Disagreement] = []
     """Demographics and group information that differ between frames or members."""
     absent_partners: int = 0
-    """Interactions that gave no fact, as one of the two has no 2D box in the frame."""
+    """Interactions without a fact, because one of the two people has no 2D box in the frame."""
     warnings: list[str] = []
-    """What a person should look at; nothing was refused for it."""
+    """Warnings for a person to check. Nothing was refused because of them."""
 
     @property
     def refused(self) -> int:
-        """Files, frames, records and fields refused or skipped."""
+        """Number of refused or skipped files, frames, records and fields."""
         return sum(problem.count for problem in self.problems)
 
 
 def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
-    """The range of ascending frames; None without any."""
+    """Return the range of ascending frames, or None without frames."""
     return FrameRange(int(frames[0]), int(frames[-1]), len(frames)) if len(frames) else None
 
 
 def sequence_warnings(
     labels: FrameRange | None, images: FrameRange | None, heading: Heading | None, cameras: Cameras | None
 ) -> list[str]:
-    """What a person should look at."""
-    found = []
+    """Return warnings for a person to check."""
+    lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
-        found.append(
+        lines.append(
             f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in copies of the "
-            "train sequences the two are known to be off by 2 frames, which no file tells; look with "
+            "train sequences the two are known to be off by 2 frames, which no file states; look with "
             "observe --panorama --boxes"
         )
     if heading and heading.moves >= MIN_MOVES and heading.median_deg is not None and heading.median_deg > MAX_TURN_DEG:
-        found.append(
-            f"people who move face {heading.median_deg:.0f} degrees away from where they go: the headings of the 3D "
+        lines.append(
+            f"moving people face {heading.median_deg:.0f} degrees away from their direction: the headings of the 3D "
             "boxes may have another sign or zero than JRDB's"
         )
     if cameras and not cameras.agrees:
-        found.append(
+        lines.append(
             f"the cameras' medians fy {cameras.fy:.1f} and cy {cameras.cy:.1f} are far from {cameras.focal_rows} and "
             f"{cameras.horizon_row}, which rows of the panorama are computed with: is it another robot's calibration?"
         )
-    return found
+    return lines
 
 
 def totals(reports: list[SequenceReport]) -> str:
-    """One line over all sequences."""
+    """Return one line about all sequences."""
     loaded = [report for report in reports if report.layers]
     sums = {name: sum(getattr(report, name) for report in loaded) for name in ("frames", "people", "boxes", "boxes_3d")}
     unknown = len({(label.field, label.label) for report in loaded for label in report.unknown_labels})

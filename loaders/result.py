@@ -1,4 +1,4 @@
-"""The result of a load, as tables and lines for a person."""
+"""The result of a load, as tables and lines."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _Row = dict[str, Any]
 
 @dataclass(frozen=True, repr=False)
 class LoadResult(Displayed):
-    """What a load found and refused: a report per sequence, by name; one without a sequence is about the whole root."""
+    """Reports of a load, one per sequence, by name. A report without a sequence describes the whole root."""
 
     reports: list[SequenceReport]
 
     @property
     def refused(self) -> int:
-        """Files, frames, records and fields refused or skipped."""
+        """Number of refused or skipped files, frames, records and fields."""
         return sum(report.refused for report in self.reports)
 
     def rows(self) -> list[_Row]:
-        """Each report as a JSON object."""
+        """Return each report as a JSON object."""
         rows: list[_Row] = msgspec.to_builtins(self.reports)
         return rows
 
     def parts(self) -> Iterator[str | tuple[str, list[_Row]]]:
-        """Lines, and tables with their titles: sequences, checks, what was refused, unknown labels and warnings."""
+        """Yield lines, and tables with titles: sequences, checks, refused parts, unknown labels and warnings."""
         loaded = [report for report in self.reports if report.sequence]
         yield "Loaded", [_summary(report) for report in loaded]
         for layers, names in _shared((_layers(report), report.sequence) for report in loaded):
@@ -42,10 +42,10 @@ class LoadResult(Displayed):
         filled = [name for name in (checks[0] if checks else ()) if any(row[name] for row in checks)]
         yield "Checks", [{name: row[name] for name in filled} for row in checks]
         yield from dict.fromkeys(
-            f"Cameras: median fy {own.fy:.1f} (rows of the panorama are computed with {own.focal_rows}), "
-            f"median cy {own.cy:.1f} ({own.horizon_row})"
-            for own in (report.cameras for report in loaded)
-            if own is not None
+            f"Cameras: median fy {cameras.fy:.1f} (rows of the panorama are computed with {cameras.focal_rows}), "
+            f"median cy {cameras.cy:.1f} ({cameras.horizon_row})"
+            for cameras in (report.cameras for report in loaded)
+            if cameras is not None
         )
         if problems := _problems(self.reports):
             yield "Refused or skipped, with the first example of each", problems
@@ -68,11 +68,11 @@ class LoadResult(Displayed):
 
 
 def _shared(lines: Iterable[tuple[str, str]]) -> list[tuple[str, list[str]]]:
-    """Each text once, with its sequences."""
-    found: dict[str, list[str]] = {}
+    """Return each text once, with its sequences."""
+    sequences: dict[str, list[str]] = {}
     for text, sequence in lines:
-        found.setdefault(text, []).append(sequence)
-    return list(found.items())
+        sequences.setdefault(text, []).append(sequence)
+    return list(sequences.items())
 
 
 def _sequences(names: list[str]) -> str:
@@ -85,7 +85,7 @@ def _summary(report: SequenceReport) -> _Row:
 
 
 def _layers(report: SequenceReport) -> str:
-    """The layers by the step at which they are annotated."""
+    """Return the layers by the step of their annotated frames."""
     steps: dict[str, list[str]] = {}
     for layer in report.layers:
         step = report.steps.get(layer)
@@ -115,12 +115,12 @@ def _range(frames: FrameRange | None) -> str:
 
 
 def _problems(reports: list[SequenceReport]) -> list[_Row]:
-    """The problems of one kind in all sequences together: how many, and where the first is."""
-    found: dict[tuple[str, ...], list[tuple[str, Problem]]] = {}
+    """Return the problems of each kind in all sequences together, with their number and the first example."""
+    kinds: dict[tuple[str, ...], list[tuple[str, Problem]]] = {}
     for report in reports:
         for problem in report.problems:
             key = (problem.layer, problem.kind, problem.reason, problem.field)
-            found.setdefault(key, []).append((report.sequence, problem))
+            kinds.setdefault(key, []).append((report.sequence, problem))
     return [
         {
             "count": sum(problem.count for _, problem in problems),
@@ -129,11 +129,11 @@ def _problems(reports: list[SequenceReport]) -> list[_Row]:
             "reason": reason,
             "first": _place(*problems[0]),
         }
-        for (layer, kind, reason, _), problems in found.items()
+        for (layer, kind, reason, _), problems in kinds.items()
     ]
 
 
 def _place(sequence: str, problem: Problem) -> str:
-    """File, frame, field and value of a problem; the sequence where its file does not name it."""
+    """Return file, frame, field and value of a problem, with the sequence if the file name lacks it."""
     file = problem.file if sequence in problem.file else f"{sequence}/{problem.file}"
     return " ".join(part for part in (file, problem.frame, problem.field, problem.detail) if part)

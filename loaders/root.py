@@ -1,8 +1,8 @@
-"""Where a JRDB root keeps the layers, and which sequences it has.
+"""The layout of a JRDB root: the folders of the layers, and the sequences.
 
-Releases differ: some have a `labels/` level, some name the folders of train and test differently, and the stitched 2D
-boxes also come inside the richer label files. Folders are chosen per sequence: where the first folder of a layer lacks
-a sequence, the next one serves it. Folders of single cameras, of heads and anything else in a root are ignored.
+Releases differ. Some have a `labels/` level, some name the folders of train and test differently, and the stitched 2D
+boxes are also part of the richer label files. Folders are chosen per sequence: if the first folder of a layer lacks a
+sequence, the next one serves it. All other folders of a root are ignored, such as folders of single cameras.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ LABEL_DIRS: Final[dict[str, tuple[str, ...]]] = {
     "pose": ("labels_2d_pose_stitched_coco", "pose_stitched"),
     "panoptic": ("labels_2d_panoptic_stitched_CW*", "labels_2d_panoptic_stitched_OW*"),
 }
-"""Folder names per layer, of files `<sequence>.json`. A star stands for a suffix; the name without one comes first."""
+"""Names of the folders of files `<sequence>.json` per layer. A star matches a suffix; no suffix is preferred."""
 
 TIMESTAMPS: Final = "timestamps"
 CALIBRATION: Final = "calibration"
 LAYER_FILES: Final = (*LABEL_DIRS, TIMESTAMPS, CALIBRATION)
-"""Layers by their files, in the order in which they are read."""
+"""Layers by their files, in reading order."""
 
 BOXES_ELSEWHERE: Final = ("social", "reasoning")
-"""Layers whose files hold the 2D layer's records too; they serve a sequence that has no file of 2D boxes."""
+"""Layers with the records of the 2D layer in their files. They serve a sequence without a file of 2D boxes."""
 
 CAMERAS_FILE: Final = "cameras.yaml"
 IMAGE_DIRS: Final = ("images/image_stitched", "image_stitched")
 
 _IMAGE: Final = re.compile(r"([0-9]{6})\.jpg")
 _ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
-"""Names of the files of single cameras, which some releases keep beside the stitched ones."""
+"""Names of the files of single cameras, which some releases keep beside the stitched files."""
 
 
 @dataclass(frozen=True)
 class SequenceFiles:
-    """What belongs to one sequence: its files by layer, and its folder of panoramas. Plain paths, so workers get them.
+    """The files of one sequence by layer, and its folder of panoramas, as plain paths for worker processes.
 
-    `timestamps` is the sequence's folder; `calibration` the file that all sequences of the root share.
+    The path of `timestamps` is a folder. All sequences of a root share the file of `calibration`.
     """
 
     sequence: str
@@ -59,7 +59,7 @@ class SequenceFiles:
 
     @property
     def weight(self) -> int:
-        """Bytes of label files; unreadable ones count nothing."""
+        """Return the scheduling weight, the bytes of the readable label files: larger sequences start first."""
         sizes = 0
         for path in self.labels.values():
             with contextlib.suppress(OSError):
@@ -69,25 +69,29 @@ class SequenceFiles:
 
 @dataclass(frozen=True)
 class Root:
-    """What a JRDB root holds."""
+    """The content of a JRDB root."""
 
     path: Path
     image_root: str | None
-    """A path or URL."""
+    """Folder with one folder of panoramas per sequence, or None."""
     sequences: tuple[SequenceFiles, ...]
-    """By name."""
+    """Sequences, sorted by name."""
     problems: tuple[Problem, ...]
-    """Folders that could not be read, and label files whose names cannot be sequence names."""
+    """Unreadable folders, and label files with a name that cannot be a sequence name."""
     notes: tuple[str, ...]
-    """Folders in which there are no label files."""
+    """Notes about folders without label files."""
 
 
 def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None = None) -> Root:
     """Find the label files of a JRDB root.
 
-    `layer_dirs` gives folders, relative to the root or absolute, that are looked in instead of the usual ones of a
-    layer; no folder at all leaves the layer out. Raises InputError where the root is missing or holds no label files,
-    where a given folder is missing, and for a layer that is none of `LAYER_FILES`.
+    Args:
+        path: folder of the root.
+        layer_dirs: folders per layer in place of the usual ones, relative to the root or absolute. An empty list leaves
+            the layer out.
+
+    Raises:
+        InputError: the root or a given folder is missing, the root has no label files, or a layer is unknown.
     """
     root = Path(path)
     search = _Search(root)
@@ -102,29 +106,29 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
                 if sequence is not None:
                     files.setdefault(sequence, {}).setdefault(layer, str(file))
     if not files and not search.problems:
-        wanted = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
-        raise InputError(f"{root} holds nothing to load: no .json files in {wanted}, with or without labels/")
+        folders = ", ".join(names[0].removesuffix("*") for names in LABEL_DIRS.values())
+        raise InputError(f"{root} holds nothing to load: no .json files in {folders}, with or without labels/")
     images_in = next((name for name in IMAGE_DIRS if search.is_folder(root / name)), None)
     sequences = []
     for sequence in sorted(files):
-        found = files[sequence]
+        labels = files[sequence]
         if "2d" not in chosen:
-            elsewhere = next((found[layer] for layer in BOXES_ELSEWHERE if layer in found), None)
-            if elsewhere is not None:
-                found.setdefault("2d", elsewhere)
+            richer = next((labels[layer] for layer in BOXES_ELSEWHERE if layer in labels), None)
+            if richer is not None:
+                labels.setdefault("2d", richer)
         for layer in (TIMESTAMPS, CALIBRATION):
             name = sequence if layer == TIMESTAMPS else CAMERAS_FILE
             for folder in chosen[layer] if layer in chosen else (root / layer, root / "labels" / layer):
                 if search.exists(folder / name):
-                    found.setdefault(layer, str(folder / name))
+                    labels.setdefault(layer, str(folder / name))
         images = root / images_in / sequence if images_in else None
-        sequences.append(SequenceFiles(sequence, found, str(images) if images and search.is_folder(images) else None))
+        sequences.append(SequenceFiles(sequence, labels, str(images) if images and search.is_folder(images) else None))
     image_root = None if images_in is None else str((root / images_in).resolve())
     return Root(root, image_root, tuple(sequences), tuple(search.problems), tuple(search.notes))
 
 
 class _Search:
-    """Looks into folders, and keeps the problems and notes for the report."""
+    """A search through folders, with the problems and notes for the report."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -133,7 +137,7 @@ class _Search:
         self._names = {base: self._listing(base) or frozenset() for base in (root / "labels", root)}
 
     def chosen(self, layer: str, names: Sequence[str]) -> list[Path]:
-        """The folders in place of a layer's usual ones. Raises InputError for an unknown layer or a missing folder."""
+        """Return the given folders of a layer. Raise InputError for an unknown layer or a missing folder."""
         if layer not in LAYER_FILES:
             raise InputError(f"there is no layer {layer}: choose from {', '.join(LAYER_FILES)}")
         folders = [self.root / name for name in names]
@@ -143,15 +147,15 @@ class _Search:
         return folders
 
     def usual(self, layer: str) -> list[Path]:
-        """The folders of a layer that exist, the preferred one first."""
-        found = []
+        """Return the existing folders of a layer, the preferred one first."""
+        folders = []
         for name in LABEL_DIRS[layer]:
             fits = {entry for entries in self._names.values() for entry in fnmatch.filter(entries, name)}
-            found += [base / entry for entry in sorted(fits) for base in self._names if entry in self._names[base]]
-        return found
+            folders += [base / entry for entry in sorted(fits) for base in self._names if entry in self._names[base]]
+        return folders
 
     def label_files(self, folder: Path) -> list[Path]:
-        """The .json files of stitched labels in a folder, one per sequence, by name; `.JSON` is the same."""
+        """Return the .json (or .JSON) files of stitched labels in a folder, one per sequence, by name."""
         entries = self._listing(folder)
         if entries is None:
             return []
@@ -166,7 +170,7 @@ class _Search:
         return [folder / name for name in names.values()]
 
     def sequence(self, file: Path) -> str | None:
-        """The sequence of a label file; None, with the reason counted, where its name cannot be one."""
+        """Return the sequence of a label file. Count the file and return None if its name cannot be a sequence name."""
         try:
             return safe_sequence(file.stem)
         except InputError:
@@ -174,7 +178,7 @@ class _Search:
             return None
 
     def is_folder(self, path: Path) -> bool:
-        """Whether there is a folder; False, with the reason counted, where that cannot be seen."""
+        """Return whether there is a folder. Count the path and return False if it cannot be examined."""
         try:
             return path.is_dir()
         except OSError as error:
@@ -182,7 +186,7 @@ class _Search:
             return False
 
     def exists(self, path: Path) -> bool:
-        """Whether there is anything of that name, a link to nothing too; what cannot be seen is left to the reader."""
+        """Return whether the path exists, also as a dangling link. A path that cannot be examined counts as present."""
         try:
             path.lstat()
         except (FileNotFoundError, NotADirectoryError):
@@ -192,7 +196,7 @@ class _Search:
         return True
 
     def _listing(self, folder: Path) -> frozenset[str] | None:
-        """The names in a folder, none if it is missing; None, with the reason counted, if it cannot be read."""
+        """Return the names in a folder, none if it is missing. Count it and return None if it cannot be read."""
         try:
             with os.scandir(folder) as entries:
                 return frozenset(entry.name for entry in entries)
@@ -212,7 +216,11 @@ class _Search:
 
 
 def image_frames(folder: str | None) -> list[int]:
-    """Frame numbers of the panoramas `000000.jpg`, ... in a folder, ascending. Raises InputError if unreadable."""
+    """Return the frame numbers of the panoramas `000000.jpg`, ... in a folder, ascending.
+
+    Raises:
+        InputError: the folder cannot be read.
+    """
     if folder is None:
         return []
     try:
@@ -227,5 +235,5 @@ def image_frames(folder: str | None) -> list[int]:
 def _is_file(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_file()
-    except OSError:  # a link that leads round in a circle
+    except OSError:  # a circular link
         return False

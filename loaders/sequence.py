@@ -1,7 +1,7 @@
-"""One sequence's files -> its annotation tables: every layer is read by its own loader, then brought together.
+"""The files of one sequence -> its annotation tables.
 
-A layer whose boxes show that its frame numbers are not those of the 2D boxes is refused as a whole. The reasoning file
-serves the social facts only where no usable social file did.
+Each layer has its own loader. If the boxes of a layer show other frame numbers than the 2D boxes, the layer is refused.
+The reasoning file gives the social facts only if there is no usable social file.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ READERS: Final[dict[str, Callable[[Path, Problems], LayerTables]]] = {
     "timestamps": load_timestamps,
     "calibration": load_calibration,
 }
-"""Loaders of single files, but for the reasoning file: its loader depends on what the social file held."""
+"""Loaders of single files. The loader of the reasoning file depends on the social file, so it is missing."""
 
 SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
 NOT_LABELS: Final = ("timestamps", "images")
-"""Layers that hold no labels: that they know a frame does not make it annotated."""
+"""Layers without labels: their frames are not annotated by them."""
 
 
 class Annotated:
-    """All annotation tables of a sequence, and the findings for the load report.
+    """All annotation tables of a sequence, and the results for the load report.
 
-    tables: every table of `ANNOTATIONS`, empty where nothing could be read; frames: per layer found, its frames and the
-    records in each, empty where no label file could be used.
+    tables: every table of `ANNOTATIONS`, empty if no record could be read. frames: per layer, its frames and the number
+    of records in each; empty if no label file could be used.
     """
 
     def __init__(
@@ -61,14 +61,14 @@ class Annotated:
         frames: dict[str, tuple[Ints, Ints]] = {}
         unknown: Counter[tuple[str, str]] = Counter()
         for reading in readings.values():
-            # Two files may list which lists could be read: one those of interactions, another those of things.
+            # Two files may have a table `listed`: the lists of interactions, and the lists of things.
             both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
             tables |= reading.tables
             if both:
                 tables["listed"] = pa.concat_tables(both)
             frames |= reading.frames
             unknown += reading.unknown
-        if any(len(known) for layer, (known, _) in frames.items() if layer not in NOT_LABELS):
+        if any(len(listed) for layer, (listed, _) in frames.items() if layer not in NOT_LABELS):
             pictures: list[int] = []
             try:
                 pictures = image_frames(files.images)
@@ -87,20 +87,20 @@ class Annotated:
 
     @property
     def label_frames(self) -> Ints:
-        """Frames of any layer of labels, ascending."""
-        known = [frames for layer, (frames, _) in self.frames.items() if layer not in NOT_LABELS]
-        return np.unique(np.concatenate(known)) if known else np.empty(0, np.int64)
+        """Return the frames of all layers of labels together, ascending."""
+        listed = [frames for layer, (frames, _) in self.frames.items() if layer not in NOT_LABELS]
+        return np.unique(np.concatenate(listed)) if listed else np.empty(0, np.int64)
 
 
 def stamps_of(table: pa.Table) -> Stamps | None:
-    """Summary of the annotation table `timestamps`; None without any."""
+    """Return a summary of the annotation table `timestamps`, or None for an empty table."""
     images = table.filter(pc.equal(table["sensor"], "images"))
     rate = frame_rate(images["frame"].to_numpy(), images["timestamp"].to_numpy())
     return Stamps(len(images), len(table) - len(images), rate) if len(table) else None
 
 
 def annotate(files: SequenceFiles) -> Annotated:
-    """Read every file of a sequence. A file that cannot be used as a whole is a problem, never an error."""
+    """Read every file of a sequence. A file that cannot be used as a whole is a problem, not an error."""
     readings: dict[str, LayerTables] = {}
     problems: list[Problems] = []
     shifts: list[ShiftCheck] = []
@@ -113,7 +113,7 @@ def annotate(files: SequenceFiles) -> Annotated:
         try:
             reading = _read(layer, path, readings, problems[-1]).of(files.sequence)
         except InputError as error:
-            # Problems counted in its frames and records no longer matter: none of them was loaded.
+            # No record of the file was loaded, so problems of its records are not reported.
             problems[-1] = Problems(path.name, layer)
             problems[-1].add("file", str(error))
             continue
@@ -138,24 +138,24 @@ def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Pr
 
 
 def _check(layer: str, reading: LayerTables, reference: Tracks | None) -> ShiftCheck | None:
-    """The frame numbers of a file beside those of the 2D boxes; None for a layer without boxes."""
+    """Compare the frame numbers of a file with the 2D boxes. Return None for a layer without boxes."""
     boxes = tracks_of(layer, reading)
     return None if boxes is None else check_shift(layer, boxes, reference)
 
 
 def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
-    """The problems, those of a file that serves the 2D boxes and another layer counted once."""
-    boxes = next((found for found in problems if found.layer == "2d"), None)
-    for found in problems:
-        if boxes is not None and found is not boxes and files.labels.get(found.layer) == files.labels["2d"]:
-            found.without(boxes)
+    """Return the problems. If one file serves the 2D boxes and another layer, count its problems once."""
+    boxes = next((part for part in problems if part.layer == "2d"), None)
+    for part in problems:
+        if boxes is not None and part is not boxes and files.labels.get(part.layer) == files.labels["2d"]:
+            part.without(boxes)
     return problems
 
 
 def _frames_table(sequence: str, frames: dict[str, tuple[Ints, Ints]]) -> pa.Table:
     parts = [
-        pa.table({"layer": constant(layer, len(known)), "frame": known, "records": records})
-        for layer, (known, records) in sorted(frames.items(), key=lambda found: LAYERS.index(found[0]))
+        pa.table({"layer": constant(layer, len(listed)), "frame": listed, "records": records})
+        for layer, (listed, records) in sorted(frames.items(), key=lambda item: LAYERS.index(item[0]))
     ]
     whole = pa.concat_tables(parts) if parts else ANNOTATIONS["frames"].remove(0).empty_table()
     return annotation_table("frames", sequence, whole)

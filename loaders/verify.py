@@ -71,8 +71,8 @@ def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None)
 
 def _check_files(store: Store, manifest: Manifest, part: str) -> Check:
     """Compare the files of a part with their hashes. A file beside them is a fault, because views would read it."""
-    known = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
-    expected = {path: digest for path, digest in known.items() if path.startswith(f"{part}/")}
+    digests = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
+    expected = {path: digest for path, digest in digests.items() if path.startswith(f"{part}/")}
     results = ((path, _file_fault(store.path / path, digest)) for path, digest in sorted(expected.items()))
     faults = [f"{path} {fault}" for path, fault in results if fault]
     present = {path.relative_to(store.path).as_posix() for path in (store.path / part).rglob("*.parquet")}

@@ -41,7 +41,7 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
     return advance
 
 
-def columns_of(rows: _Rows) -> list[str]:
+def list_columns(rows: _Rows) -> list[str]:
     """Return the columns of all rows, in the order of their first appearance."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
@@ -64,7 +64,7 @@ class Displayed(ABC):
 
 
 def _html_table(title: str, rows: _Rows) -> str:
-    columns = columns_of(rows)
+    columns = list_columns(rows)
     lines = [[row.get(name) for name in columns] for row in rows[:MAX_ROWS]]
     body = "".join(f"<tr>{_html_cells('td', line)}</tr>" for line in lines)
     more = f" ({MAX_ROWS} of {len(rows)} rows)" if len(rows) > MAX_ROWS else ""

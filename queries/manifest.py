@@ -56,7 +56,7 @@ def read_manifest(store: Path) -> Manifest:
     try:
         manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
     except FileNotFoundError:
-        raise StoreError(f"{store} is no store: run 'jrdb-avr load ROOT --store {store}' first") from None
+        raise StoreError(f"{store} is not a store: run 'jrdb-avr load ROOT --store {store}' first") from None
     except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
         raise StoreError(f"cannot read {path}: {error}; load the annotations again") from None
     if manifest.version != MANIFEST_VERSION:
@@ -64,7 +64,7 @@ def read_manifest(store: Path) -> Manifest:
     if manifest.image_root is None:
         return manifest
     if ".." in Path(manifest.image_root).parts:
-        raise StoreError(f"{path}: image_root {manifest.image_root[:100]!r} leads upwards: load the annotations again")
+        raise StoreError(f"{path}: image_root {manifest.image_root[:100]!r} leads out of the store: load again")
     return msgspec.structs.replace(manifest, image_root=str(store.absolute() / manifest.image_root))
 
 

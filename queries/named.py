@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.queries.graph.parameters import scalar
+from jrdb_avr.queries.graph.parameters import unwrap_scalar
 from jrdb_avr.schema.errors import QueryError, did_you_mean
 from jrdb_avr.schema.rules import FPS
 
@@ -76,7 +76,7 @@ def _checked(name: str, kind: str, value: Any) -> Any:
     """Return the value if it has the type `kind`. Raises QueryError otherwise."""
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
-    value = scalar(value)
+    value = unwrap_scalar(value)
     fits: tuple[type, ...] = {"text": (str,), "integer": (int,), "number": (int, float)}[kind]
     infinite = isinstance(value, float) and not math.isfinite(value)
     if not isinstance(value, fits) or isinstance(value, bool) or infinite:

@@ -82,12 +82,12 @@ def sequences_of_questions(store: Store) -> dict[str, str]:
     return {question: names[index] for question, index in zip(ids, encoded.indices.to_pylist(), strict=True)}
 
 
-def in_order(questions: pa.Table) -> pa.Table:
+def sort_by_sequence(questions: pa.Table) -> pa.Table:
     """Return rows with the columns `sequence` and `question_id` in the order of the tables of runs."""
     return questions.sort_by([("sequence", "ascending"), ("question_id", "ascending")])
 
 
-def fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
+def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
     """Cast a table to a schema, and drop all other columns.
 
     Args:
@@ -108,7 +108,7 @@ def fitted(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.T
         raise StoreError(f"{path} has other column types ({str(error).splitlines()[0]}): {command} again") from None
 
 
-def loaded_sequence(store: Store, name: str) -> SequenceInfo:
+def read_loaded_sequence(store: Store, name: str) -> SequenceInfo:
     """Return the facts of a loaded sequence, with the frames that have a panorama.
 
     Raises:

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from jrdb_avr.queries.graph.parameters import scalar
+from jrdb_avr.queries.graph.parameters import unwrap_scalar
 from jrdb_avr.queries.manifest import MANIFEST_NAME, read_manifest
 from jrdb_avr.schema.errors import QueryError, StoreError
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, QUESTIONS, RUNS
@@ -106,7 +106,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
     import duckdb
 
     if not folder.is_dir():
-        raise StoreError(f"{folder} is no store: run 'jrdb-avr load ROOT --store {folder}' first")
+        raise StoreError(f"{folder} is not a store: run 'jrdb-avr load ROOT --store {folder}' first")
     with duckdb.connect(":memory:") as connection:
         broken = _make_views(connection, folder, tables or {})
         _lock_down(connection)
@@ -115,16 +115,16 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
             try:
                 sql.encode()
             except UnicodeEncodeError:
-                raise QueryError("a statement is UTF-8 text: this one holds half a character") from None
+                raise QueryError("the statement is not UTF-8 text") from None
             timer = threading.Timer(timeout_s, connection.interrupt)
             timer.daemon = True
             timer.start()
             try:
                 statements = connection.extract_statements(sql)
                 if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
-                    raise QueryError("one SELECT statement is allowed, and nothing that writes, loads or attaches")
+                    raise QueryError("only one SELECT statement is allowed, which cannot write, load or attach")
                 # A relation gives Arrow without a second copy of the rows.
-                values = {name: scalar(value) for name, value in (params or {}).items()}
+                values = {name: unwrap_scalar(value) for name, value in (params or {}).items()}
                 return connection.sql(sql, params=values or None).to_arrow_table()
             except duckdb.InterruptException:
                 raise QueryError(f"stopped after {timeout_s:g} s: narrow the statement, or raise the timeout") from None

@@ -59,18 +59,14 @@ def _columns(texts: Iterable[str]) -> dict[str, str]:
 
 def store_tables() -> list[CatalogTable]:
     """Return the Parquet tables of the store, which are the views of `sql`."""
-    return [
-        CatalogTable(
-            name,
-            next(
-                (part for part in ("annotations", "intervals") if name.startswith(f"{part}_")),
-                next((part for key, part in reversed(_KEYS.items()) if key in schema.names), "questions"),
-            ),
-            {field.name: str(field.type) for field in schema},
-            {field.name: column(name, field.name)[1] for field in schema},
-        )
-        for name, schema, _ in views()
-    ]
+    tables = []
+    for name, schema, _ in views():
+        part = name.split("_")[0]
+        if part not in ("annotations", "intervals"):
+            part = "runs" if "run_id" in schema.names else "questions"
+        meanings = {field.name: column(name, field.name)[1] for field in schema}
+        tables.append(CatalogTable(name, part, {field.name: str(field.type) for field in schema}, meanings))
+    return tables
 
 
 def named(tables: Iterable[CatalogTable], names: Iterable[str]) -> list[CatalogTable]:

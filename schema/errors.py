@@ -28,7 +28,10 @@ class AvrError(Exception):
 class InputError(AvrError):
     """An input file, or a record of one, cannot be used.
 
-    file, frame, field: the position of the fault, each "" if it does not apply.
+    Attributes:
+        file: Path of the file, or "".
+        frame: Frame of the record, or "".
+        field: Field or argument with the fault, or "".
     """
 
     def __init__(self, message: str, *, file: str = "", frame: str = "", field: str = "") -> None:

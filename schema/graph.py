@@ -80,11 +80,7 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Acts": ("Person", "Segment", ()),
     "Leaves": ("Person", "Absence", ()),
     "Shift": ("Moment", "Moment", ("by INT64",)),
-    "Fact": (
-        "Moment",
-        "Moment",
-        ("relation STRING", "certain BOOLEAN", "unread BOOLEAN", "unknown INT64"),
-    ),
+    "Fact": ("Moment", "Moment", ("relation STRING", "certain BOOLEAN", "unread BOOLEAN", "unknown INT64")),
     "Satisfies": ("Moment", "Condition", ("certain BOOLEAN",)),
     "Uses": ("Name", "Condition", ("place INT64",)),
     "Of": ("Name", "Description", ()),

@@ -5,6 +5,7 @@ the functions `observe` and `panorama` that return images, and the functions `re
 the transcript and to the record of a world model. A task holds nothing else of the store.
 
 A method runs in the process of the run, with the rights of its user: it could open the files of the store.
+A public store (`export --public`) has no answers.
 """
 
 from __future__ import annotations
@@ -40,7 +41,14 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """A row of `sequences.parquet`. frames: the frames that can be observed, ascending."""
+    """A row of `sequences.parquet`.
+
+    Attributes:
+        sequence: Name of the sequence, opaque if the run hides names.
+        fps: Frames per second.
+        frame_count: Number of frames of the sequence.
+        frames: Frames that can be observed, ascending.
+    """
 
     sequence: str
     fps: float
@@ -52,8 +60,15 @@ class SequenceInfo:
 class Observation:
     """A crop of the stitched panorama with its frame and angle.
 
-    image: 480 x 480 x 3, uint8, RGB. left: left column of the crop in stitched pixels, [0, 3760); the crop wraps over
-    the seam. angle_deg: panorama angle of the centre. timestamp: seconds from frame 0.
+    Attributes:
+        sequence: Name of the sequence.
+        frame_index: Number of the frame.
+        frame_id: Number of the frame as six digits.
+        timestamp: Seconds from frame 0.
+        angle_deg: Panorama angle of the crop's centre, degrees.
+        fov_deg: Horizontal field of view, degrees.
+        left: Left column in stitched pixels, [0, 3760). The crop wraps over the seam.
+        image: 480 x 480 x 3, uint8, RGB.
     """
 
     sequence: str
@@ -68,7 +83,15 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Panorama:
-    """A whole stitched panorama, 3760 x 480, as stored JPEG bytes. timestamp: seconds from frame 0."""
+    """A whole stitched panorama, 3760 x 480.
+
+    Attributes:
+        sequence: Name of the sequence.
+        frame_index: Number of the frame.
+        frame_id: Number of the frame as six digits.
+        timestamp: Seconds from frame 0.
+        jpeg: Stored JPEG bytes.
+    """
 
     sequence: str
     frame_index: int
@@ -91,12 +114,17 @@ class Step:
 class Prediction:
     """A method's answer to one question, with its evidence and costs.
 
-    status: "invalid" if answer or evidence is missing because the model's output could not be read.
-    answer, evidence: scored separately; either may be None.
-    raw: the last text of the model.
-    reason: the last refusal of the model's output, "" if its last proposal was accepted.
-    verdict: None for a method without a world model.
-    n_observations: crops and panoramas together.
+    Attributes:
+        status: "invalid" if answer or evidence is missing because the model's output could not be read.
+        answer: The answer, or None. It is scored apart from the evidence.
+        evidence: The box of the evidence in stitched pixels, or None.
+        raw: Last text of the model.
+        reason: Last refusal of the model's output, "" if its last proposal was accepted.
+        verdict: Support of the world model; None for a method without one.
+        n_observations: Number of crops and panoramas.
+        n_model_calls: Number of model calls.
+        prompt_tokens: Tokens sent to the model.
+        completion_tokens: Tokens written by the model.
     """
 
     status: Status
@@ -120,7 +148,6 @@ class Observe(Protocol):
         Raises:
             ObserveError: the request is not allowed.
         """
-        ...
 
 
 class GetPanorama(Protocol):
@@ -132,7 +159,6 @@ class GetPanorama(Protocol):
         Raises:
             ObserveError: the request is not allowed.
         """
-        ...
 
 
 class Record(Protocol):
@@ -140,7 +166,6 @@ class Record(Protocol):
 
     def __call__(self, step: Step) -> None:
         """Append a step to the transcript of the current question."""
-        ...
 
 
 class RecordWrite(Protocol):
@@ -148,12 +173,20 @@ class RecordWrite(Protocol):
 
     def __call__(self, write: Write) -> None:
         """Append a write, accepted or refused, to the record of the current question."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One question with all data and functions that a method may use to answer it."""
+    """One question with all data and functions that a method may use to answer it.
+
+    Attributes:
+        question: The public columns of the question.
+        sequence: The sequence and its frames.
+        observe: Returns a crop.
+        panorama: Returns a whole panorama.
+        record: Appends a step to the transcript.
+        record_write: Appends a write to the record of the world model.
+    """
 
     question: Question
     sequence: SequenceInfo
@@ -169,11 +202,9 @@ class Method(Protocol):
     @property
     def name(self) -> str:
         """Name of the method in the run's manifest."""
-        ...
 
     def answer(self, task: Task) -> Prediction:
         """Answer one question. An exception becomes an `error` prediction and does not end the run."""
-        ...
 
 
 class ConfigurableMethod(Method, Protocol):
@@ -181,4 +212,3 @@ class ConfigurableMethod(Method, Protocol):
 
     def settings(self) -> dict[str, Any]:
         """Return the settings as JSON values by name."""
-        ...

@@ -25,18 +25,8 @@ def _list(item: pa.DataType, size: int = -1) -> pa.DataType:
 
 
 LAYERS: Final = (
-    "2d",
-    "actions",
-    "groups",
-    "3d",
-    "demographics",
-    "interactions",
-    "group_info",
-    "handles",
-    "pose",
-    "panoptic",
-    "timestamps",
-    "images",
+    *("2d", "actions", "groups", "3d", "demographics", "interactions", "group_info", "handles", "pose", "panoptic"),
+    *("timestamps", "images"),
 )
 """Layers of the `frames` table. One file may hold several layers with different steps: the 2D boxes have `actions` and
 `groups`; the social file (the reasoning file if it is missing) has `demographics`, `interactions` and `group_info`; the
@@ -75,7 +65,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "category": (_S, "name of the category, null if unknown"),
     "action": (_S, "name of the action"),
     "pose": (_S, "the one certain pose, null if unknown"),
-    "seconds": (_F, "time in seconds"),
+    "seconds": (_F, "time from frame 0, or duration, in seconds"),
     "keyframe": (_B, "the frame is a keyframe of the sequence"),
     "annotated": (_B, "the 2D layer has the frame, and its boxes are all people in view"),
     "image": (_B, "the frame has a panorama"),
@@ -200,8 +190,6 @@ SPECIAL: Final[dict[tuple[str, str], tuple[pa.DataType, str]]] = {
     ("intervals_sequence", "has_attributes"): (_B, "some record of the sequence has attributes"),
     ("predictions", "answer"): (_S, "the answer as JSON, null for none"),
     ("predictions", "raw"): (_S, "the model's last text"),
-    ("predictions", "seconds"): (_F, "duration, seconds"),
-    ("steps", "seconds"): (_F, "duration, seconds"),
     ("world", "number"): (_I, "number of the write, from 0"),
     ("world", "step"): (_I, "number of the model call that made the write"),
     ("world", "reason"): (_S, "reason of the refusal"),

@@ -1,4 +1,4 @@
-"""`jrdb-avr export` and `jrdb-avr submit`: questions and predictions in the forms of other tools."""
+"""`jrdb-avr export` and `jrdb-avr submit`: write questions and predictions for other machines and tools."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _EXAMPLE: Final = """\b
 Examples:
   jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
+  jrdb-avr export --store S --public folder --opaque
   jrdb-avr export --store S react-marker --jsonl predictions.jsonl
 """
 
@@ -25,24 +26,45 @@ Examples:
 @store_option()
 @run_argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, a line each; 'score --jsonl' reads them.")
+@click.option("--public", type=FOLDER, help="Write a store of questions and panoramas without answers and labels.")
+@click.option("--opaque", is_flag=True, help="With --public: hashes in place of the names of sequences.")
 @click.option("--hf", type=FOLDER, help="Write the questions as DIR/public, for Hugging Face, and DIR/private.")
 @click.option("--creator", default=CREATOR, show_default=True, help="Of --hf: who publishes the questions.")
 @click.option("--url", default=HOME, show_default=True, help="Of --hf: where they will be published.")
-def export(store: Store, run: str | None, jsonl: Path | None, hf: Path | None, creator: str, url: str) -> None:
-    """Write what the store holds in the forms of other tools.
+def export(
+    store: Store,
+    run: str | None,
+    jsonl: Path | None,
+    public: Path | None,
+    opaque: bool,
+    hf: Path | None,
+    creator: str,
+    url: str,
+) -> None:
+    """Write questions or predictions for other machines and tools.
+
+    --public writes a store on which 'evaluate' runs a method that must not see answers; 'score --jsonl' of the full
+    store takes the exported predictions of such a run.
 
     --hf writes two folders: a public one with questions, opaque names of sequences, a card and Croissant metadata, and
     a private one with answers and evidence. Neither has pictures.
     """
-    if jsonl is hf is None:
-        raise click.UsageError("say what to write: --hf or --jsonl")
+    if jsonl is hf is public is None:
+        raise click.UsageError("say what to write: --public, --hf or --jsonl")
     if (run is None) is (jsonl is not None):
-        raise click.UsageError("--jsonl writes the predictions of a RUN, --hf needs no RUN")
+        raise click.UsageError("--jsonl writes the predictions of a RUN, the others need no RUN")
+    if opaque and public is None:
+        raise click.UsageError("--opaque is an option of --public")
+    if public is not None:
+        from jrdb_avr.engine.run.public import export_public
+
+        count = export_public(store, public, opaque)
+        note(f"wrote {public}: {count} questions and their panoramas")
     if hf is not None:
         from jrdb_avr.engine.integrations.huggingface import export_folders
 
-        public, private = export_folders(store, hf, creator, url)
-        note(f"wrote {public}, to be published, and {private}, which is not")
+        published, private = export_folders(store, hf, creator, url)
+        note(f"wrote {published}, to be published, and {private}, which is not")
     if jsonl is None or run is None:
         return
     from jrdb_avr.engine.report.prediction_lines import write_lines
@@ -58,7 +80,7 @@ def export(store: Store, run: str | None, jsonl: Path | None, hf: Path | None, c
 _SUBMIT_EXAMPLES: Final = """\b
 Examples:
   jrdb-avr submit react-marker bundle --store S
-  jrdb-avr score --store S --bundle bundle         by whoever has the answers
+  jrdb-avr score --store S --bundle bundle         on a machine with the answers
 """
 
 
@@ -67,9 +89,9 @@ Examples:
 @run_argument("run")
 @click.argument("folder", metavar="DIR", type=FOLDER)
 def submit(store: Store, run: str, folder: Path) -> None:
-    """Write RUN as a bundle into the new folder DIR, to be scored by whoever has the answers.
+    """Write RUN as a bundle into the new folder DIR; a store with the answers can score it.
 
-    The bundle holds predictions, manifest with settings, and hashes. It needs no answers, and tells nothing of the
+    The bundle holds predictions, the manifest with the settings, and hashes. It needs no answers, and leaves out the
     address of the model's server.
     """
     from jrdb_avr.engine.report.bundle import write_bundle

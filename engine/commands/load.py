@@ -1,4 +1,4 @@
-"""`jrdb-avr load`: label files into a store, with a report of what was found and what was refused."""
+"""`jrdb-avr load`: load label files into a store, and report loaded and refused parts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.workers import Executor
 
 MAX_ROWS: Final = 50
-"""Printed rows of a table whose length depends on the files."""
+"""Maximum printed rows of a table with a length that depends on the files."""
 
 
 _EXAMPLE: Final = """\b
@@ -44,11 +44,11 @@ Example:
 @executor_option
 @form_option
 def command(root: Path | None, store: Store, strict: bool, workers: Executor, form: RowFormat, **options: Any) -> None:
-    """Load the JRDB root ROOT: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses,
-    panoptic things, timestamps, calibration, panoramas.
+    """Load the JRDB root ROOT into a store.
 
-    Any of the layers may be missing. A layer whose frame numbers are not those of the 2D boxes is refused. Broken
-    files and records are refused one by one and listed; the rest loads.
+    Layers: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses, panoptic things,
+    timestamps, calibration, panoramas. Any layer may be missing. A layer with other frame numbers than the 2D boxes is
+    refused. Broken files and records are refused one by one and listed; the rest loads.
     """
     from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.report import totals
@@ -102,13 +102,13 @@ def _verify(store: Store, form: RowFormat) -> None:
     print_rows([{"what": c.what, "checked": c.checked, "fault": c.fault} for c in checks], form=form)
     faults = [check for check in checks if check.fault]
     if faults:
-        way = "ROOT" if any(check.reload for check in faults) else "--rebuild"
+        remedy = "ROOT" if any(check.reload for check in faults) else "--rebuild"
         path = clean(store.path)
-        note(f"{path} is not what was loaded: run 'jrdb-avr load {way} --store {path}'")
+        note(f"{path} is not what was loaded: run 'jrdb-avr load {remedy} --store {path}'")
         sys.exit(1)
 
 
 def _rules(overrides: list[tuple[str, str]], start: LoadRules) -> LoadRules:
-    """Load rules with overrides, named with or without `load.` before them."""
+    """Return load rules with overrides, named with or without the prefix `load.`."""
     changes = {f"load.{name.removeprefix('load.')}": value for name, value in overrides}
     return override(Rules(load=start), changes).load

@@ -24,7 +24,7 @@ Example:
 
 
 @click.command(
-    # An ANGLE may be negative: -90 is no option.
+    # Because an ANGLE may be negative, such as -90.
     context_settings={"ignore_unknown_options": True},
     epilog=_EXAMPLE,
 )
@@ -47,9 +47,9 @@ def command(
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.observe.overlay import draw_people
     from jrdb_avr.queries.files import write_bytes
-    from jrdb_avr.queries.questions import loaded_sequence
+    from jrdb_avr.queries.questions import read_loaded_sequence
 
-    observer = Observer(store.manifest().image_root, [loaded_sequence(store, sequence)])
+    observer = Observer(store.manifest().image_root, [read_loaded_sequence(store, sequence)])
     if angle is None:
         image, left = observer.panorama(sequence, frame), 0
         note(f"{sequence} frame {frame:06d}: whole panorama -> {out}")

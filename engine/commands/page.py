@@ -92,10 +92,19 @@ class _Text(str):
 
 
 def _doc(value: Any) -> str:
-    """The docstring, with its indented examples as code."""
-    return re.sub(r"(?m)((?:^ {4}.*\n?)+)", r"```python\n\1\n```", inspect.getdoc(value) or "").replace(
-        "\n\n```\n", "\n```\n"
+    """Return the docstring: lists for Google sections, code blocks for other indented lines."""
+    blocks = re.split(
+        r"(?m)^((?:Args|Attributes|Returns|Raises|Yields):\n(?:(?: {4}.*)?\n?)+)", inspect.getdoc(value) or ""
     )
+    for at in range(1, len(blocks), 2):
+        title, *lines = blocks[at].rstrip().splitlines()
+        items = "\n".join(line.removeprefix("    ") for line in lines)
+        items = re.sub(r"(?m)^(?=\S)", "- ", re.sub(r"(?m)^(\w+): ", r"`\1`: ", items)).replace("\n    ", "\n  ")
+        blocks[at] = f"**{title}**\n\n{items}\n\n"
+    for at in range(0, len(blocks), 2):
+        code = re.sub(r"(?m)((?:^ {4}.*\n?)+)", r"```python\n\1\n```", blocks[at])
+        blocks[at] = code.replace("\n\n```\n", "\n```\n")
+    return "".join(blocks).rstrip() + "\n" * (len(blocks) > 1)
 
 
 def _members(value: Any) -> str:

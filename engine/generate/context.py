@@ -15,7 +15,7 @@ from jrdb_avr.engine.generate.conditions import Conditions, find_conditions
 from jrdb_avr.engine.generate.descriptions import Descriptions, describe_people
 from jrdb_avr.engine.generate.relations import RELATIONS, Facts, find_facts
 from jrdb_avr.engine.generate.scene import Scene, box_count, coded, ints, load_scene
-from jrdb_avr.queries.graph.handle import Graph, worker_graph
+from jrdb_avr.queries.graph.handle import Graph, open_worker_graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values
 from jrdb_avr.queries.statements import read_statement
@@ -37,7 +37,7 @@ class LayerJob:
     def searching(self) -> Iterator[SearchContext]:
         """The sequence prepared for search. Raises StoreError where tables or graph are missing."""
         store = Store(self.store)
-        with worker_graph(store.graph_path) as graph:
+        with open_worker_graph(store.graph_path) as graph:
             yield SearchContext(load_scene(store, self.sequence), self.rules, self.low, graph)
 
     @property

@@ -27,7 +27,7 @@ from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
 from jrdb_avr.loaders.verify import checks_of
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.graph.file import is_as_built
-from jrdb_avr.queries.graph.handle import Graph, build_graph, held_graph
+from jrdb_avr.queries.graph.handle import Graph, build_graph, hold_graph
 from jrdb_avr.queries.keyframes import SPAN, layer_stamp
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_sequences
@@ -59,7 +59,7 @@ def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progre
         for _ in map_sequences(_stage_tables, jobs, workers, lambda job: job.weight):
             advance(1)
         write_graph(store, partial(_copy_tables, jobs))
-        with held_graph(store.graph_path, workers):
+        with hold_graph(store.graph_path, workers):
             for _ in map_sequences(_stage_derived, jobs, workers, lambda job: job.weight):
                 advance(1)
         write_graph(store, partial(_copy_derived, jobs))

@@ -37,7 +37,7 @@ from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
 from jrdb_avr.engine.generate.sequence import SequenceJob
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash, write_atomic
-from jrdb_avr.queries.graph.handle import held_graph
+from jrdb_avr.queries.graph.handle import hold_graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_sequences
@@ -132,7 +132,7 @@ def generate(
             for name, part in zip(sequences, parts, strict=True)
         ]
         advance = step_counter(progress, "searching", len(sequences))
-        with held_graph(store.graph_path, workers):
+        with hold_graph(store.graph_path, workers):
             found = _search(scratch, jobs, workers, advance)
         if candidates is not None:
             _gather([part for part in parts if part], candidates)

@@ -26,7 +26,7 @@ import yaml
 
 from jrdb_avr import __version__
 from jrdb_avr.engine.integrations.croissant import Release, croissant
-from jrdb_avr.engine.run.opaque import opaque_names
+from jrdb_avr.engine.run.opaque import opaque_names, rename_sequences
 from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema import card
@@ -81,8 +81,8 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
 
     # Rows in the order of the ids and of the opaque names: that of the real names would tell which is which.
     tables = {
-        "questions": _renamed(questions, names).sort_by("question_id"),
-        "sequences": _renamed(sequences, names).sort_by("sequence"),
+        "questions": rename_sequences(questions, names).sort_by("question_id"),
+        "sequences": rename_sequences(sequences, names).sort_by("sequence"),
     }
     for name, table in tables.items():
         write_table(public / _path(name), table, QUESTIONS[name], metadata)
@@ -109,12 +109,6 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
 def _path(table: str) -> str:
     """Return the path of a table in its folder."""
     return f"data/{table}.parquet"
-
-
-def _renamed(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """The table with opaque names of sequences."""
-    own = pa.array([names[name] for name in table["sequence"].to_pylist()], pa.string())
-    return table.set_column(table.column_names.index("sequence"), table.schema.field("sequence"), own)
 
 
 def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.queries.questions import loaded_sequence
+from jrdb_avr.queries.questions import read_loaded_sequence
 from jrdb_avr.queries.store import Store, safe_sequence
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
@@ -69,7 +69,7 @@ class Observer:
         """An observer of a store's loaded sequences."""
         store = Store.of(store)
         manifest = store.manifest()
-        return cls(manifest.image_root, [loaded_sequence(store, name) for name in sorted(manifest.sequences)])
+        return cls(manifest.image_root, [read_loaded_sequence(store, name) for name in sorted(manifest.sequences)])
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
         """The 480 x 480 RGB crop centred on an angle in degrees: 180 ahead, 90 the robot's left, 0 behind, 270 right.

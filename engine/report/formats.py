@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from jrdb_avr.engine.report.tables import TOO_FEW
 from jrdb_avr.engine.text_table import clean
-from jrdb_avr.queries.display import columns_of
+from jrdb_avr.queries.display import list_columns
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -113,7 +113,7 @@ def markdown(rows: Rows) -> str:
         The lines of the table, each with its end.
     """
     cells = [[text.translate(_MARKDOWN) for text in line] for line in _lines_of(rows)]
-    return _tabulated(rows, cells, columns_of(rows), "pipe")
+    return _tabulated(rows, cells, list_columns(rows), "pipe")
 
 
 def latex(rows: Rows) -> str:
@@ -138,7 +138,7 @@ def latex(rows: Rows) -> str:
         for index in range(len(cells) - 1, 0, -1):
             if cells[index][0] != cells[index - 1][0]:
                 cells.insert(index, SEPARATING_LINE)
-    text = _tabulated(rows, cells, [name.replace("_", " ") for name in columns_of(rows)], "latex_booktabs")
+    text = _tabulated(rows, cells, [name.replace("_", " ") for name in list_columns(rows)], "latex_booktabs")
     # LaTeX takes a bracket at the start of a row for an argument of the row before it.
     text = re.sub(r"^( *)\[", r"\1{[}", text, flags=re.MULTILINE)
     escapes = str.maketrans(LATEX_ESCAPE_RULES)
@@ -149,12 +149,12 @@ def latex(rows: Rows) -> str:
 def _tabulated(rows: Rows, cells: Sequence[Any], heads: Sequence[str], form: str) -> str:
     from tabulate import tabulate
 
-    sides = ["right" if _is_number(rows, name) else "left" for name in columns_of(rows)]
+    sides = ["right" if _is_number(rows, name) else "left" for name in list_columns(rows)]
     return f"{tabulate(cells, heads, form, disable_numparse=True, colalign=sides)}\n"
 
 
 def _lines_of(rows: Rows) -> list[list[str]]:
-    columns = columns_of(rows)
+    columns = list_columns(rows)
     return [[_in_one_line(cell(row.get(name), name)) for name in columns] for row in rows]
 
 
@@ -170,5 +170,5 @@ def _is_number(rows: Rows, name: str) -> bool:
 
 def filled(rows: Rows) -> list[dict[str, Any]]:
     """Rows that all have every column; a missing value is empty."""
-    columns = columns_of(rows)
+    columns = list_columns(rows)
     return [{name: row.get(name, "") for name in columns} for row in rows]

@@ -12,7 +12,7 @@ import pyarrow as pa
 from jrdb_avr.engine.report.scored_runs import SCORES, ScoredRun
 from jrdb_avr.engine.report.scoring import find_questions, is_judged, score_predictions
 from jrdb_avr.engine.report.truth import Truth
-from jrdb_avr.queries.questions import fitted
+from jrdb_avr.queries.questions import fit_schema
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store, read_table, write_table
 from jrdb_avr.schema.errors import InputError, StoreError
@@ -50,7 +50,7 @@ def read_submission(store: Store, run_id: str) -> Submission:
     if manifest.questions_sha256 != questions_hash(store):
         raise StoreError(f"run {run_id} belongs to another questions file than this store's: score it in its own store")
     path = predictions_path(store, run_id)
-    return Submission(manifest, fitted(read_table(path, _COLUMNS), SCORED, path, "evaluate"))
+    return Submission(manifest, fit_schema(read_table(path, _COLUMNS), SCORED, path, "evaluate"))
 
 
 def predictions_path(store: Store, run_id: str) -> Path:
@@ -76,7 +76,7 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     """Score one run.
 
     Args:
-        truth: The truth of all questions of the store, in the order of `in_order`.
+        truth: The truth of all questions of the store, in the order of `sort_by_sequence`.
         submission: The run.
         iou: Minimum IoU at which evidence scores, in (0, 1].
 

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.report.paper import GROUPS
-from jrdb_avr.queries.questions import in_order
+from jrdb_avr.queries.questions import sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.arrays import Digits, Ints
@@ -59,7 +59,7 @@ class QuestionIndex:
 
 @dataclass(eq=False)
 class ScoredRun:
-    """A run with its scores: one row per question of the run, in the order of `in_order` of `queries/questions.py`.
+    """A run with its scores: one row per question of the run, in the order of `sort_by_sequence`.
 
     Attributes:
         manifest: The run's manifest.
@@ -89,7 +89,7 @@ def read_index(store: Store) -> QuestionIndex:
     """The index of a store's questions, in their order. Raises StoreError where there are none."""
     questions = store.questions("questions", ["question_id", *_TEXTS])
     answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg"])
-    return QuestionIndex(in_order(questions), answers)
+    return QuestionIndex(sort_by_sequence(questions), answers)
 
 
 def percent_of(part: float, n: float) -> float | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.queries.questions import fitted, in_order
+from jrdb_avr.queries.questions import fit_schema, sort_by_sequence
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import MODES, decode_answer
 from jrdb_avr.schema.answers import Answer
@@ -80,17 +80,17 @@ def read_truth(store: Store) -> Truth:
         store: A store with questions and their private tables.
 
     Returns:
-        The truth of all questions, in the order of `in_order`.
+        The truth of all questions, in the order of `sort_by_sequence`.
 
     Raises:
         StoreError: If a table is missing, has another form, or belongs to another generation than the others.
     """
     tables = store.question_tables(*_COLUMNS, columns=_COLUMNS)
     questions, *others = (
-        fitted(table, pa.schema(map(QUESTIONS[name].field, columns)), store.question_path(name), "generate")
+        fit_schema(table, pa.schema(map(QUESTIONS[name].field, columns)), store.question_path(name), "generate")
         for table, (name, columns) in zip(tables, _COLUMNS.items(), strict=True)
     )
-    return Truth(in_order(questions), *others)
+    return Truth(sort_by_sequence(questions), *others)
 
 
 def frame_key(person: Ints, frame: Ints) -> Ints:

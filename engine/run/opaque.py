@@ -1,16 +1,18 @@
-"""Opaque names of sequences for methods: a real name tells the place of a recording.
+"""Replace names of sequences by opaque names for methods, because a real name tells the place of a recording.
 
-The name is the HMAC-SHA256 of the real one under a key that is made once per store and stays in `opaque.key`: equal in
-every run of the store, and not to be guessed without the file, which nothing of `agent` opens.
+An opaque name is the HMAC-SHA256 of the real name under a key of the store, the file `opaque.key`. The names are equal
+in all runs of a store. Nothing of `agent` opens the file of the key.
 """
 
 from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
+
+import pyarrow as pa
 
 from jrdb_avr.queries.files import write_once
 from jrdb_avr.queries.store import Store
@@ -20,24 +22,49 @@ _KEY_BYTES: Final = 32
 
 
 def key_path(store: Store) -> Path:
-    """Where a store's key lies."""
+    """Return the file of the key of a store."""
     return store.path / "opaque.key"
 
 
 def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
-    """The opaque name of each sequence. Raises StoreError where the key cannot be written or is damaged."""
+    """Return the opaque name of each sequence.
+
+    Args:
+        store: The store, which gets a key if it has none.
+        sequences: Real names.
+
+    Returns:
+        Opaque names by real name.
+
+    Raises:
+        StoreError: The key is damaged, or cannot be written.
+    """
     key = _key(key_path(store))
     return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
 
 
+def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
+    """Return a table with other names of sequences.
+
+    Args:
+        table: A table with the column `sequence`.
+        names: New names by old name.
+
+    Returns:
+        The table, with the rows and columns in the same order.
+    """
+    renamed = pa.array([names[name] for name in table["sequence"].to_pylist()], pa.string())
+    return table.set_column(table.column_names.index("sequence"), table.schema.field("sequence"), renamed)
+
+
 def key_fingerprint(store: Store) -> str:
-    """A text that changes with the key and does not reveal it. Raises StoreError as `opaque_names` does."""
-    # No sequence has an empty name.
+    """Return a text that identifies the key and does not reveal it. Raises StoreError as `opaque_names` does."""
+    # The empty name belongs to no sequence.
     return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 
 def _key(path: Path) -> bytes:
-    """Read the key, or make it where there is none yet; nobody but the owner may read it."""
+    """Return the key; make it first if it is missing, for the owner alone to read."""
     if not path.exists():
         write_once(path, secrets.token_hex(_KEY_BYTES).encode())
     try:

@@ -26,7 +26,7 @@ from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
-from jrdb_avr.queries.graph.handle import Graph, held_graph
+from jrdb_avr.queries.graph.handle import Graph, hold_graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_sequences
 from jrdb_avr.schema.errors import AvrError, PlanError
@@ -155,7 +155,7 @@ def replay(
         for name in sorted({record.sequence for record in records})
     ]
     found: list[Difference] = []
-    with held_graph(store.graph_path, workers):
+    with hold_graph(store.graph_path, workers):
         for index, own in map_sequences(replay_sequence, jobs, workers, lambda job: job.weight):
             found += own
             advance(len(jobs[index].records))

@@ -17,7 +17,7 @@ from jrdb_avr.loaders.intervals.people import Boxes, Facts, Located, wrap
 from jrdb_avr.loaders.intervals.sightings import distance_word, in_person_sector
 from jrdb_avr.loaders.intervals.spans import find_runs
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import ascending, paired, places, ragged, texts, unpaired
+from jrdb_avr.loaders.labelfiles.columns import ascending, paired, ragged, rank_values, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
@@ -49,7 +49,7 @@ def beside_table(line: Timeline, boxes: Boxes, located: Located, rules: LoadRule
     columns = {"source": source, "target": target, "label": label, "first": frame, "last": frame, "certain": certain}
     # Of the others, one row per fact and certainty: the pair and the label are the value of a run.
     frame, source, target, certain, label = _joined(person_frame(line, located, rules))
-    pairs, pair = places(paired(source, target))
+    pairs, pair = rank_values(paired(source, target))
     none = np.zeros(len(frame), np.int64)
     value = (pair * len(_LABELS) + label) * 2 + certain
     runs = find_runs(Facts(frame, none, value, certain.astype(np.bool_), none), KEYFRAME_STEP)

@@ -26,7 +26,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     distinct_of,
     nullable,
     paired,
-    places,
+    rank_values,
     ranked,
     texts,
     unpaired,
@@ -83,7 +83,7 @@ def _split(votes: pa.Table, kind: str, alone: bool) -> list[Disagreement]:
     return [
         topic
         for topic in found.values()
-        if (alone and len(topic.votes) > 1) or any(votes < topic.told for votes in topic.votes.values())
+        if (alone and len(topic.votes) > 1) or any(votes < topic.stated for votes in topic.votes.values())
     ]
 
 
@@ -106,7 +106,7 @@ def _count(table: pa.Table, subject: Ints, has: Bools) -> pa.Table:
     """
     attributes, attribute = ranked(table["attribute"])
     values, value = ranked(table["value"])
-    subjects, number = places(subject)
+    subjects, number = rank_values(subject)
     record = np.cumsum(begins(whole_numbers(table, "frame"), whole_numbers(table, "track")))
     cast = has & (table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD) & (value >= 0)
     # As one number each: texts would take many times the time and memory.
@@ -114,8 +114,8 @@ def _count(table: pa.Table, subject: Ints, has: Bools) -> pa.Table:
     keys = ((record * topics + number * len(attributes) + attribute) * words + value)[cast]
     # They are nearly in order, which a stable sort is fast for.
     keys = distinct_of(np.sort(keys, kind="stable"))
-    told, of_told = places(distinct_of(keys // words) % topics)
-    fact, of_fact = places(keys % (topics * words))
+    told, of_told = rank_values(distinct_of(keys // words) % topics)
+    fact, of_fact = rank_values(keys % (topics * words))
     votes, records = np.bincount(of_fact), np.bincount(of_told)
     topic, value = np.divmod(fact, words)
     subject, attribute = np.divmod(topic, max(len(attributes), 1))

@@ -29,7 +29,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     begins,
     nullable,
     paired,
-    places,
+    rank_values,
     ranked,
     texts,
     whole_numbers,
@@ -168,8 +168,8 @@ def _distinct(columns: tuple[Ints, ...]) -> tuple[Ints, tuple[Ints, ...]]:
     """Numbers the distinct rows of columns; per number, the values of each column."""
     code = np.zeros(len(columns[0]), np.int64)
     for column in columns:
-        values, place = places(column)
-        _, code = places(code * max(len(values), 1) + place)
+        values, place = rank_values(column)
+        _, code = rank_values(code * max(len(values), 1) + place)
     row = np.empty(int(code.max(initial=-1)) + 1, np.int64)
     row[code] = np.arange(len(code))
     return code, tuple(column[row] for column in columns)

@@ -130,7 +130,7 @@ class Images:
                 problems.add("frame", reason, frame=name, field=field, value=image.id)
             elif frame is not None:
                 number_of[frame] = image.id
-        pairs = np.array(sorted((number, frame) for frame, number in number_of.items()), np.int64).reshape(-1, 2)
+        pairs = np.array(sorted((image_id, frame) for frame, image_id in number_of.items()), np.int64).reshape(-1, 2)
         self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
@@ -173,7 +173,7 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
     for chunk in read_chunks(file.categories or [], "category", _CATEGORIES, problems):
         for category in chunk:
             try:
-                raw = records.text(category.name)
+                raw = records.read_text(category.name)
             except ValueError as error:
                 problems.add("record", str(error), field="categories", value=category.name)
                 continue
@@ -184,7 +184,7 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
                 # The annotations of the number may belong to either name.
                 ambiguous.add(category.id)
                 problems.add("record", "category number of two names, neither is kept", field="categories", value=raw)
-    kept = {number: names[number] for number in sorted(names) if number not in ambiguous}
+    kept = {category_id: names[category_id] for category_id in sorted(names) if category_id not in ambiguous}
     return kept, Counter(("categories", normal_category(raw)) for raw, name in kept.values() if name is None)
 
 

@@ -66,7 +66,7 @@ def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
     return names, rank[written.indices.fill_null(len(names)).to_numpy()]
 
 
-def places(values: Ints) -> tuple[Ints, Ints]:
+def rank_values(values: Ints) -> tuple[Ints, Ints]:
     """Return the distinct numbers, ascending, and the index of each value. Takes a fifth of the time of a sort."""
     coded = pa.array(values).dictionary_encode()
     distinct = coded.dictionary.to_numpy()

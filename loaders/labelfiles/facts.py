@@ -58,7 +58,7 @@ class KeptRecords(NamedTuple):
     """Frames with a refused record that may be a person."""
 
     def whole_frames(self, complete: Iterable[int]) -> Ints:
-        """Return the frames of `complete`, ascending, in which every record of a person was kept."""
+        """Return the frames of `complete`, ascending, that lost no record of a person."""
         return np.array(sorted(set(complete) - self.partial), np.int64)
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
@@ -106,7 +106,7 @@ def keep_people(
 
 def _track_or_code(label: str) -> int:
     try:
-        return records.track_of(label)
+        return records.read_track(label)
     except records.NotAPersonError:
         return _THING
     except ValueError:
@@ -145,7 +145,7 @@ class Decoded:
         """Yield the usable labels of an object `{label: value}` with their values."""
         for label, inner in self.members(value, name).items():
             try:
-                usable = records.text(label)
+                usable = records.read_text(label)
             except ValueError as error:
                 self.refuse(f"label: {error}", name, label)
             else:
@@ -161,7 +161,7 @@ class Decoded:
 
     def difficulty(self, value: object, name: str) -> int | None:
         """Return a difficulty code. Its label stays as an unknown fact if the code is unusable."""
-        code: int | None = self.read(records.difficulty, value, name, "difficulty: ")
+        code: int | None = self.read(records.read_difficulty, value, name, "difficulty: ")
         return code
 
 

@@ -85,6 +85,8 @@ def decode_file(path: Path, form: type[_F]) -> _F:
         return msgspec.json.decode(data, type=form)
     except msgspec.ValidationError as error:
         raise InputError(f"{path.name}: {error}".replace("`", ""), file=path.name) from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path.name}: not UTF-8 at byte {error.start}", file=path.name) from None
     except BROKEN as error:
         raise InputError(f"{path.name}: not JSON: {error}", file=path.name) from None
 
@@ -136,7 +138,7 @@ def fault_of(error: BaseException) -> tuple[str, str]:
     reason, _, path = str(error).partition(" - at `$")
     field = path.split("[")[0].strip(".`")
     if missing := _MISSING.fullmatch(reason):
-        return "is missing", f"{field}.{missing[1]}".strip(".")
+        return f"{missing[1]} is missing", f"{field}.{missing[1]}".strip(".")
     return reason.replace("`", ""), field
 
 
@@ -145,7 +147,7 @@ class Gathered(NamedTuple):
 
     columns: Columns
     """`frame` beside the columns of the layer."""
-    known: list[int]
+    listed: list[int]
     """Frames with a list of records."""
     complete: list[int]
     """Frames without a refused record."""
@@ -170,7 +172,7 @@ def gather(
     Raises:
         InputError: the file as a whole cannot be used.
     """
-    known: list[int] = []
+    listed: list[int] = []
     complete: list[int] = []
     counts: list[int] = []
     batch: list[_R] = []
@@ -184,7 +186,7 @@ def gather(
         if len(records) > MAX_RECORDS:
             problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=key)
             continue
-        known.append(frame)
+        listed.append(frame)
         counts.append(len(records))
         if whole:
             complete.append(frame)
@@ -196,21 +198,21 @@ def gather(
     if sum(counts) > MAX_GATHERED:
         raise InputError(f"{path.name}: more than {MAX_GATHERED:,} records", file=path.name)
     columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
-    return Gathered({"frame": np.repeat(np.array(known, np.int64), counts), **columns}, known, complete)
+    return Gathered({"frame": np.repeat(np.array(listed, np.int64), counts), **columns}, listed, complete)
 
 
 def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[str, int, msgspec.Raw]]:
     """Yield the key, number and raw list of each frame with a usable key."""
     form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
-    known: set[int] = set()
+    listed: set[int] = set()
     for key, raw in decode_file(path, LabelFile).labels.items():
         match = form.fullmatch(key)
         if match is None:
             problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
-        elif int(match[1]) in known:
+        elif int(match[1]) in listed:
             problems.add("frame", "frame key twice, the first is kept", frame=key)
         else:
-            known.add(int(match[1]))
+            listed.add(int(match[1]))
             yield key, int(match[1]), raw
 
 

@@ -30,8 +30,6 @@ ABSENT: Final = (b"", b"null")
 NOTHING: Final = msgspec.Raw(b"")
 """Default of raw fields."""
 
-TWICE: Final = "key twice, the first is kept"
-
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
 _PREFIXED: Final = re.compile(r"([^:]+):-?[0-9]+")
@@ -57,7 +55,7 @@ def parse(raw: bytes | msgspec.Raw) -> Any:
         raise ValueError("not JSON") from None
 
 
-def track_of(label_id: str) -> int:
+def read_track(label_id: str) -> int:
     """Return the N of `pedestrian:N`.
 
     Any unknown prefix or number may be a badly written person.
@@ -74,7 +72,7 @@ def track_of(label_id: str) -> int:
     raise ValueError("label_id is not pedestrian:N")
 
 
-def number(value: object) -> float:
+def read_number(value: object) -> float:
     """Return a finite number. A bool is refused."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("not a number")
@@ -87,11 +85,11 @@ def number(value: object) -> float:
     return result
 
 
-def whole(value: object, low: int, high: int) -> int:
+def read_whole(value: object, low: int, high: int) -> int:
     """Return a whole number in [low, high], also from 7.0 or "7"."""
     if isinstance(value, str) and _WHOLE.fullmatch(value):
         value = int(value)
-    result = number(value)
+    result = read_number(value)
     if result != math.floor(result):
         raise ValueError("not a whole number")
     # An int beyond 2**53 would lose digits as a float.
@@ -101,7 +99,7 @@ def whole(value: object, low: int, high: int) -> int:
     return exact
 
 
-def flag(value: object) -> bool:
+def read_flag(value: object) -> bool:
     """Return a bool, also from "true" or "false" in any case."""
     if isinstance(value, bool):
         return value
@@ -110,13 +108,13 @@ def flag(value: object) -> bool:
     raise ValueError("neither true nor false")
 
 
-def difficulty(value: object) -> int:
+def read_difficulty(value: object) -> int:
     """Return a difficulty code 1..3, also from 1.0 or "1"."""
-    return whole(value, 1, 3)
+    return read_whole(value, 1, 3)
 
 
 @functools.lru_cache(maxsize=10_000)
-def text(value: str) -> str:
+def read_text(value: str) -> str:
     """Return printable text of 1 to MAX_TEXT characters, without surrogates and control characters."""
     clean = "".join(c if c.isprintable() else " " for c in value).strip()
     if not clean:

@@ -125,10 +125,10 @@ def _box_table(
     columns: Columns, codes: dict[str, Distinct], people: KeptRecords, listed: Bools, refusals: Refusals
 ) -> pa.Table:
     box, code = columns["box"], columns["attributes"]
-    known = [item or Attributes2D() for item in codes["attributes"]]
+    attributes_of = [item or Attributes2D() for item in codes["attributes"]]
 
     def attribute(name: str, read: Callable[[Any], Any] | None, kind: pa.DataType) -> pa.Array:
-        return _taken([getattr(item, name) for item in known], code, kind, refusals, f"attributes.{name}", read)
+        return _taken([getattr(item, name) for item in attributes_of], code, kind, refusals, f"attributes.{name}", read)
 
     return pa.table(
         {
@@ -137,12 +137,12 @@ def _box_table(
             **{name: box[:, i] for i, name in enumerate("xywh")},
             "has_attributes": _taken([item is not None for item in codes["attributes"]], code, pa.bool_(), refusals),
             "occlusion": attribute("occlusion", _occlusion, pa.string()),
-            "truncated": attribute("truncated", records.flag, pa.bool_()),
+            "truncated": attribute("truncated", records.read_flag, pa.bool_()),
             "interpolated": attribute("interpolated", None, pa.bool_()),
             "no_eval": attribute("no_eval", None, pa.bool_()),
             "has_actions": listed,
             "file_id": _taken(
-                list(codes["file_id"]), columns["file_id"], pa.string(), refusals, "file_id", records.text
+                list(codes["file_id"]), columns["file_id"], pa.string(), refusals, "file_id", records.read_text
             ),
         }
     )
@@ -189,8 +189,8 @@ def _actions(raw: bytes, decoded: Decoded) -> None:
 
 def _activities(raw: bytes, decoded: Decoded) -> None:
     for label, value in decoded.labels(raw, "social_activity"):
-        number = decoded.read(records.number, value, "social_activity", "value: ")
-        decoded.values.append((normal_action(label), number))
+        confidence = decoded.read(records.read_number, value, "social_activity", "value: ")
+        decoded.values.append((normal_action(label), confidence))
 
 
 def _group(raw: bytes, decoded: Decoded) -> None:
@@ -199,9 +199,9 @@ def _group(raw: bytes, decoded: Decoded) -> None:
         return
     cluster = decoded.read(_cluster, values.get("cluster_ID"), "social_group.cluster_ID")
     if cluster is not None:
-        code = decoded.read(records.difficulty, values.get("cluster_stat"), "social_group.cluster_stat")
+        code = decoded.read(records.read_difficulty, values.get("cluster_stat"), "social_group.cluster_stat")
         decoded.values.append((cluster, code))
 
 
 def _cluster(value: object) -> int:
-    return records.whole(value, -(2**62), 2**62)
+    return records.read_whole(value, -(2**62), 2**62)

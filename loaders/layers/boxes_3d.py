@@ -100,8 +100,8 @@ def load_3d(path: Path, problems: Problems) -> LayerTables:
             "no_eval": no_eval,
         }
     )
-    known = known_frames(np.array(sorted(listed), np.int64), people.frame)
-    return LayerTables({"boxes_3d": table}, {"3d": known})
+    listed_frames = known_frames(np.array(sorted(listed), np.int64), people.frame)
+    return LayerTables({"boxes_3d": table}, {"3d": listed_frames})
 
 
 def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:

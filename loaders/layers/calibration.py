@@ -1,8 +1,8 @@
 """The cameras of a JRDB root: `calibration/cameras.yaml` -> the table `calibration`, and a check of our constants.
 
 Under `cameras`, each `sensor_N` has a `width`, a `height` and a 3x3 matrix `K`, written as nine numbers in one text:
-fx 0 cx, 0 fy cy, 0 0 1, in pixels. The layout is that of the file JRDB publishes (also in StanfordVL/JRMOT_ROS). The
-rows of the panorama follow from the medians of fy and cy over the cameras (`schema.panorama`).
+fx 0 cx, 0 fy cy, 0 0 1, in pixels. JRDB publishes its file in this layout (also in StanfordVL/JRMOT_ROS). The rows of
+the panorama follow from the medians of fy and cy over the cameras (`schema.panorama`).
 """
 
 from __future__ import annotations
@@ -26,21 +26,25 @@ from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 _MAX_BYTES: Final = 64 << 10
-"""Twenty times the real file; the parser takes a second for a file of this size."""
+"""Maximum bytes of the file, twenty times the real file. The parser takes a second for a file of this size."""
 MAX_PIXELS: Final = 100_000
 TOLERANCE: Final = 0.05
-"""Share by which the cameras' medians may differ from the panorama's constants."""
+"""Maximum relative difference between the cameras' medians and the panorama's constants."""
 
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
-# The sequences of a root share the file, and the parser takes as long as hundreds of frames do.
+# All sequences of a root share the file, and the parser takes as long as the reader of hundreds of frames.
 _tree: Final = functools.lru_cache(maxsize=1)(lambda text: yaml.compose(text, yaml.SafeLoader))
 
 _Row = tuple[str, int | None, int | None, float, float, float, float]
 
 
 def load_calibration(path: Path, problems: Problems) -> LayerTables:
-    """The cameras of a root. Raises InputError if the file as a whole cannot be used."""
+    """Read the cameras of a root.
+
+    Raises:
+        InputError: the file as a whole cannot be used.
+    """
     rows: list[_Row] = []
     for name, node in _cameras(path, problems).items():
         try:
@@ -53,7 +57,7 @@ def load_calibration(path: Path, problems: Problems) -> LayerTables:
 
 
 def cameras_check(table: pa.Table) -> Cameras | None:
-    """The medians beside the constants that rows of the panorama are computed with; None without cameras."""
+    """Compare the medians over the cameras with the constants for rows of the panorama. Return None without cameras."""
     if not table.num_rows:
         return None
     fy, cy = float(np.median(table["fy"].to_numpy())), float(np.median(table["cy"].to_numpy()))
@@ -62,8 +66,10 @@ def cameras_check(table: pa.Table) -> Cameras | None:
 
 
 def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
-    """The nodes under `cameras` by name. Only the tree of the text is built, and no value of it: aliases are not
-    followed, and tags make nothing."""
+    """Return the nodes under `cameras` by name.
+
+    Only the tree of the text is built, without values: aliases are not followed, and tags have no effect.
+    """
     text = read_file(path)
     if len(text) > _MAX_BYTES:
         raise InputError(f"{path.name}: larger than the limit of {_MAX_BYTES >> 10} kB", file=path.name)
@@ -71,8 +77,8 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
         top = _tree(text.decode())
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        where = f" in line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path.name}: not YAML{where}", file=path.name) from None
+        line = f" in line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path.name}: not YAML{line}", file=path.name) from None
     except (RecursionError, UnicodeError, ValueError):
         raise InputError(f"{path.name}: not YAML that can be read", file=path.name) from None
     cameras = _members(top, "", problems).get("cameras")
@@ -81,28 +87,28 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
     return _members(cameras, "cameras", problems)
 
 
-def _members(node: yaml.Node | None, place: str, problems: Problems) -> dict[str, yaml.Node]:
-    """The members of a mapping, first of equal keys; of any other node none."""
-    found: dict[str, yaml.Node] = {}
+def _members(node: yaml.Node | None, name: str, problems: Problems) -> dict[str, yaml.Node]:
+    """Return the members of a mapping, the first of equal keys; nothing for any other node."""
+    members: dict[str, yaml.Node] = {}
     for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
         if not isinstance(key, yaml.ScalarNode):
-            problems.add("field", "key is no text", frame=place)
-        elif key.value in found:
-            problems.add("field", records.TWICE, frame=place, field=shorten(key.value))
+            problems.add("field", "key is not text", frame=name)
+        elif key.value in members:
+            problems.add("field", "key twice, the first is kept", frame=name, field=shorten(key.value))
         else:
-            found[key.value] = value
-    return found
+            members[key.value] = value
+    return members
 
 
 def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
-    """A row of the table. Raises ValueError where there is no usable matrix."""
-    sensor = records.text(name)
+    """Return a row of the table. Raise ValueError if the matrix is unusable."""
+    sensor = records.read_text(name)
     values = _members(node, sensor, problems)
     sizes: list[int | None] = []
     for field in ("width", "height"):
         size = values.get(field)
         try:
-            sizes.append(None if size is None else records.whole(_scalar(size), 1, MAX_PIXELS))
+            sizes.append(None if size is None else records.read_whole(_scalar(size), 1, MAX_PIXELS))
         except ValueError as error:
             sizes.append(None)
             problems.add("field", str(error), frame=sensor, field=field)
@@ -120,7 +126,7 @@ def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
 
 
 def _texts(node: yaml.Node) -> list[str]:
-    """The nine texts of a matrix: one text, a list, or three lists of three."""
+    """Return the nine texts of a matrix, which is one text, a list, or three lists of three."""
     if isinstance(node, yaml.ScalarNode):
         return str(node.value).split()
     if not isinstance(node, yaml.SequenceNode):
@@ -138,4 +144,4 @@ def _scalar(node: yaml.Node) -> str:
 def _number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise ValueError("K: not nine numbers")
-    return records.number(float(text))
+    return records.read_number(float(text))

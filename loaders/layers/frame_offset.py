@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, ascending, paired, places, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Rows, ascending, paired, rank_values, whole_numbers
 from jrdb_avr.loaders.report import ShiftCheck
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
@@ -150,7 +150,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
 
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
-    """Return the shift with the most boxes equal to the reference, or None if no shift stands out."""
+    """Return the shift with the most boxes equal to the reference, or None if no shift is clearly best."""
     assert tracks.box is not None
     apart = [_difference(tracks.box, reference.boxes_at(tracks.track, tracks.frame + s)) for s in TRIED]
     compared = [int((~np.isnan(difference[:, 0])).sum()) for difference in apart]
@@ -164,8 +164,8 @@ def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
 def response_of(tracks: Tracks, reference: Tracks) -> float:
     """Return the change of the slope for a layer that is moved by one frame: 1 if all motion is real.
 
-    It is near 0 if the boxes of standing people are only drawn a little elsewhere each time. Then a slope of zero is no
-    proof of agreement.
+    It is near 0 if the boxes of standing people are only drawn a little elsewhere each time. Then a slope of zero does
+    not prove agreement.
     """
     slopes = [slope_of(tracks, reference, moved) for moved in (-1, 1)]
     if slopes[0] is None or slopes[1] is None:
@@ -186,14 +186,14 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     """
     frame = tracks.frame + moved
     apart = _difference(tracks.column, reference.columns_at(tracks.track, frame))
-    ahead, behind = (reference.columns_at(tracks.track, frame + away) for away in (REACH, -REACH))
+    ahead, behind = (reference.columns_at(tracks.track, frame + offset) for offset in (REACH, -REACH))
     speed = _difference(ahead, behind) / (2 * REACH)
     usable = (np.abs(apart) <= MAX_APART) & (np.abs(speed) <= MAX_SPEED)
     track, frame = tracks.track[usable], tracks.frame[usable]
     if not len(track):
         return None
     speed, apart = _without_means(speed[usable], track), _without_means(apart[usable], track)
-    _, spell = places(paired(frame // SPELL, track))
+    _, spell = rank_values(paired(frame // SPELL, track))
     weight = np.bincount(spell, speed * speed)
     most = float(weight.sum()) * MAX_SPELL_SHARE
     if not most > 0:
@@ -205,11 +205,11 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     rest = product - frames * weighted
     if (
         _effective(np.bincount(spell, weighted)) < MIN_SPELLS
-        or _effective(np.bincount(places(track)[1], weighted)) < MIN_TRACKS
+        or _effective(np.bincount(rank_values(track)[1], weighted)) < MIN_TRACKS
     ):
         return None
     errors = []
-    for group in (spell, places(frame // SPELL)[1]):
+    for group in (spell, rank_values(frame // SPELL)[1]):
         sums = np.bincount(group, rest)
         if len(sums) > 1:
             errors.append(float(np.sqrt((sums * sums).sum() * len(sums) / (len(sums) - 1))) / total)
@@ -255,7 +255,7 @@ def _difference(a: Floats, b: Floats) -> Floats:
 
 
 def _without_means(values: Floats, track: Ints) -> Floats:
-    _, group = places(track)
+    _, group = rank_values(track)
     return values - (np.bincount(group, values) / np.bincount(group))[group]
 
 

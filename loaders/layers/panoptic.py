@@ -119,8 +119,8 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
             "segmentation": texts.take(pa.array(rows)),
         }
     )
-    known = known_frames(np.sort(images.frame), frame[rows])
-    return LayerTables({"panoptic": table, "categories": categories_table(categories)}, {"panoptic": known}, unknown)
+    frames = known_frames(np.sort(images.frame), frame[rows])
+    return LayerTables({"panoptic": table, "categories": categories_table(categories)}, {"panoptic": frames}, unknown)
 
 
 def _number_column(values: npt.NDArray[Any]) -> pa.Array:
@@ -151,12 +151,12 @@ def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> di
 
 
 def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
-    """Return the first track under the three names, or NO_TRACK if there is none or it is unusable."""
+    """Return the first track under the three names, or NO_TRACK for a missing or unusable track."""
     inner = annotation.attributes or Attributes()
     values = (annotation.tracking_id, inner.tracking_id, inner.floor_id)
     value = next((value for value in values if value is not None), NO_TRACK)
     try:
-        return records.whole(value, NO_TRACK, records.MAX_TRACK)
+        return records.read_whole(value, NO_TRACK, records.MAX_TRACK)
     except ValueError as error:
         refusals.add("field", f"track: {error}", "tracking_id", row, value, 1)
         return NO_TRACK

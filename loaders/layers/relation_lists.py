@@ -42,15 +42,15 @@ class Entry(msgspec.Struct, gc=False):
 def person_of(pair: object) -> tuple[int]:
     """Return the partner's track, from "pedestrian:9", "9" or 9. Raises ValueError."""
     if isinstance(pair, str) and not _DIGITS.fullmatch(pair):
-        return (records.track_of(pair),)
-    return (records.whole(pair, 0, records.MAX_TRACK),)
+        return (records.read_track(pair),)
+    return (records.read_whole(pair, 0, records.MAX_TRACK),)
 
 
 def thing_of(pair: object) -> tuple[int, int]:
     """Return the track and category of a thing in the panoptic layer. Raises ValueError."""
     if not isinstance(pair, list) or len(pair) != 2:
         raise ValueError("not a track and a category")
-    return records.whole(pair[0], 0, records.MAX_TRACK), records.whole(pair[1], 0, records.MAX_TRACK)
+    return records.read_whole(pair[0], 0, records.MAX_TRACK), records.read_whole(pair[1], 0, records.MAX_TRACK)
 
 
 @dataclass(frozen=True)

@@ -185,5 +185,5 @@ class _AttributeDecoder:
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
         """Return the field and value of a fact with a value outside the vocabulary, else None."""
         attribute, value = fact[:2]
-        known = value is None or value in VALUES[attribute]
-        return None if known else (f"{self._field}.{self._key_of[attribute]}", value)
+        listed = value is None or value in VALUES[attribute]
+        return None if listed else (f"{self._field}.{self._key_of[attribute]}", value)

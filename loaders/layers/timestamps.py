@@ -87,8 +87,8 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
         pa.table({"sensor": constant(name, len(frame)), "frame": frame, "timestamp": seconds})
         for name, (frame, seconds) in columns.items()
     )
-    known = np.unique(np.concatenate([frame for frame, _ in columns.values()]), return_counts=True)
-    return LayerTables({"timestamps": table}, {"timestamps": known})
+    frames = np.unique(np.concatenate([frame for frame, _ in columns.values()]), return_counts=True)
+    return LayerTables({"timestamps": table}, {"timestamps": frames})
 
 
 def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:

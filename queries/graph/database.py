@@ -22,8 +22,8 @@ from jrdb_avr.queries.graph.file import (
     ENGINES,
     check_fingerprint,
     check_room,
+    describe_rebuild,
     lock_graph,
-    rebuild_hint,
 )
 from jrdb_avr.schema.catalog import graph_tables
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError, did_you_mean
@@ -130,7 +130,7 @@ def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
             return engine().Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
-                raise StoreError(f"cannot open {path} ({shorten(str(error))}): {rebuild_hint(path)}") from None
+                raise StoreError(f"cannot open {path} ({shorten(str(error))}): {describe_rebuild(path)}") from None
         # A killed process releases the lock of the side file shortly before the lock of the engine.
         if time.monotonic() > end:
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process")
@@ -153,7 +153,7 @@ def translate_error(
         return QueryError(f"stopped after {timeout_s:g} s: {shorten(text)}" if timeout_s else "interrupted")
     if "past the end of the file" in message or "Cannot read from file" in message:
         damage = f"{path} is cut short" if path else "the graph file is cut short"
-        return StoreError(f"{damage}: {rebuild_hint(path)}" if path else damage)
+        return StoreError(f"{damage}: {describe_rebuild(path)}" if path else damage)
     if "Buffer manager exception" in message:
         return QueryError(f"needs more memory than its limit: narrow it (by sequence): {shorten(text)}")
     if "No space left" in message or "File too large" in message or "Cannot write to file" in message:

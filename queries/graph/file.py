@@ -1,7 +1,7 @@
 """The graph file with its side files: the fingerprint and the lock.
 
-The engine has no page checksums and opens a file that was cut short or swapped without an error. The fingerprint,
-`<graph>.json`, is written when the file is built. It shows whether the file is whole and has this program's tables.
+The engine has no page checksums, and opens a truncated or replaced file without an error. The fingerprint
+`<graph>.json` is written when the file is built. It shows whether the file is complete and has this program's tables.
 `load --verify` compares its hash with the file. The hash is not in the manifest, because two builds of the same scene
 differ in their bytes, and manifests of equal stores are equal.
 
@@ -47,7 +47,7 @@ _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
 
 class Fingerprint(msgspec.Struct, frozen=True):
-    """A graph file as built: version of its tables, size in bytes, sha256, and rows per table."""
+    """Properties of a graph file when it was built: version of its tables, size in bytes, sha256 and rows per table."""
 
     storage_version: int
     size: int
@@ -65,7 +65,7 @@ def building_path(graph: Path) -> Path:
     return graph.with_name(f".{graph.name}.building")
 
 
-def fingerprint_of(file: Path, rows: Mapping[str, int]) -> Fingerprint:
+def compute_fingerprint(file: Path, rows: Mapping[str, int]) -> Fingerprint:
     """Return the fingerprint of a finished graph file with its rows per table. Raises OSError."""
     return Fingerprint(STORAGE_VERSION, file.stat().st_size, file_hash(file), dict(rows))
 
@@ -84,7 +84,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
         StoreError: The graph or its fingerprint is missing, cut short or of another version; the message gives the
             command to rebuild.
     """
-    rebuild = rebuild_hint(graph)
+    rebuild = describe_rebuild(graph)
     with contextlib.suppress(OSError):
         _rename_fingerprint(graph)
     try:
@@ -110,7 +110,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
     return built
 
 
-def rebuild_hint(graph: Path) -> str:
+def describe_rebuild(graph: Path) -> str:
     """Return how to rebuild a graph file: by a command in a store, or by the next run for a file of world models."""
     if graph.name != STORE_GRAPH:
         return "give another file, or remove this one: the next run makes a new one"
@@ -211,7 +211,7 @@ def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
         # Remove the old log first, because the engine would replay it into the new file.
         for suffix in _SIDE_FILES:
             graph.with_name(graph.name + suffix).unlink(missing_ok=True)
-        fingerprint_path(temporary).write_bytes(msgspec.json.encode(fingerprint_of(temporary, rows)))
+        fingerprint_path(temporary).write_bytes(msgspec.json.encode(compute_fingerprint(temporary, rows)))
         temporary.replace(graph)
         _rename_fingerprint(graph)
     except OSError as error:

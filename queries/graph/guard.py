@@ -175,7 +175,7 @@ def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> p
     with Graph.open(path, read_only=True, buffer_bytes=_BUFFER_BYTES) as graph:
         plan = graph.explain(cypher, params)
         if plan.functions or plan.writes:
-            raise QueryError("this reads or writes something else than the graph")
+            raise QueryError("the statement reads or writes data outside the graph")
         table = graph.query(cypher, params, ordered=False, timeout_s=timeout_s)
     return table if plan.ordered else _sort(table)
 

@@ -337,7 +337,7 @@ class Graph:
 
 
 @contextlib.contextmanager
-def worker_graph(path: Path) -> Iterator[Graph]:
+def open_worker_graph(path: Path) -> Iterator[Graph]:
     """Yield a session for reading with prepared statements, which a worker process keeps open for its next sequence.
 
     Opening a graph and planning take longer than most statements. Raises StoreError or LockedError as `Graph.open`.
@@ -356,7 +356,7 @@ def worker_graph(path: Path) -> Iterator[Graph]:
 _left_open: dict[Path, Graph] = {}
 
 
-def held_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
+def hold_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
     """Return a context that keeps a graph open if `workers` is 1, so that it is opened once for all sequences.
 
     With several workers the context is empty, because an open graph takes 150 MB. Raises StoreError or LockedError as

@@ -81,7 +81,7 @@ def strip_literals(cypher: str) -> str:
     return _TOKEN.sub(lambda match: match[0] if match["name"] else " " * len(match[0]), cypher)
 
 
-def scalar(value: Any) -> Any:
+def unwrap_scalar(value: Any) -> Any:
     """Convert a numpy scalar, such as a cell of a data frame, to a Python value; return any other value as it is."""
     return value.item() if hasattr(value, "dtype") and getattr(value, "ndim", 1) == 0 else value
 
@@ -91,13 +91,13 @@ def _plain(name: str, value: Any) -> Any:
         return value
     if isinstance(value, int):
         if not -_INT64 <= value < _INT64:
-            raise QueryError(f"${name}: {int(value)} does not fit 64 bits")
+            raise QueryError(f"${name}: {int(value)} does not fit into 64 bits")
         return int(value)
     if isinstance(value, list | tuple):
         return [_plain(name, item) for item in value]
     if isinstance(value, dict):
         return {key: _plain(name, item) for key, item in value.items()}
-    if value is not (converted := scalar(value)):
+    if value is not (converted := unwrap_scalar(value)):
         return _plain(name, converted)
     raise QueryError(f"${name}: a {type(value).__name__} cannot be bound")
 

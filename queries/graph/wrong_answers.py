@@ -106,7 +106,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
             name = condition[:60] or "..."
             raise QueryError(f"the engine answers WHEN {name} THEN wrongly, a bare boolean: write WHEN {name} = true")
     if plan.groups and any(_AFTER_DISTINCT.search(part) for part in _projections(bare)):
-        raise QueryError("the engine loses rows of what is counted after a count(DISTINCT ...): put the DISTINCT last")
+        raise QueryError("the engine returns wrong aggregates after a count(DISTINCT ...): put the DISTINCT last")
     for probe in _order_probes(text):
         kinds = [kind.strip() for types in _KINDS.findall(complaint(probe)) for kind in types.split(",")]
         if not kinds:

@@ -10,7 +10,7 @@ import json
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.queries.questions import in_order
+from jrdb_avr.queries.questions import sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.panorama import crop_left
@@ -154,7 +154,7 @@ def write_runs(path, runs=None):
         store.write_questions(name, table, {})
     for sequence in tables["sequences"]["sequence"].to_pylist():
         store.write_interval("sightings", sequence, made_up_sightings(sequence, rng))
-    questions = in_order(tables["questions"])
+    questions = sort_by_sequence(tables["questions"])
     for number in range(runs or RUN_COUNT):
         run_id = f"run-{number:02}"
         store.write_run(run_id, "predictions", made_up_predictions(questions, rng, run_id))

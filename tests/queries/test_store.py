@@ -130,7 +130,7 @@ def test_no_manifest_says_what_to_run(tmp_path):
 
 
 def test_questions_of_no_store_at_all_are_not_called_missing(tmp_path):
-    with pytest.raises(StoreError, match="is no store: run 'jrdb-avr load"):
+    with pytest.raises(StoreError, match="is not a store: run 'jrdb-avr load"):
         Store(tmp_path / "nowhere").questions("questions")
 
 

@@ -115,18 +115,6 @@ def test_up_to_three_wrong_cells_are_noticed(mark, layout, data):
         assert decoded.mark == first_only(mark)
 
 
-@pytest.mark.slow
-def test_random_cells_are_no_mark():
-    rng = np.random.default_rng(0)
-    found = sum(
-        decode(rng.integers(0, 2, shape).astype(np.uint8)) is not None
-        for shape in ((16, 5), (27, 5), (16, 10))
-        for _ in range(examples(3_000))
-    )
-    # A 17-bit checksum lets one in 131,072 pass, and some of those hold invalid fields.
-    assert found <= examples(1)
-
-
 @settings(max_examples=examples(20), deadline=None)
 @given(any_mark(), st.integers(18, 460), st.integers(40, 470), st.data())
 def test_what_is_drawn_is_read_through_jpeg(mark, w, h, data):
@@ -189,24 +177,6 @@ def test_a_panorama_reads_no_mark_twice():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [0.6, 0.75, 1.5, 2.0])
-def test_scaled_pictures_are_read_or_left_out(scale):
-    rng = random.Random(3)
-    read_count = 0
-    for _ in range(examples(12)):
-        mark = random_mark(rng)
-        image = scene(rng)
-        box = Box(rng.randrange(0, 380), rng.randrange(0, 230), 72, 160)
-        draw(image, box, mark)
-        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        for reading in read(jpeg(small)):
-            read_count += 1
-            assert is_true(reading, mark)
-            assert overlap(reading.box, Box(*(scale * value for value in box))) >= 0.85
-    assert read_count >= 0.9 * examples(12)
-
-
-@pytest.mark.slow
 def test_crowds_noise_and_cuts_give_no_false_reading():
     """Many marks that cover and cut each other, twice through JPEG, with noise: each reading is right."""
     rng = random.Random(1)
@@ -234,46 +204,12 @@ def test_crowds_noise_and_cuts_give_no_false_reading():
     assert readings > 0.05 * drawn > 40
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cover", [0.02, 0.05, 0.2, 0.5, 0.9])
-def test_a_plate_covered_in_part_is_not_read_wrong(cover):
-    rng = random.Random(7)
-    for _ in range(examples(15)):
-        mark = random_mark(rng)
-        image = scene(rng)
-        w, h = rng.randrange(18, 120), rng.randrange(60, 300)
-        box = Box(200, 60, w, h)
-        draw(image, box, mark)
-        # From either side, above or below, up to past the middle.
-        x, y = box.x, box.y
-        reach_x, reach_y = round(w * (0.5 + cover / 2)), round(h * (0.5 + cover / 2))
-        side = rng.randrange(4)
-        if side == 0:
-            image[:, x : x + reach_x] = 120
-        elif side == 1:
-            image[:, x + w - reach_x : x + w] = 20
-        elif side == 2:
-            image[y : y + reach_y] = 120
-        else:
-            image[y + h - reach_y : y + h] = 20
-        assert read(jpeg(image)) == []
-
-
 @pytest.mark.parametrize(
     "mark",
     [
-        Mark(4096),
-        Mark(-1),
-        Mark(1, gender="other"),
-        Mark(1, pose="hopping"),
-        Mark(1, actions=("typing", "reading", "writing")),
-        Mark(1, actions=("flying",)),
-        Mark(1, group=255),
-        Mark(1, distance_dm=255),
-        Mark(1, heading_deg=7),
-        Mark(1, heading_deg=360),
-        Mark(1, partner=3),
-        Mark(1, object="bag"),
+        *(Mark(4096), Mark(-1), Mark(1, gender="other"), Mark(1, pose="hopping"), Mark(1, actions=("flying",))),
+        *(Mark(1, actions=("typing", "reading", "writing")), Mark(1, group=255), Mark(1, distance_dm=255)),
+        *(Mark(1, heading_deg=7), Mark(1, heading_deg=360), Mark(1, partner=3), Mark(1, object="bag")),
     ],
 )
 def test_what_a_mark_cannot_show_is_refused(mark):

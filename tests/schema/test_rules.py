@@ -40,13 +40,8 @@ def test_load_rules_are_overridden_by_their_path():
     changed = override(Rules(), {"load.gap_frames": "3", "max_per_person": "2"})
     assert (changed.load.gap_frames, changed.max_per_person) == (3, 2)
     assert override(Rules(), {}) == Rules()
-
-
-def test_a_word_needs_no_quotes():
+    # A word needs no quotes.
     assert override(Rules(), {"time_shift": "both"}) == override(Rules(), {"time_shift": '"both"'})
-    for name, value in (("time_shift", "neither"), ("max_per_person", "many"), ("time_shift", "\udcff")):
-        with pytest.raises(InputError, match=name):
-            override(Rules(), {name: value})
 
 
 @pytest.mark.parametrize(
@@ -61,7 +56,8 @@ def test_a_word_needs_no_quotes():
         ("max_per_person", '"3"'),
         ("max_per_person", "2.5"),
         ("load.gap_frames", "null"),
-        ("", "1"),
+        ("load.gap_frames", "\udcff"),
+        ("time_shift", "neither"),
         (".", "1"),
     ],
 )
@@ -94,19 +90,6 @@ def test_a_load_rule_out_of_its_range_is_refused(name, value):
 
 
 @pytest.mark.parametrize(
-    "change", [{"sector_true_deg": "45.1"}, {"sector_false_deg": "44.9"}, {"distance_margin": "0.34"}]
-)
-def test_margins_at_which_too_many_words_would_meet_are_refused(change):
-    with pytest.raises(InputError):
-        override(Rules(), {f"load.{name}": value for name, value in change.items()})
-
-
-def test_a_value_that_is_no_unicode_is_refused():
-    with pytest.raises(InputError, match="gap_frames"):
-        override(Rules(), {"load.gap_frames": "\udcff"})
-
-
-@pytest.mark.parametrize(
     ("name", "value"),
     [
         ("min_wait_s", "-5"),
@@ -120,6 +103,9 @@ def test_a_value_that_is_no_unicode_is_refused():
         ("distance_same_m", "2"),
         ("condition_order", '["pose"]'),
         ("condition_order", '["pose", "pose"]'),
+        ("load.sector_true_deg", "45.1"),
+        ("load.sector_false_deg", "44.9"),
+        ("load.distance_margin", "0.34"),
     ],
 )
 def test_a_rule_that_makes_no_sense_is_refused(name, value):

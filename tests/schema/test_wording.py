@@ -29,7 +29,7 @@ from jrdb_avr.schema.templates import FAMILIES, TEMPLATES, Slots
 from jrdb_avr.schema.things import OBJECTS, VERBS
 from jrdb_avr.schema.wording import text as wording
 from jrdb_avr.schema.wording.people import describe, in_order, read_description
-from jrdb_avr.schema.wording.text import moment, parse, question_id, question_key, render
+from jrdb_avr.schema.wording.text import parse, question_id, question_key, render
 
 KEYS = st.text("0123456789abcdef", min_size=64, max_size=64)
 FRAMES = st.integers(0, 600_000)
@@ -139,22 +139,10 @@ def make_plan(form, conditions, frames, actions=("walking", "typing"), relations
     return parse_plan(msgspec.json.encode(document))
 
 
-STATED = {
-    "change": 2,
-    "presence": 3,
-    "distance": 2,
-    "start": 1,
-    "span": 1,
-    "two_hop": 1,
-    "three_hop": 1,
-    "fork_join": 1,
-    "action_search": 1,
-    "later_pose": 2,
-    "consequence": 1,
-    "gap_starts": 1,
-    "gap_absence": 1,
-    "gap_count": 2,
-}
+STATED = dict.fromkeys(("start", "span", "two_hop", "three_hop", "fork_join", "action_search", "consequence"), 1)
+STATED |= {"gap_starts": 1, "gap_absence": 1}
+STATED |= {"change": 2, "distance": 2, "later_pose": 2, "gap_count": 2, "presence": 3}
+"""How many times each form states as frames."""
 HOPS_OF = {"two_hop": 2, "three_hop": 3, "action_search": 2, "later_pose": 2}
 EVENTS = {"start", "span", "action_search", "gap_starts", "gap_absence"}
 """Templates that ask when something happens."""
@@ -185,20 +173,6 @@ def plans(draw, *forms):
 
 
 def test_this_table_holds_the_twelve_templates():
-    assert FAMILIES == {
-        "start": "action_boundary",
-        "span": "action_boundary",
-        "change": "unique_anchor",
-        "presence": "unique_anchor",
-        "distance": "unique_anchor",
-        "two_hop": "chain_2hop",
-        "three_hop": "chain_3hop",
-        "fork_join": "chain_fork_join",
-        "action_search": "chain_hybrid",
-        "later_pose": "long_range",
-        "consequence": "long_range",
-        "gap": "long_range",
-    }
     assert set(TEMPLATES) == set(STATED)
     for name, row in TEMPLATES.items():
         assert row.name == template_of(name) and row.family == FAMILIES[row.name]
@@ -276,15 +250,6 @@ def test_no_two_plans_share_a_text_and_each_is_read_back(form):
         for plan, text in texts.items():
             template, back = parse(text)
             assert (template, canonical(back)) == (template_of(form), plan)
-
-
-@settings(max_examples=examples(25))
-@given(plans(), plans(), KEYS, KEYS, st.booleans(), st.booleans())
-def test_different_plans_have_different_texts(one, other, key, second, about, rough):
-    texts = [
-        render(template_of(form), plan, k, a) for (form, plan), k, a in ((one, key, about), (other, second, rough))
-    ]
-    assert texts[0] != texts[1] or canonical(one[1]) == canonical(other[1])
 
 
 @settings(max_examples=examples(25))
@@ -392,14 +357,6 @@ def test_what_the_refused_texts_are_near_to_is_a_question():
     assert parse(HOPPED.format("child", "A"))[0] == "two_hop"
 
 
-@pytest.mark.parametrize("form", STATED)
-def test_every_paraphrase_is_used(form):
-    relations = {"fork_join": ("conversation", "hugging", SAME_GROUP, SAME_GROUP)}.get(form, ["conversation"] * 3)
-    plan = make_plan(form, [Condition(action="sitting", at="t0")], [150, 225, 300][: STATED[form]], relations=relations)
-    texts = {render(template_of(form), plan, f"{i:064x}") for i in range(30)}
-    assert len(texts) == len(TEMPLATES[form].paraphrases)
-
-
 def test_the_plan_of_a_row_is_the_one_written_here():
     sitting = (Condition(action="sitting", at="t0"),)
     for form, row in TEMPLATES.items():
@@ -414,10 +371,6 @@ def test_the_plan_of_a_row_is_the_one_written_here():
 # -- how it reads ---------------------------------------------------------------------------------------------
 
 DESCRIPTIONS = {
-    "the only person who is sitting and looking into something": [
-        {"action": "sitting"},
-        {"action": "looking into sth"},
-    ],
     "the only person far from the robot (5 to 10 m) who is sitting": [
         {"action": "sitting"},
         {"attribute": "distance", "value": "far"},
@@ -434,8 +387,6 @@ DESCRIPTIONS = {
         {"attribute": "sector", "value": "behind"},
     ],
     "the only person who is walking and carrying a bag": [{"action": "walking"}, {"verb": "carrying", "object": "bag"}],
-    "the only person who is sitting on a chair or sofa": [{"verb": "sitting", "object": "chair/sofa"}],
-    "the only person who is sitting at a table": [{"verb": "sitting", "object": "table"}],
     "the only person who is putting something into a trash bin": [{"verb": "putting_something", "object": "trash_bin"}],
     "the only person who is handling a phone and hugging someone": [
         {"verb": "handling/manipulating", "object": "phone"},
@@ -455,17 +406,6 @@ READ = {
         "Find the only person who is sitting at 10.0 s (frame 150). "
         "At about which frame does that person start looking at the robot for the first time after that?"
     ),
-    ("two_hop", 0, ("conversation", FIRST_LEFT)): (
-        "Find the only person who is sitting at 10.0 s (frame 150); call that person A. At that moment, A is having a "
-        "conversation with exactly one person, B. C is the first person to the left of B as seen from the robot. What "
-        "is C's posture or movement then? For left and right, go by the middle of each person."
-    ),
-    ("three_hop", 2, ("front left, close", SAME_GROUP, "walking toward each other")): (
-        "At 10.0 s (frame 150), find A, the only person who is sitting; then B, the only person who is close to A (0.5 "
-        "to 1.5 m) and to A's front left, from A's own point of view; then C, the only other member of B's group "
-        "in the picture; and then D, the only person walking towards C while C walks towards them. What is D's posture "
-        "or movement at that moment?"
-    ),
     ("fork_join", 0, ("hugging", SAME_GROUP, WINDOWS_LEFT[1], "back, moderate")): (
         "Find the only person who is sitting at 10.0 s (frame 150); call that person A. At that moment, A is hugging "
         "exactly one person, B. A and C are the only two members of their group in the picture. Leaving A, B and C "
@@ -481,11 +421,6 @@ READ = {
         "straight ahead of the robot and 270 is to the robot's right. For left and right, go by the middle of each "
         "person."
     ),
-    ("gap_starts", 2, ()): (
-        "Consider the only person who is sitting at 10.0 s (frame 150), and only what begins after that moment. About "
-        "how many seconds pass from when that person first starts looking at the robot until the same person first "
-        "starts typing?"
-    ),
     ("gap_count", 0, (SAME_GROUP,)): (
         "Find the only person who is sitting at 10.0 s (frame 150). From then until 20.0 s (frame 300), how many other "
         "people are, at one moment or another, in the same group as that person?"
@@ -499,10 +434,6 @@ def test_questions_read_so(case):
     frames = [150, 300][: STATED[form]]
     plan = make_plan(form, [SITTING], frames, ("looking at robot", "typing"), relations)
     assert render(template_of(form), plan, f"{paraphrase:064x}", about=True) == READ[case]
-
-
-def test_moments_read_so():
-    assert moment(28) == "1.9 s (frame 28)"
 
 
 def test_a_long_text_is_refused_soon():

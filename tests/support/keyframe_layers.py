@@ -97,7 +97,7 @@ def layers_in_memory():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(LayerJob, "searching", lambda job: searched(Store(job.store), job.sequence, job.rules))
         patch.setattr(run, "ensure_layer", lambda store, *_: dict.fromkeys(store.manifest().sequences, 0))
-        patch.setattr(run, "held_graph", lambda *_: contextlib.nullcontext())
+        patch.setattr(run, "hold_graph", lambda *_: contextlib.nullcontext())
         yield
 
 

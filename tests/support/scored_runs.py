@@ -11,7 +11,7 @@ from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun
 from jrdb_avr.engine.report.scoring import is_judged, score_predictions
 from jrdb_avr.engine.report.truth import Truth, row_numbers
 from jrdb_avr.engine.run.journal import Journal, KeptEntries, LinePlace, journal_folder
-from jrdb_avr.queries.questions import in_order
+from jrdb_avr.queries.questions import sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice, encode_answer
@@ -83,7 +83,7 @@ class Benchmark:
     def ordered(self, rows):
         """A table of a run in the order in which stores hold it."""
         known = self.tables["questions"].select(["question_id", "sequence"])
-        return in_order(rows.join(known, "question_id", join_type="inner")).select(rows.column_names)
+        return sort_by_sequence(rows.join(known, "question_id", join_type="inner")).select(rows.column_names)
 
     def run(self, given, run_id="r", method="react", model="m"):
         """given: (choice or None, box or None, frame) per question."""

@@ -3,12 +3,10 @@
 import json
 import math
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from belief_stories import hash_of
 from world_calls import (
-    BOX,
     PLAN,
     VICTIM,
     add,
@@ -29,7 +27,6 @@ from world_calls import (
 
 from jrdb_avr.agent.beliefs.display import shown_graph
 from jrdb_avr.agent.beliefs.world_model import MOST_ENTITIES, MOST_WRITES
-from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import validate
@@ -222,16 +219,6 @@ def test_an_interrupted_try_is_taken_away(graph):
     assert shown_graph(second.rows()) == {"observations": [], "entities": [], "relations": [], "missing": []}
 
 
-def test_long_and_unreadable_arguments_are_kept_as_texts(episode):
-    deep = []
-    for _ in range(100_000):
-        deep = [deep]
-    for arguments in (deep, {"id": "x" * 10**6}, {"id": 10**5000}, {"id": {1, 2}}, {"id": math.nan}):
-        assert not episode.add("add_entity", arguments, 1, BOX).accepted
-    while deep:
-        deep = deep[0]
-
-
 # -- side by side -----------------------------------------------------------------------------------------------------
 
 
@@ -268,26 +255,3 @@ def test_two_threads_keep_to_their_own_episode(graph):
         thread.join()
     one, two = (unnamed(tables_of(graph, belongs(e.key)), e.key) for e in (first, second))
     assert one == two and len(one["Has"]) == 12 and len(one["Related"]) == 3
-
-
-@pytest.mark.slow
-def test_sixty_four_episodes_at_once():
-    with WorldGraph.memory() as graph:
-
-        def played(number):
-            episode, writes = begin(graph, number)
-            script(episode, (15,))
-            return episode.key, writes
-
-        with ThreadPoolExecutor(64) as pool:
-            found = list(pool.map(played, range(64)))
-        tables = tables_of(graph)
-        assert len(tables["Episode"]) == 64
-        key, writes = found[0]
-        alone = unnamed(replay(writes, key), key)
-        for key, writes in found:
-            assert unnamed(replay(writes, key), key) == alone
-        assert {table: len(rows) for table, rows in tables.items()} == {t: 64 * len(r) for t, r in alone.items()}
-        assert sorted(map(repr, tables["Has"])) == sorted(
-            repr(row) for key, writes in found for row in replay(writes, key)["Has"]
-        )

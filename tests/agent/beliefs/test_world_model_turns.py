@@ -80,19 +80,6 @@ def test_so_many_writes_wait_at_most(graph):
         assert len(writes) == MOST_WAITING
 
 
-def test_an_entity_may_be_called_like_an_observation(graph):
-    """Edges made together find their ends by numbers, and each end by its own."""
-    episode, writes = begin(graph)
-    with episode.together():
-        for step, frame in enumerate((15, 30, 45), 1):
-            episode.observed(look(frame), step)
-        for name in ("p1", "o3", "o1"):
-            assert add(episode, name).accepted
-            assert say(episode, "action", "sitting", entity=name).accepted
-    assert {row["target"] for row in rows_of(graph, "Has", belongs(episode.key))} == {f"{episode.key}/o1"}
-    assert tables_of(graph, belongs(episode.key)) == replay(writes, episode.key)
-
-
 @pytest.mark.parametrize("place", range(MOST_WAITING - 4, MOST_WAITING + 1))
 def test_the_write_that_is_too_many_to_wait_may_be_a_new_entity(graph, place):
     """What waits is made when it is complete: the newest entity is known to the sightings made with it."""
@@ -133,18 +120,6 @@ def test_a_plan_runs_again_only_where_what_bears_on_it_has_changed(graph):
     assert solved() == ("defined", "sitting", 0)
     assert say(episode, "gender", "male").accepted
     assert solved() == ("empty", None, 0), "as before"
-
-
-def test_a_checked_plan_is_ready_to_run():
-    """`check` has the plan's statement parsed, so that the first `solve` need not."""
-    with WorldGraph.memory() as graph:
-        episode, _ = begin(graph)
-        solver = BeliefSolver(graph, episode.key)
-        episode.observed(look(15), 1)
-        solver.check(PLAN)
-        planned, graph.graph.explain = graph.graph._planned, None
-        solver.solve(PLAN, episode.rows())
-        assert (graph.graph._planned, graph.counts["reads"]) == (planned, 1)
 
 
 def test_a_plan_that_the_engine_refuses_is_still_a_plan(monkeypatch):

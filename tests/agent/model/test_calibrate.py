@@ -229,11 +229,6 @@ def test_any_model_has_a_place_in_the_store(tmp_path, model):
     assert path.name.isascii() and not path.name.startswith(".")
 
 
-def test_models_do_not_share_a_place(tmp_path):
-    models = ["a/b", "a-b", "a b", "a:b", "A-b", "a-b/", "x" * 300, "x" * 301]
-    assert len({convention_path(Store(tmp_path), model) for model in models}) == len(models)
-
-
 @pytest.mark.parametrize("data", [b"", b"{", b"[]", b"\xff", b'{"model": "fake"}'])
 def test_a_broken_calibration_is_told(tmp_path, data):
     store = Store(tmp_path)
@@ -287,15 +282,6 @@ def test_the_command_stores_nothing_that_is_not_clear(public):
     assert "nothing is stored: bbox: no reading explains" in result.stderr
     assert len(json.loads(result.stdout)) == 8
     assert [path.name for path in public.iterdir()] == ["questions"]
-
-
-def test_a_folder_that_is_no_store_is_refused_and_not_made(tmp_path):
-    with FakeServer(sound(writer())) as server:
-        result = run(server, tmp_path / "typo")
-        assert server.requests == []
-    assert isinstance(result.exception, StoreError)
-    assert str(result.exception).startswith(f"{tmp_path / 'typo'} is no store: run 'jrdb-avr load ROOT --store ")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_server_that_takes_one_picture_at_a_time_is_calibrated(public):

@@ -6,19 +6,13 @@ from hypothesis import strategies as st
 
 from jrdb_avr.agent.policy.enclosing import BoundedEvent, between, bounded_events
 from jrdb_avr.agent.policy.explorer import (
-    AROUND,
-    NEARBY,
-    BudgetExhausted,
-    Look,
-    NeedObservation,
-    RestoredExplorer,
     Sighting,
 )
-from jrdb_avr.agent.simulated.notes import Draft, attribute_of, read_notes
+from jrdb_avr.agent.simulated.notes import attribute_of, read_notes
 from jrdb_avr.agent.simulated.requests import Request
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.markers import Mark
-from jrdb_avr.schema.panorama import WIDTH, Box, center_angle, crop_left, from_crop
+from jrdb_avr.schema.panorama import Box, center_angle
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time, canonical
 
 GRAPH = """{"observations": [
@@ -67,32 +61,6 @@ def test_marks_are_put_together_from_what_was_written_at_a_frame():
     assert first.angle == center_angle(1900.0, 60.0)
 
 
-def test_who_was_looked_at_again_was_seen_before_as_well():
-    notes = read_notes(request())
-    assert notes.looks[1].of(7) is not None, "the box of the third look lies inside the second, too"
-    assert notes.looks[0].of(7).frame == 15
-
-
-def test_a_picture_at_hand_says_more_than_the_graph():
-    shown = Look(60, 40.0, (seen(60), seen(60, 8)), name="o3", left=int(crop_left(40.0)))
-    notes = read_notes(request(looks=[shown]))
-    assert notes.newest == (shown,) == notes.looks[2:]
-    assert notes.of(8, 60) is shown.sightings[1]
-
-
-@given(st.floats(0, 359.99), st.integers(-40, 460), st.integers(20, 200))
-def test_a_box_that_was_cut_off_is_not_whole(angle, x, w):
-    left = crop_left(angle)
-    start, end = max(x, 0), min(x + w, 480)
-    box = from_crop(Box(start, 100, end - start, 200), left)
-    graph = GRAPH.replace("180.0}", f"{angle}}}", 1).replace(
-        "[1900, 100, 60, 200]", f"[{box.x % WIDTH}, 100, {box.w}, 200]"
-    )
-    found = read_notes(request(graph)).of(7, 15)
-    assert found.whole is (start >= 1 and end <= 479)
-    assert abs(found.box.x - start) <= 1.01
-
-
 @pytest.mark.parametrize("graph", ["{", '{"observations": [{"observation": "o1"}]}', '{"entities": 3}'])
 def test_a_graph_that_cannot_be_read_is_named(graph):
     with pytest.raises(DecodeError, match="graph"):
@@ -100,35 +68,6 @@ def test_a_graph_that_cannot_be_read_is_named(graph):
 
 
 # -- looking ----------------------------------------------------------------------------------------------------------
-
-
-def test_looks_of_a_frame_are_those_of_the_first_turns_whatever_the_boxes_say():
-    first = seen(15)
-    looks = [Look(15, 180.0, (first,)), Look(60, 150.0, ()), Look(60, 190.0, ())]
-    memory = RestoredExplorer(range(0, 600, 5), looks, 21, known=1)
-    with pytest.raises(NeedObservation) as want:
-        memory.follow(7, 60, NEARBY)
-    assert (want.value.frame, *want.value.angles) == (60, 110.0), "the third turn, from where the first look was made"
-
-
-def test_absences_at_two_times_fit_into_eighteen_looks_less_one():
-    looks = [Look(15, 180.0, (seen(15),))]
-    for left in (16, 17):
-        memory, made = RestoredExplorer(range(0, 600, 5), looks, left, known=1, rounds=2), []
-        for frame in (150, 300):
-            while True:
-                memory = RestoredExplorer(range(0, 600, 5), [*looks, *made], left - len(made), known=1, rounds=2)
-                try:
-                    if frame == 300:
-                        memory.follow(7, 150, AROUND)
-                    memory.follow(7, frame, AROUND)
-                    break
-                except NeedObservation as want:
-                    made.append(Look(want.frame, want.angles[0], ()))
-        assert len(made) == left
-    memory = RestoredExplorer(range(0, 600, 5), looks, 0, known=1)
-    with pytest.raises(BudgetExhausted):
-        memory.follow(7, 150, AROUND)
 
 
 # -- events -----------------------------------------------------------------------------------------------------------
@@ -161,22 +100,6 @@ def test_what_is_looked_at_next_lies_inside_and_is_new(tried, low, width):
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def test_what_the_graph_holds_is_not_written_again():
-    notes = read_notes(request())
-    draft = Draft(notes)
-    first = notes.of(7, 15)
-    draft.person(first, "a")
-    draft.attribute(first, "gender", "female")
-    draft.attribute(first, "action", "sitting")
-    assert draft.calls == []
-    draft.attribute(first, "action", "reading")
-    draft.attribute(first, "action", "reading")
-    draft.attribute(first, "age", None)
-    assert [call["value"] for call in draft.calls] == ["reading"]
-    draft.person(first, "b")
-    assert draft.calls[-1]["node"] == "b" and draft.calls[-1]["observation"] == "o1"
-
-
 @pytest.mark.parametrize(
     ("condition", "written"),
     [
@@ -189,16 +112,3 @@ def test_what_the_graph_holds_is_not_written_again():
 )
 def test_conditions_are_attributes_in_the_solvers_words(condition, written):
     assert attribute_of(condition) == written
-
-
-def test_a_person_over_the_seam_of_a_panorama_is_its_larger_part():
-    over = Sighting(60, Mark(9), Box(3750, 100, 60, 200), True, 2.0, WIDTH)
-    notes = read_notes(
-        request(
-            '{"observations": [{"observation": "o1", "frame_id": "000060", "panorama": true}]}',
-            [Look(60, 180.0, (over,), True, "o1", 0, (WIDTH, 480))],
-        )
-    )
-    draft = Draft(notes)
-    draft.person(over)
-    assert draft.calls[0]["box"] == [0, 208, 13, 625]

@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import json
 import math
-import threading
 import time
 
 import pytest
@@ -163,14 +162,6 @@ def test_an_answer_once_proposed_is_never_lost(world, graph, looks, said):
     assert (game.prediction.evidence is not None) == somebody
 
 
-@settings(max_examples=examples(20))
-@given(st.booleans(), turns_with(some(proposed, st.sampled_from(["o1", "o2", "o9"]))))
-def test_an_answer_once_proposed_in_a_chat_is_never_lost(world, looks, said):
-    game = play(world, said, looks=looks, limits=SMALL)
-    told = proposals(said, len(game.requests))
-    assert game.prediction.answer == (Choice(told[-1]) if told else None)
-
-
 def play_again(world, graph, script):
     game = play(world, script, graph=graph)
     steps = [(step.kind, step.request, step.response) for step in game.steps]
@@ -194,37 +185,6 @@ def test_a_replay_gives_the_same_transcript(world, graph):
     assert play_again(world, graph, script) == first
     with WorldGraph.memory() as other:
         assert play_again(world, other, script) == first
-
-
-def test_sixteen_questions_at_once_do_not_meet(world, graph):
-    """Each question's graph holds what it wrote, and nothing of the others."""
-    beliefs = WorldModel(graph, "many")
-    shown = {}
-
-    def ask(number):
-        chat = Scripted(
-            [PLAN, turn(look(150, 20 * number)), turn(entity(f"p{number}", node="a")), turn(GRAPH), "x", "x"]
-        )
-        agent = ReferenceAgent(chat, world=beliefs, solving=lambda world, question: StubSolver())
-        task = world.task("?", "multiple_choice", ("walking", "standing"))
-        question = dataclasses.replace(task.question, question_id=f"{number:016x}")
-        agent.answer(dataclasses.replace(task, question=question))
-        text = "\n".join(part for part in chat.requests[-1][1].parts if isinstance(part, str))
-        shown[number] = json.loads(text.partition("Graph: ")[2].partition("\n")[0])
-
-    threads = [threading.Thread(target=ask, args=(number,)) for number in range(16)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(shown) == 16
-    for number, told in shown.items():
-        assert [seen["angle_deg"] for seen in told["observations"]] == [20 * number]
-        assert [person["id"] for person in told["entities"]] == [f"p{number}"]
-    held = graph.query(
-        "MATCH (e:Episode)-[:Holds]->(n:Entity) WHERE e.run = 'many' RETURN e.question AS q, n.name AS n ORDER BY q"
-    )
-    assert list(zip(*held.to_pydict().values(), strict=True)) == [(f"{n:016x}", f"p{n}") for n in range(16)]
 
 
 @given(junk)

@@ -5,9 +5,6 @@ import json
 import random
 import subprocess
 import sys
-import threading
-import time
-import urllib.request
 
 import cv2
 import msgspec
@@ -29,15 +26,13 @@ from jrdb_avr.agent.simulated.knobs import (
     parse,
     profile_of,
     settings,
-    turned,
 )
-from jrdb_avr.agent.simulated.noise import with_wrong_boxes, with_wrong_policy, word
+from jrdb_avr.agent.simulated.noise import with_wrong_boxes
 from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
 from jrdb_avr.agent.simulated.server import Server, marker_server
 from jrdb_avr.schema.errors import DecodeError, InputError
-from jrdb_avr.schema.markers import Mark, Reading, encode
-from jrdb_avr.schema.panorama import Box, angle_error, iou
-from jrdb_avr.schema.relations import QUESTION_RELATIONS, SAME_GROUP
+from jrdb_avr.schema.markers import Mark, Reading
+from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
 REACT = "Your next turn, as one JSON object:"
@@ -103,23 +98,6 @@ def test_knobs_are_read_from_texts_and_written_back():
 
 
 @pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        ("wrong_box=.1", {"wrong_box": 0.1}),
-        ("wrong_box=1.", {"wrong_box": 1.0}),
-        ("wrong_box=+0.5", {"wrong_box": 0.5}),
-        ("latency=.5", {"latency": 0.5}),
-        ("seed=007", {"seed": 7}),
-        ("wrong_box=0", {}),
-        ("latency=0.0", {}),
-        ("seed=0", {}),
-    ],
-)
-def test_a_manifest_shows_knobs_that_differ_from_their_defaults(text, shown):
-    assert turned(parse([text])) == shown
-
-
-@pytest.mark.parametrize(
     ("texts", "said"),
     [
         (["wrong=0.1"], "no knob"),
@@ -157,13 +135,6 @@ def test_a_profile_is_a_model_and_knobs_change_it(name):
     changed = parse(["seed=5", "ids=on", "wrong_box=0"], profile)
     assert (changed.seed, changed.ids, changed.wrong_box) == (5, True, 0)
     assert changed.malformed == profile.malformed
-
-
-def test_marker_is_the_perfect_profile_and_other_names_are_other_models():
-    assert profile_of("marker") == profile_of("simulated") == profile_of("simulated:perfect") == PERFECT
-    assert profile_of("simulated-8B") is profile_of("Qwen/Qwen3.5-9B") is profile_of("none") is None
-    with pytest.raises(InputError, match="perfect, noisy, small-vlm"):
-        profile_of("simulated:large")
 
 
 def test_every_knob_has_a_meaning_and_help_lists_it():
@@ -218,64 +189,12 @@ def test_thinking_stands_before_replies_and_changes_none(serve):
     assert [readable(reply) for reply in replies] == [readable(reply) for reply in serve(bodies)]
 
 
-@pytest.mark.parametrize("length", [100, 1000, 5000])
-def test_long_replies_are_malformed_more_often(length):
-    content = json.dumps({"reasoning": ["x" * (length - len('{"reasoning": [""]}'))]})
-    assert len(content) == length
-    for knobs, rate in ((Knobs(malformed_per_kb=0.1), 0), (Knobs(malformed_per_kb=0.1, malformed=0.2), 0.2)):
-        spoiled = sum(word(content, knobs, Draws(seed, "request"))[1] == "malformed" for seed in range(N)) / N
-        expected = 1 - (1 - rate) * 0.9 ** (length / 1000)
-        assert abs(spoiled - expected) < 4 * (expected * (1 - expected) / N) ** 0.5
-
-
-def test_wasted_looks_go_elsewhere_at_the_same_frame():
-    look = {"frame_id": "000030", "angle_deg": 350.0}
-    calls = [{"tool": "observe", **look}, {"tool": "final_answer", "answer": 1, "entity": "p1"}]
-    for reply, found in (({"action": "observe", **look}, lambda r: r), ({"calls": calls}, lambda r: r["calls"][0])):
-        angles = [
-            found(with_wrong_policy(reply, Knobs(policy=RATE), Draws(seed, "request")))["angle_deg"]
-            for seed in range(N)
-        ]
-        wasted = [angle for angle in angles if angle != 350.0]
-        assert abs(len(wasted) / N - RATE) < NEAR
-        assert all(angle_error(angle, 350.0) >= 60 and 0 <= angle < 360 for angle in wasted)
-    kept = with_wrong_policy({"calls": calls}, Knobs(policy=1.0), Draws(0, "request"))
-    assert kept["calls"][1] == calls[1] and kept["calls"][0]["frame_id"] == "000030"
-    final = {"action": "answer", "answer": {"frame_id": "000030", "angle_deg": 5.0}, "evidence_bboxes": []}
-    assert with_wrong_policy(final, Knobs(policy=1.0), Draws(0, "request")) == final
-
-
-@pytest.mark.parametrize(
-    "relation", ["conversation", SAME_GROUP, "first to the left of (robot view)", "front left, close"]
-)
-def test_relations_of_a_plan_are_wrong_at_their_rate(relation):
-    plan = {"root": "a", "edges": [{"source": "a", "relation": relation, "target": "b", "at": "t0"}]}
-    plans = [with_wrong_policy(plan, Knobs(policy=RATE), Draws(seed, "request")) for seed in range(N)]
-    wrong = [one["edges"][0] for one in plans if one != plan]
-    assert abs(len(wrong) / N - RATE) < NEAR
-    assert all(edge["relation"] in QUESTION_RELATIONS and edge["target"] == "b" for edge in wrong)
-    assert relation not in {edge["relation"] for edge in wrong}
-
-
-def test_malformed_replies_are_of_several_kinds(serve):
-    told = {decoded(reply).content for reply in serve([body(salt) for salt in range(60)], malformed=1.0)}
-    assert len(told) == 3
-
-
 def test_replies_depend_on_the_request_alone(serve):
     bodies = [body(salt) for salt in range(200)]
     knobs = {"malformed": 0.3, "refusal": 0.2, "truncated": 0.2, "thinking": 0.5, "seed": 9}
     straight = dict(zip(bodies, serve(bodies, **knobs), strict=True))
     shuffled = random.Random(0).sample(bodies, len(bodies))
     assert dict(zip(shuffled, serve(shuffled, **knobs), strict=True)) == straight
-
-
-def test_latency_is_waited_for(serve, monkeypatch):
-    waits = []
-    monkeypatch.setattr(time, "sleep", waits.append)
-    serve([body()], latency=1.5)
-    serve([body()])
-    assert waits == [1.5, 0.0]
 
 
 def test_the_child_process_takes_its_knobs():
@@ -323,29 +242,6 @@ def test_wrong_boxes_are_another_person_or_shifted_away():
         assert reply["answer"] == 2 and reply["evidence_bboxes"][0]["frame_id"] == "000030"
         assert 0 <= box[0] < box[2] <= 1000 and 0 <= box[1] < box[3] <= 1000 and all(type(v) is int for v in box)
         assert iou(area(box), area(HERS)) < 0.5
-
-
-@pytest.mark.parametrize("box", [[0, 0, 1000, 1000], [0, 0, 1000, 2], [999, 0, 1000, 1000], [0, 400, 600, 401]])
-def test_a_box_without_room_beside_it_is_wrong_as_well(box):
-    for reply in wrong_boxes(evidence(box), [look()], seeds=40, rate=1.0):
-        got = reply["evidence_bboxes"][0]["bbox"]
-        assert 0 <= got[0] < got[2] <= 1000 and 0 <= got[1] < got[3] <= 1000
-
-
-def test_calls_of_the_agent_have_wrong_boxes_one_by_one():
-    calls = [
-        {"tool": "observe", "frame_id": "000030", "angle_deg": 180.0},
-        {"tool": "add_entity", "id": "p0", "kind": "person", "observation": "o1", "box": HERS},
-        {"tool": "add_entity", "id": "p1", "kind": "person", "observation": "o2", "box": HIS},
-        {"tool": "final_answer", "answer": 1, "entity": "p0"},
-    ]
-    looks = [look(Box(100, 100, 60, 200), name="o1"), look(Box(300, 100, 100, 300), name="o2", frame=45)]
-    changed = [reply["calls"] for reply in wrong_boxes({"calls": calls}, looks)]
-    assert all(got[0] == calls[0] and got[3] == calls[3] for got in changed)
-    first = [got[1] != calls[1] for got in changed]
-    second = [got[2] != calls[2] for got in changed]
-    assert abs(sum(first) / N - RATE) < NEAR and abs(sum(second) / N - RATE) < NEAR
-    assert first != second
 
 
 # -- what is read -----------------------------------------------------------------------------------------------------
@@ -398,20 +294,6 @@ def test_a_mark_is_misread_alike_in_one_picture_and_anew_in_the_next():
     assert any(see(bytes([n]), FULL) != other(bytes([n]), FULL) for n in range(50))
 
 
-def test_what_cannot_be_read_is_not_misread_but_an_action_may_be_seen_that_is_not_there():
-    see = reader(Knobs(wrong_attribute=1.0))
-    got = see(b"", Mark(7, pose="sitting"))
-    assert got.pose not in (None, "sitting") and len(got.actions) == 1
-    assert (got.gender, got.age, got.group, got.distance_dm, got.interaction, got.object) == (None,) * 6
-
-
-def test_misread_marks_are_marks():
-    """What is made up can be shown by a mark: nothing is read that could not stand in a picture."""
-    see = reader(Knobs(wrong_attribute=0.7))
-    for number in range(200):
-        encode(see(number.to_bytes(2, "big"), FULL), "tall", 40, 120)
-
-
 def test_the_log_names_the_knob_that_spoiled_an_answer(tmp_path):
     log = tmp_path / "log"
     with Server(log=log, knobs=Knobs(refusal=1.0)) as server:
@@ -432,36 +314,3 @@ def _grey():
 
 
 EMPTY = _grey()
-
-
-def test_sixty_four_at_once_get_what_each_gets_alone(serve):
-    bodies = [body(salt) for salt in range(64)]
-    knobs = Knobs(malformed=0.3, thinking=0.3)
-    alone = serve(bodies, malformed=0.3, thinking=0.3)
-    with Server(knobs=knobs) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
-        thread.start()
-        got = [b""] * 64
-        gate = threading.Barrier(64)
-
-        def ask(number):
-            request = urllib.request.Request(f"{server.url}/chat/completions", bodies[number])
-            gate.wait()
-            with urllib.request.urlopen(request, timeout=30) as response:
-                got[number] = response.read()
-
-        threads = [threading.Thread(target=ask, args=(number,)) for number in range(64)]
-        for one in threads:
-            one.start()
-        for one in threads:
-            one.join()
-        server.shutdown()
-    assert got == alone
-
-
-def test_a_reply_without_a_box_has_none_to_spoil():
-    look = Look(15, 180.0, (), name="o1")
-    reply = {"calls": [{"tool": "final_answer", "answer": 1, "observation": "o1", "box": []}]}
-    assert with_wrong_boxes(reply, [look], Knobs(wrong_box=1.0), Draws(0, "request")) == reply
-    empty = {"evidence_bboxes": []}
-    assert with_wrong_boxes(empty, [look], Knobs(wrong_box=1.0), Draws(0, "request")) == empty

@@ -17,16 +17,12 @@ import urllib.request
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from painted import Actor, World, still
 
 from jrdb_avr.agent.methods.react import ReAct
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.probes import BOX_LINE
-from jrdb_avr.agent.policy.explorer import BudgetExhausted, Explorer, Look, NeedObservation, Sighting
-from jrdb_avr.agent.policy.finding import distance_word, holds
 from jrdb_avr.agent.preflight import CORNER_LINE
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.play import STAGES
@@ -140,69 +136,12 @@ def test_change_wherever_the_person_stands(play, x):
     check_evidence(prediction, box)
 
 
-@pytest.mark.parametrize("turn", range(0, 360, 15))
-def test_change_all_round_with_people_across_the_edges_of_looks(play, turn):
-    x = WIDTH * turn / 360 + 7.3 - 35
-
-    def box(frame):
-        return Box(x + frame / 3, 150, 60, 170)
-
-    prediction = play.change(play.world([who(box)]), (pose("standing"), FEMALE))
-    assert prediction.answer.choice == 2
-    check_evidence(prediction, box)
-
-
-@pytest.mark.parametrize(("w", "h"), [(20, 60), (26, 90), (44, 130), (120, 300), (300, 420), (470, 470)])
-def test_change_of_people_small_and_large(play, w, h):
-    def box(frame):
-        return Box(3690, 470 - h, w, h)
-
-    prediction = play.change(play.world([who(box)]), (pose("standing"),))
-    assert prediction.answer.choice == 2
-    check_evidence(prediction, box, 0.8)
-
-
 def test_nobody_readable_is_no_box(play):
     prediction = play.change(play.world([*CROWD]), (pose("standing"),))
     assert prediction.status == "invalid"
     assert prediction.evidence is None
     assert prediction.answer is not None
     assert any("mark unreadable" in reason for reason in play.missing())
-
-
-def test_the_group_is_counted_all_round(play):
-    actors = [
-        still(100 + 500 * i, 30 + i, pose="walking", group=group, gender="male", distance_dm=60)
-        for i, group in enumerate((1, 1, 2, 2, 2, 0))
-    ]
-    actors.append(still(3500, 40, pose="standing", group=1, gender="female", distance_dm=60))
-    actors[4] = Actor(
-        actors[4].box, lambda f: Mark(34, pose="walking" if f < 90 else "lying", group=2, gender="female")
-    )
-    three = Condition(attribute="group_size", value=3, at="t0")
-    prediction = play.change(play.world(actors), (pose("walking"), FEMALE, three))
-    assert prediction.answer.choice == POSES.index("lying") + 1
-    check_evidence(prediction, actors[4].box)
-
-
-def test_sector_and_distance_words(play):
-    def box(frame):
-        return Box(880, 120, 70, 220)
-
-    actors = [
-        who(box, distance_dm=70),
-        still(1000, 8, pose="standing", distance_dm=20),
-        still(1900, 9, pose="standing"),
-    ]
-    conditions = (
-        pose("standing"),
-        Condition(attribute="sector", value="left", at="t0"),
-        Condition(attribute="distance", value="far", at="t0"),
-    )
-    prediction = play.change(play.world(actors), conditions)
-    assert prediction.answer.choice == 2
-    assert prediction.n_observations <= 5
-    check_evidence(prediction, box)
 
 
 @pytest.mark.parametrize("there", [(True, True), (True, False), (False, True), (False, False)])
@@ -260,83 +199,7 @@ def test_span(play, first, last):
     check_evidence(prediction, box)
 
 
-def test_a_search_without_end_spends_the_budget_and_says_so(play):
-    def box(frame):
-        return Box(3300 + frame * 0.3, 120, 70, 220)
-
-    actor = who(box, until=10_000)
-    world = play.world([actor, *CROWD[:3]], tuple(range(0, 3000)))
-    prediction = play.start(world, (pose("standing"),), "reading", 15)
-    assert prediction.n_observations <= 24
-    assert play.missing()
-    check_evidence(prediction, box)
-
-
 # -- parts ------------------------------------------------------------------------------------------------------------
-
-
-def sighting(frame=0, x=200.0, angle=180.0, identity=7, complete=True, **mark):
-    return Sighting(frame, Mark(identity, **mark), Box(x, 100, 70, 200), complete, angle)
-
-
-def eyes_of(looks=(), left=24):
-    return Explorer(tuple(range(0, 100, 5)), looks, left)
-
-
-def test_eyes_replay_what_was_seen_and_want_the_next():
-    eyes = eyes_of([Look(0, 180.0, (sighting(),)), Look(50, 90.0, ())], left=22)
-    assert eyes.spare() == 23
-    assert eyes.look(0, 180.0).of(7) is not None
-    assert eyes.sightings(7)[0].frame == 0
-    assert eyes.look(0, 180.4) is eyes.looks[0]
-    eyes.look(50, 90.0)
-    with pytest.raises(NeedObservation) as caught:
-        eyes.look(50, 135.0)
-    assert (caught.value.frame, *caught.value.angles) == (50, 135.0)
-
-
-def test_eyes_keep_one_look_for_the_evidence():
-    eyes = eyes_of([Look(0, 180.0, (sighting(),))], left=1)
-    eyes.look(0, 180.0)
-    with pytest.raises(BudgetExhausted):
-        eyes.look(5, 180.0)
-    with pytest.raises(NeedObservation) as caught:
-        eyes.again(0, 180.0)
-    assert abs(caught.value.angles[0] - 180.0) > 1.0
-
-
-def test_legal_is_the_nearest_frame():
-    eyes = eyes_of()
-    assert [eyes.legal(f) for f in (-9, 0, 2, 3, 94, 1000)] == [0, 0, 0, 5, 95, 95]
-
-
-def test_conditions_are_three_valued():
-    person = sighting(pose="standing", actions=("reading",), gender=None, distance_dm=50, group=3, partner=9)
-    people = [person, sighting(identity=8, group=3)]
-
-    def check(**condition):
-        return holds(Condition(**condition), person, people)
-
-    assert check(action="standing", at="t0") is True
-    assert check(action="sitting", at="t0") is False
-    assert check(action="reading", at="t0") is True
-    assert check(action="typing", at="t0") is False
-    assert check(attribute="gender", value="male") is None
-    assert check(attribute="group_size", value=2, at="t0") is True
-    assert check(attribute="group_size", value=1, at="t0") is False
-    assert check(attribute="group_size", value=3, at="t0") is None
-    assert holds(Condition(attribute="group_size", value=1, at="t0"), person, [person]) is False
-    assert check(attribute="sector", value="ahead", at="t0") is True
-    assert check(attribute="distance", value="moderate", at="t0") is True
-    two = sighting(actions=("reading", "typing"), complete=False)
-    assert holds(Condition(action="writing", at="t0"), two, [two]) is None
-    assert holds(Condition(interaction="conversation", at="t0"), two, [two]) is None
-    assert holds(Condition(action="standing", at="t0"), two, [two]) is None
-
-
-def test_distance_words():
-    words = [distance_word(d) for d in (0.5, 0.6, 1.5, 1.6, 5.0, 10.0, 10.1)]
-    assert words == ["very close", "close", "close", "moderate", "moderate", "far", "very far"]
 
 
 # -- the server -------------------------------------------------------------------------------------------------------
@@ -424,30 +287,6 @@ def test_requests_that_the_server_cannot_understand(play, body):
     status, reply = post(play.server.url, body)
     assert status == 400, reply
     assert "\n" not in reply["error"]["message"]
-
-
-@pytest.mark.slow
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    st.recursive(
-        st.none() | st.booleans() | st.integers(0, 9) | st.text(max_size=9) | st.sampled_from(["image_url", PLACE]),
-        lambda inner: (
-            st.lists(inner, max_size=4)
-            | st.dictionaries(st.sampled_from(["content", "type", "text", "image_url", "url", "role"]), inner)
-        ),
-    )
-)
-def test_any_message_is_answered(play, message):
-    parts = json.loads(prompt())["messages"][0]["content"]
-    for messages in ([message], [{"content": message}], [{"content": [*parts[:-1], message, parts[-1]]}]):
-        status, _ = post(play.server.url, json.dumps({"messages": messages}).encode())
-        assert status in (200, 400)
-
-
-def test_other_talk_gets_a_polite_reply(play):
-    body = json.dumps({"messages": [{"role": "user", "content": "hello"}]}).encode()
-    status, reply = post(play.server.url, body)
-    assert (status, json.loads(reply["choices"][0]["message"]["content"])) == (200, {"ok": True})
 
 
 def test_a_model_named_like_a_profile_has_its_knobs():

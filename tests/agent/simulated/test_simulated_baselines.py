@@ -14,14 +14,10 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.policy.explorer import FixedExplorer, Look, Sighting
 from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.agent.simulated.facts import known_facts, shown_there, write_facts
-from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server
-from jrdb_avr.schema.answers import frames_iou
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.markers import Mark
-from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
-from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
-from jrdb_avr.schema.relations import FIRST_RIGHT, SAME_GROUP
+from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
 from jrdb_avr.schema.things import OBJECTS
 from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import render
@@ -125,18 +121,6 @@ def test_of_a_person_over_the_seam_the_larger_part_is_boxed(play, x, part):
     assert iou(Box(*prediction.evidence.box), Box(x, 120, 80, 220)) > 0.6
 
 
-def test_of_several_pictures_one_that_shows_the_person_whole_is_given(play):
-    def box(frame):
-        return Box(3720 if frame < 60 else 3600, 120, 80, 220)
-
-    world = play.world([who(box), *CROWD])
-    prediction = play.change(ChainOfThought, world, [STANDING])
-    assert prediction.evidence.frame == 60
-    check_box(prediction, box)
-    once = play.change(Monolithic, world, [STANDING])
-    assert once.evidence.frame == 15, "read once, where the person was recognized"
-
-
 def test_nobody_who_fits_is_no_box_and_the_answer_is_a_guess(play):
     prediction = play.change(Monolithic, play.world(CROWD, TWO), [STANDING])
     assert prediction.status == "invalid" and prediction.evidence is None
@@ -156,16 +140,6 @@ def test_between_two_panoramas_the_nearest_one_is_taken_and_that_is_told(play):
     assert prediction.answer.choice == POSES.index("sitting") + 1
     check_box(prediction, person.box)
     assert play.missing()[-2:] == ["not shown: t0", "not shown: t1"]
-
-
-def test_who_is_not_in_the_nearest_panorama_is_sought_in_others(play):
-    person = who(lambda f: Box(1800, 120, 70, 220) if f > 250 else None, until=900)
-    world = play.world([person, CROWD[0]], SPARSE)
-    prediction = play.change(ChainOfThought, world, [STANDING, FEMALE], t0=140, t1=380)
-    assert prediction.answer.choice == POSES.index("standing") + 1
-    check_box(prediction, person.box)
-    once = play.change(Monolithic, world, [STANDING, FEMALE], t0=140, t1=380)
-    assert once.evidence is None and any("nobody who was read fits" in reason for reason in play.missing())
 
 
 class Retold:
@@ -211,35 +185,6 @@ def test_facts_are_read_back_as_they_were_written():
     assert known_facts(["Panorama 1: {}"], [look]) is None
 
 
-@pytest.mark.parametrize("there", [(True, True), (True, False), (False, True), (False, False)])
-def test_presence(play, there):
-    def box(frame):
-        return Box(1800, 120, 70, 220) if frame < 30 or there[frame > 75] else None
-
-    spec = AnswerSpec(mode="multiple_choice", read="presence", of="a", at=("t1", "t2"))
-    times = {"t0": 15, "t1": 60, "t2": 105}
-    prediction = play.ask(
-        Monolithic, play.world([who(box), *CROWD], (15, 60, 105)), "presence", [STANDING], spec, times, PRESENCE_ANSWERS
-    )
-    assert prediction.answer.choice == {(1, 1): 1, (1, 0): 2, (0, 1): 3, (0, 0): 4}[there]
-    check_box(prediction, box)
-
-
-@pytest.mark.parametrize(("later", "expected"), [(30, 1), (70, 2), (53, 3), (None, 4)])
-def test_distance(play, later, expected):
-    def box(frame):
-        return Box(500, 120, 70, 220) if frame < 60 or later is not None else None
-
-    actor = Actor(box, lambda f: Mark(7, pose="standing", distance_dm=50 if f < 60 else later))
-    spec = AnswerSpec(mode="multiple_choice", read="distance_change", of="a", at=("t0", "t1"))
-    times = {"t0": 15, "t1": 90}
-    prediction = play.ask(
-        Monolithic, play.world([actor, *CROWD], TWO), "distance", [STANDING], spec, times, DISTANCE_ANSWERS
-    )
-    assert prediction.answer.choice == expected
-    check_box(prediction, box)
-
-
 # -- events between panoramas -----------------------------------------------------------------------------------------
 
 
@@ -257,90 +202,6 @@ def test_a_start_lies_in_the_middle_between_two_panoramas(play, method):
     check_box(prediction, person.box)
 
 
-def test_a_span_lies_between_panoramas(play):
-    person = Actor(
-        lambda f: Box(1700, 120, 70, 220),
-        lambda f: Mark(7, pose="sitting" if 210 <= f <= 480 else "standing", gender="female", distance_dm=50),
-    )
-    spec = AnswerSpec(mode="span", read="span", of="a", at=("t1", "t2"))
-    times = {"t0": 100, "t1": start_of("sitting"), "t2": Time(event="end", of="a", action="sitting", after="t1")}
-    prediction = play.ask(Monolithic, play.world([person, *CROWD], SPARSE), "span", [STANDING], spec, times)
-    assert (prediction.answer.start_frame, prediction.answer.end_frame) == (250, 450)
-    assert frames_iou(prediction.answer, type(prediction.answer)(210, 480)) > 0.5
-
-
-def test_seconds_between_two_starts(play):
-    person = Actor(
-        lambda f: Box(1700, 120, 70, 220),
-        lambda f: Mark(7, pose="sitting" if f >= 210 else "standing", actions=("reading",) if f > 520 else ()),
-    )
-    spec = AnswerSpec(mode="number", read="seconds_between", of="a", at=("t1", "t2"))
-    times = {"t0": 100, "t1": start_of("sitting"), "t2": start_of("reading")}
-    prediction = play.ask(Monolithic, play.world([person, *CROWD], SPARSE), "gap", [STANDING], spec, times)
-    assert prediction.answer.value == pytest.approx((550 - 250) / 15, abs=0.06)
-
-
-def test_seconds_of_an_absence(play):
-    person = who(lambda f: Box(1700, 120, 70, 220) if not 210 < f < 480 else None, until=1000)
-    spec = AnswerSpec(mode="number", read="seconds_between", of="a", at=("t1", "t2"))
-    times = {
-        "t0": 100,
-        "t1": Time(event="leaves", of="a", after="t0"),
-        "t2": Time(event="returns", of="a", after="t1"),
-    }
-    prediction = play.ask(Monolithic, play.world([person, *CROWD], SPARSE), "gap", [STANDING], spec, times)
-    assert prediction.answer.value == pytest.approx((450 - 250) / 15, abs=0.06)
-    check_box(prediction, person.box)
-
-
-def test_a_count_of_all_who_are_seen(play):
-    def member(number, first):
-        return Actor(
-            lambda f: Box(400 + 400 * number, 120, 70, 220) if f >= first else None,
-            lambda f: Mark(30 + number, pose="walking", group=4, distance_dm=60),
-        )
-
-    person = who(lambda f: Box(1800, 400 - 220, 70, 220), group=4, until=10_000)
-    spec = AnswerSpec(mode="number", read="count", of="a", at=("t1", "t2"), relation=SAME_GROUP)
-    actors = [person, member(1, 0), member(2, 30), member(4, 0), member(5, 60), CROWD[0]]
-    at_t1 = Condition(action="standing", at="t1")
-    prediction = play.ask(Monolithic, play.world(actors), "gap", [at_t1], spec, {"t1": 0, "t2": 105})
-    assert prediction.answer.value == 4
-
-
-def test_hops_are_walked_in_the_panorama(play):
-    actors = [
-        who(lambda f: Box(3500, 120, 70, 220)),
-        still(3700, 8, pose="walking", gender="male", distance_dm=40),
-        still(120, 9, pose="lying", gender="male", distance_dm=40),
-        still(1500, 10, pose="sitting", gender="male", distance_dm=40),
-    ]
-    edges = [Edge("a", FIRST_RIGHT, "b", "t0"), Edge("b", FIRST_RIGHT, "c", "t0")]
-    spec = AnswerSpec(mode="multiple_choice", read="action", of="c", at="t0")
-    for method in (*FIXED, SearchRecognize):
-        prediction = play.ask(method, play.world(actors, TWO), "two_hop", [FEMALE], spec, {"t0": 15}, POSES, edges)
-        assert prediction.answer.choice == POSES.index("lying") + 1
-        check_box(prediction, actors[2].box)
-
-
-def test_a_viewpoint_is_where_the_person_is_seen_next_to_the_moment(play):
-    def box(frame):
-        return Box(400 + 3 * frame, 120, 70, 220)
-
-    actors = [
-        still(2600, 5, pose="standing", gender="female", distance_dm=50),
-        still(3000, 6, pose="walking", gender="male", distance_dm=50),
-        Actor(box, lambda f: Mark(7, pose="sitting" if f >= 310 else "walking", gender="male", distance_dm=50)),
-    ]
-    edges = [Edge("a", FIRST_RIGHT, "b", "t0"), Edge("b", FIRST_RIGHT, "c", "t0")]
-    spec = AnswerSpec(mode="frame_viewpoint", read="start_view", of="c", at="t1")
-    times = {"t0": 0, "t1": Time(event="start", of="c", action="sitting", after="t0")}
-    actors[2].box = lambda f: Box(3300 + f, 120, 70, 220)
-    prediction = play.ask(Monolithic, play.world(actors, SPARSE), "action_search", [FEMALE], spec, times, edges=edges)
-    assert prediction.answer.frame == 350
-    assert angle_error(prediction.answer.angle_deg, (3300 + 350 + 35) * 360 / WIDTH) < 6
-
-
 # -- search, then recognize -------------------------------------------------------------------------------------------
 
 
@@ -356,28 +217,3 @@ def test_search_refines_the_box_in_its_crop(play, x):
     assert prediction.n_model_calls == 3 and prediction.evidence.frame == 15
     assert prediction.answer.choice == POSES.index("sitting") + 1
     assert "not shown: t1" in play.missing()
-
-
-def test_search_without_a_person_proposes_no_box(play):
-    prediction = play.change(SearchRecognize, play.world(CROWD, TWO), [STANDING])
-    assert prediction.status == "invalid" and "exactly one box" in prediction.reason
-    # Two proposals, and the answer from the panoramas, also twice.
-    assert prediction.n_model_calls == 4
-
-
-@pytest.mark.slow
-def test_a_proposal_beside_the_person_is_mended_in_the_crop(tmp_path):
-    play = Play(tmp_path, Knobs(wrong_box=0.5, seed=4))
-    mended = spoiled = 0
-    for number in range(10):
-        truth, steps = Box(600 + 250 * number, 120, 70, 220), []
-        person = who(lambda _, truth=truth: truth, until=900)
-        prediction = play.change(SearchRecognize, play.world([person], TWO), [STANDING], steps=steps)
-        proposal = first_reply(steps)["evidence_bboxes"][0]["bbox"]
-        beside = abs(proposal[0] * WIDTH / 1000 - truth.x) > 0.5 * truth.w
-        right = iou(Box(*prediction.evidence.box), truth) > 0.9
-        mended += beside and right
-        spoiled += beside and not right
-    play.server.shutdown()
-    play.server.server_close()
-    assert mended and spoiled, "the crop shows the person all the same, and its box may be wrong there too"

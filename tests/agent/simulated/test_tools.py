@@ -8,7 +8,6 @@ import pytest
 from painted import World, still
 
 from jrdb_avr.agent.model.messages import picture_of
-from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.server import Server, marker_server
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box, from_crop, iou
@@ -98,28 +97,6 @@ def test_without_tools_to_call_the_reply_is_plain_json(server):
     (call,) = asked(server, messages, tools=TOOLS)["message"]["tool_calls"]
     assert call["function"]["name"] == turn.pop("action") == "observe"
     assert json.loads(call["function"]["arguments"]) == turn
-
-
-def test_an_answer_can_be_forced(server):
-    messages = [{"role": "user", "content": HEADING}]
-    choice = {"type": "function", "function": {"name": "final_answer"}}
-    (call,) = asked(server, messages, tools=TOOLS, tool_choice=choice)["message"]["tool_calls"]
-    assert json.loads(call["function"]["arguments"])["answer"] in (1, 2)
-
-
-def test_arguments_that_a_tool_does_not_declare_are_left_out(server):
-    messages = [{"role": "user", "content": HEADING}]
-    choice = {"type": "function", "function": {"name": "answer"}}
-    (call,) = asked(server, messages, tools=[OBSERVE, tool("answer", answer={})], tool_choice=choice)["message"][
-        "tool_calls"
-    ]
-    assert set(json.loads(call["function"]["arguments"])) == {"answer"}
-
-
-def test_a_malformed_reply_is_text_in_place_of_a_call(world):
-    with Server(knobs=Knobs(malformed=1.0)) as server:
-        choice = asked(server, [{"role": "user", "content": HEADING}], tools=TOOLS)
-    assert choice["finish_reason"] == "stop" and "tool_calls" not in choice["message"] and choice["message"]["content"]
 
 
 @pytest.mark.parametrize(

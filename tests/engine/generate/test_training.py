@@ -177,6 +177,6 @@ def test_held_out_questions_are_not_overwritten(held_out, tmp_path):
     before = files(held_out)
     with pytest.raises(InputError, match="into another store"):
         generate(held_out, profile="train", disjoint_from=held_out.path / "questions" / "..", workers=1)
-    with pytest.raises(StoreError, match="is no store"):
+    with pytest.raises(StoreError, match="is not a store"):
         generate(held_out, profile="train", disjoint_from=tmp_path, workers=1)
     assert files(held_out) == before

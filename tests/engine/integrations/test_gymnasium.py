@@ -157,7 +157,7 @@ def test_the_reward_is_the_judges_where_asked_for(small_demo, by_evaluate, make)
         env.close()
     # A box of the whole crop, straight behind, proves nothing.
     assert rewards == {"answer": 1.0, "combined": 0.0}
-    with pytest.raises(StoreError, match="is no store"):
+    with pytest.raises(StoreError, match="is not a store"):
         make(reward="combined")
 
 

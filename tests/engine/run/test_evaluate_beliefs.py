@@ -217,7 +217,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
             jrdb_avr("world", "drop", run_id, "--store", store.path)
     (row,) = json.loads(jrdb_avr("world", "merge", "silent", "--store", store.path, "--json").stdout)
     assert (row["episodes"], row["writes"]) == (0, 0)
-    with pytest.raises(StoreError, match="is no store"):
+    with pytest.raises(StoreError, match="is not a store"):
         jrdb_avr("world", "merge", "one", "--store", tmp_path / "typo")
     store.graph_path.unlink()
     with pytest.raises(StoreError, match="has no graph"):

@@ -14,7 +14,7 @@ from question_files import keep_only, rewrite
 from jrdb_avr.engine.rederive import Annotations
 from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, check_replay, read_records
 from jrdb_avr.engine.validate.replay import differences
-from jrdb_avr.queries.graph.file import check_fingerprint, fingerprint_of, fingerprint_path
+from jrdb_avr.queries.graph.file import check_fingerprint, compute_fingerprint, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
@@ -231,7 +231,7 @@ def test_a_fact_changed_in_the_keyframe_layer_is_noticed(one):
         )
     # As if it had been built so: else the file is taken for damaged.
     rows = check_fingerprint(store.graph_path).rows
-    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path, rows)))
+    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(compute_fingerprint(store.graph_path, rows)))
     faults = run(store).faults
     assert any(fault.startswith(name) for fault in faults["replay"])
     assert "compiled" not in faults
@@ -258,7 +258,7 @@ def test_a_fact_changed_in_the_scene_is_noticed(one):
         )
     # As if it had been built so: else the file is taken for damaged.
     rows = check_fingerprint(store.graph_path).rows
-    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(fingerprint_of(store.graph_path, rows)))
+    fingerprint_path(store.graph_path).write_bytes(msgspec.json.encode(compute_fingerprint(store.graph_path, rows)))
     faults = run(store).faults
     assert any(fault.startswith(f"{name}: answer: ") and fault.endswith("now lying") for fault in faults["compiled"])
     assert "replay" not in faults

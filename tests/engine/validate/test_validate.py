@@ -266,7 +266,7 @@ def test_metadata_is_looked_at(few):
 
 
 def test_missing_and_broken_files_are_one_line(few, tmp_path):
-    with pytest.raises(StoreError, match="is no store: run 'jrdb-avr load"):
+    with pytest.raises(StoreError, match="is not a store: run 'jrdb-avr load"):
         Store(tmp_path / "nothing").questions("questions")
     path = few.question_path("evidence")
     path.write_bytes(b"PAR1 nothing")
