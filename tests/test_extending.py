@@ -226,7 +226,7 @@ def test_a_layer_takes_a_reader_a_table_and_their_names(copy, tmp_path):
         "from jrdb_avr.loaders.problems import",
         "from jrdb_avr.loaders.layers.toys import load_toys\n",
     )
-    copy.insert("schema/tables.py", '    "timestamps",\n    "images",\n', '    "toys",\n')
+    copy.insert("schema/tables.py", '    *("timestamps", "images"),\n', '    "toys",\n')
     copy.insert(
         "schema/tables.py",
         '    "groups": ("Group of each person.',

@@ -85,6 +85,8 @@ def decode_file(path: Path, form: type[_F]) -> _F:
         return msgspec.json.decode(data, type=form)
     except msgspec.ValidationError as error:
         raise InputError(f"{path.name}: {error}".replace("`", ""), file=path.name) from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path.name}: not UTF-8 at byte {error.start}", file=path.name) from None
     except BROKEN as error:
         raise InputError(f"{path.name}: not JSON: {error}", file=path.name) from None
 
@@ -136,7 +138,7 @@ def fault_of(error: BaseException) -> tuple[str, str]:
     reason, _, path = str(error).partition(" - at `$")
     field = path.split("[")[0].strip(".`")
     if missing := _MISSING.fullmatch(reason):
-        return "is missing", f"{field}.{missing[1]}".strip(".")
+        return f"{missing[1]} is missing", f"{field}.{missing[1]}".strip(".")
     return reason.replace("`", ""), field
 
 

@@ -9,12 +9,9 @@ import math
 
 import pytest
 from loaded_stores import NAME, load_root, reported_store
-from worlds import VISIBLE, load_reported, load_world, member, person, person_3d, pose, thing, write_root
+from worlds import VISIBLE, load_reported, member, person, person_3d, pose, thing, write_root
 
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.rules import Rules
-
-BOX = (100, 60, 50, 200)
 
 
 def placed(track):
@@ -446,29 +443,6 @@ def test_case_26_tracks_with_gaps(tmp_path):
     assert rows(store, "actions", "first", "last", "certain") == [(0, 19, True), (25, 39, True), (55, 59, True)]
     assert rows(store, "possible_actions", "first", "last", "gap") == [(20, 24, True)]
     assert report.problems == []
-
-
-@pytest.mark.slow
-def test_case_27_short_tracks_give_no_question_of_change(tmp_path):
-    from jrdb_avr.engine.generate.run import generate
-
-    def here(frame):
-        someone = person(1, (100, 60, 50, 200), {"walking" if frame < 150 else "sitting": 1}, (1, 1))
-        other = person(2, (900, 60, 50, 200), {"standing": 1}, (2, 1))
-        passing = [person(3, (1800, 60, 50, 200), {"bending": 1}, (3, 1))] if frame == 90 else []
-        return [someone, other, *passing]
-
-    store = load_world(tmp_path, {NAME: {"2d": {f: here(f) for f in range(0, 300, 15)}}})
-    generate(store, Rules(), workers=1)
-    import pyarrow.parquet as pq
-
-    answers = pq.read_table(store.path / "questions" / "answers.parquet").to_pylist()
-    questions = pq.read_table(store.path / "questions" / "questions.parquet").to_pylist()
-    asked = {row["question_id"]: row["template"] for row in questions}
-    targets = {(row["target_track"], asked[row["question_id"]]) for row in answers}
-    changes = {"change", "start", "span", "later_pose"}
-    assert {template for track, template in targets if track == 1} & changes
-    assert not {template for track, template in targets if track == 3} & changes
 
 
 def test_case_28_groups_and_actions_are_independent(tmp_path):

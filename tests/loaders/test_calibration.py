@@ -86,12 +86,10 @@ def test_a_matrix_may_be_written_in_several_ways(tmp_path, matrix):
 BAD = {
     "eight numbers": "470 0 350 0 480 205 0 0",
     "NaN": "470 0 350 0 .nan 205 0 0 1",
-    "words": "470 0 350 0 fy 205 0 0 1",
     "underscores": "4_70 0 350 0 480 205 0 0 1",
     "too large": "470 0 350 0 1e400 205 0 0 1",
     "no camera": "470 0 350 0 480 205 0 0 2",
     "negative": "470 0 350 0 -480 205 0 0 1",
-    "a mapping": "{a: 1}",
     "nothing": "",
     "nested": "[[[470]], 0, 350, 0, 480, 205, 0, 0, 1]",
 }
@@ -118,14 +116,12 @@ BOMB = "a: &a [x, x]\n" + "".join(
 )
 BROKEN = {
     "empty": "",
-    "a list": "[]",
     "no cameras": "lidars: {}",
     "cameras as text": "cameras: all",
     "not YAML": "cameras: [\n  x: {",
     "deep": "cameras: " + "[" * 1000,
     "code": "!!python/object/apply:os.system ['true']",
     "bytes": b"\xff\xfe\x00",
-    "control characters": "cameras: \x07",
     "bomb": BOMB,
     "large": "# " + "x" * 70_000,
     "an unknown alias": "cameras: *who",
@@ -140,13 +136,6 @@ def test_a_broken_file_costs_itself_and_no_time(tmp_path, content):
     assert rows == [] and report.cameras is None and report.boxes == 1
     assert [(p.kind, p.layer) for p in report.problems] == [("file", "calibration")]
     assert "cameras.yaml" in report.problems[0].reason
-
-
-def test_repeated_sensors_keep_the_first(tmp_path):
-    text = cameras(USUAL[0]) + "  sensor_0:\n" + USUAL[1]
-    rows, problems = read(tmp_path, text)
-    assert rows == ROWS[:1]
-    assert [p.reason for p in problems] == ["key twice, the first is kept"]
 
 
 @pytest.mark.skipif(not CAMERAS.is_file(), reason="the real calibration is not here")

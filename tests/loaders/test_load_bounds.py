@@ -6,8 +6,6 @@ them), or what stands in their place is no file that can be reached.
 
 from __future__ import annotations
 
-import os
-
 import pytest
 from loaded_stores import NAME, load_root, read_store
 from worlds import load_reported, member, person, person_3d, write_root
@@ -74,26 +72,13 @@ def test_a_file_that_says_too_much_is_refused_and_the_rest_loads(monkeypatch, tm
     assert set(found.frames) == {"2d", "actions", "groups", "images"} and found.tables["boxes_2d"].num_rows == 2
 
 
-@pytest.mark.parametrize("kind", ["a link to itself", "a link to nothing", "a folder without rights"])
+@pytest.mark.parametrize("target", ["itself", "nothing"])
 @pytest.mark.parametrize("layer", ["calibration", "timestamps"])
-def test_what_cannot_be_followed_is_said_and_costs_its_layer_alone(tmp_path, monkeypatch, layer, kind):
+def test_a_link_that_leads_nowhere_costs_its_layer_alone(tmp_path, layer, target):
     root = write_root(tmp_path / "root", {NAME: {"2d": {0: [person(1, BOX)]}}})
     place = root / layer / ("cameras.yaml" if layer == "calibration" else NAME)
     place.parent.mkdir()
-    if kind == "a folder without rights":
-        # The tests may run as a user whom no right stops.
-        denied = PermissionError(13, "Permission denied", str(place))
-        for name in ("stat", "lstat"):
-            look = getattr(os, name)
-
-            def refuse(path, *args, look=look, **more):
-                if str(path).startswith(str(place)):
-                    raise denied
-                return look(path, *args, **more)
-
-            monkeypatch.setattr(os, name, refuse)
-    else:
-        place.symlink_to(place.name if kind == "a link to itself" else "gone")
+    place.symlink_to(place.name if target == "itself" else "gone")
     _, report = load_root(tmp_path, root)
     (problem,) = report.problems
     assert (problem.kind, problem.layer, problem.count) == ("file", layer, 1)

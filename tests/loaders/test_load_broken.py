@@ -21,9 +21,6 @@ from jrdb_avr.loaders.labelfiles import frames as labelfile
 from jrdb_avr.loaders.labelfiles.frames import MAX_RECORDS
 from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.problems import Problems
-from jrdb_avr.loaders.root import find_root
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.rules import Rules
 
 GOOD = person(1, (100, 60, 50, 200), {"walking": 1}, (5, 1))
@@ -61,18 +58,12 @@ def variant(**changes):
 
 
 BAD_BOXES = {
-    "too large": [1, 1, 10**400, 5],
-    "far outside": [1e9, 1, 5, 5],
     "zero width": [1, 1, 0, 5],
     "negative height": [1, 1, 5, -5],
     "three numbers": [1, 1, 5],
-    "five numbers": [1, 1, 5, 5, 5],
     "texts": ["1", "1", "5", "5"],
-    "bools": [True, 1, 5, 5],
-    "an object": {"x": 1},
     "null": None,
     "missing": ...,
-    "nested": [[[]], 1, 5, 5],
 }
 
 
@@ -92,13 +83,9 @@ def test_a_bad_box_costs_its_own_record(tmp_path, box):
 BAD_IDS = {
     "missing": ...,
     "null": None,
-    "no number": "pedestrian:",
     "negative": "pedestrian:-1",
     "huge": "pedestrian:99999999999999999999",
-    "beyond 32 bits": "pedestrian:2147483648",
     "a fraction": "pedestrian:1.5",
-    "other digits": "pedestrian:٣",
-    "a list": ["pedestrian:1"],
 }
 
 
@@ -126,13 +113,6 @@ def test_whoever_may_be_a_person_proves_nobodys_absence(tmp_path, label):
     assert boxes(store) == [(0, 1), (15, 1)]
     assert [(p.reason, p.count, p.detail) for p in found.problems] == [("label_id is not pedestrian:N", 1, label)]
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, False]
-
-
-def test_id_zero_is_a_person(tmp_path):
-    store, found = loaded(tmp_path, {0: [person(0, (1, 60, 50, 200), {"sitting": 1}, (0, 1))]})
-    assert boxes(store) == [(0, 0)]
-    assert found.problems == []
-    assert store.interval("actions", NAME)["track"].to_pylist() == [0]
 
 
 def test_the_first_of_a_repeated_person_is_kept(tmp_path):
@@ -173,20 +153,7 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path):
     assert (boxes(store), found.problems) == ([(0, 1)], [])
 
 
-def test_an_empty_list_means_nobody_is_here(tmp_path):
-    store, found = loaded(tmp_path, {0: [GOOD], 15: []})
-    assert found.problems == []
-    assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, True]
-
-
 # -- fields: the record stays, the field is lost ---------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("code", "stored"), [(1, 1), (1.0, 1), ("1", 1), (2, 2), ("3", 3), (3.0, 3)])
-def test_difficulty_may_be_a_number_or_text(tmp_path, code, stored):
-    store, found = loaded(tmp_path, raw_2d(variant(action_label={"sitting": code})))
-    assert store.annotation("actions", NAME)["difficulty"].to_pylist()[1] == stored
-    assert found.problems == []
 
 
 @pytest.mark.parametrize("code", [0, 4, -1, 1.5, "x", "", None, [1], {}, True, 10**30, "1.0.0"])
@@ -243,16 +210,6 @@ def test_a_label_that_is_no_text_is_refused(tmp_path, name):
     assert [(p.kind, p.field) for p in found.problems] == [("field", "action_label")]
 
 
-@pytest.mark.parametrize(
-    ("value", "stored"), [("true", True), ("False", False), (True, True), (None, None), (..., None)]
-)
-def test_truncated_in_its_spellings(tmp_path, value, stored):
-    attributes = {k: v for k, v in {"occlusion": "Fully_visible", "truncated": value}.items() if v is not ...}
-    store, found = loaded(tmp_path, raw_2d(variant(attributes=attributes)))
-    assert store.annotation("boxes_2d", NAME)["truncated"].to_pylist()[1] is stored
-    assert found.problems == []
-
-
 @pytest.mark.parametrize(("name", "value"), [("occlusion", "Nearly_visible"), ("truncated", "yes")])
 def test_a_bad_attribute_is_unknown(tmp_path, name, value):
     store, found = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible"} | {name: value})))
@@ -278,12 +235,6 @@ def test_a_field_of_another_type_costs_its_record(tmp_path, field, changes):
     assert (problem.kind, problem.frame, problem.field) == ("record", "000015.jpg", field)
     # The report names the record.
     assert "pedestrian:2" in problem.detail
-
-
-def test_missing_occlusion_is_not_visible(tmp_path):
-    store, found = loaded(tmp_path, raw_2d(variant(attributes={"no_eval": False})))
-    assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]
-    assert found.problems == []
 
 
 def test_a_world_without_attributes_is_clear(tmp_path):
@@ -364,12 +315,6 @@ def test_a_bad_3d_attribute_is_unknown(tmp_path, name, value):
     assert store.interval("sightings", NAME)["distance"].to_pylist()[0] == (None if name == "num_points" else 5.0)
 
 
-def test_missing_distance_is_computed(tmp_path):
-    store, found = loaded(tmp_path, {0: [person_3d(1, 3.0, 4.0, distance=None)]}, "3d")
-    assert store.interval("sightings", NAME)["distance"].to_pylist() == [5.0, None]
-    assert found.problems == []
-
-
 def test_the_heading_check_sees_a_reversed_convention(tmp_path):
     walks = {f: [person_3d(1, 3.0 + f * 0.1, 0.0, heading=0.0)] for f in range(0, 60)}
     _, found = loaded(tmp_path / "right", walks, "3d")
@@ -384,9 +329,7 @@ def test_the_heading_check_sees_a_reversed_convention(tmp_path):
 WHOLE = json.dumps({"labels": {"000000.jpg": [GOOD], "000015.jpg": [GOOD]}})
 BAD_FILES = {
     "empty": b"",
-    "blank": b" \n\t ",
     "truncated": WHOLE[: len(WHOLE) // 2].encode(),
-    "two texts": (WHOLE + WHOLE).encode(),
     "last bracket missing": WHOLE[:-1].encode(),
     "not UTF-8": WHOLE.encode().replace(b"walking", b"walk\xff\xfeg"),
     "NaN": WHOLE.replace("200", "NaN").encode(),
@@ -398,7 +341,6 @@ BAD_FILES = {
     "no frames": b'{"labels": {}}',
     "a picture": b"\xff\xd8\xff\xe0" + bytes(range(256)),
     "nested deeply": b"[" * 200_000,
-    "labels nested deeply": b'{"labels": ' + b'{"a":' * 100_000,
     "only bad frames": b'{"labels": {"x": [], "y": []}}',
 }
 
@@ -497,22 +439,3 @@ def test_frames_too_full_to_be_real_are_refused(tmp_path):
 
 
 # -- roots -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("content", [None, "empty", "file"])
-def test_nothing_to_load_is_one_line(tmp_path, content):
-    root = tmp_path / "root"
-    if content == "empty":
-        root.mkdir()
-    elif content == "file":
-        root.write_text("x")
-    with pytest.raises(InputError) as error:
-        find_root(root)
-    assert "\n" not in str(error.value)
-
-
-def test_only_bad_files_is_an_error_and_leaves_no_store(tmp_path):
-    with pytest.raises(AvrError, match="no sequence could be loaded"):
-        load_reported(tmp_path, {NAME: {"2d": b"x"}})
-    with pytest.raises(AvrError):
-        Store(tmp_path / "store").manifest()

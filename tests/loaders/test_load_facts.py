@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import itertools
 import random
 import tempfile
-from collections import Counter
 from pathlib import Path
 
 import pytest
 from environment import REAL, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from loaded_stores import NAME, compare_tables, memory_store, reported_store, rows_of
+from loaded_stores import NAME, compare_tables, reported_store, rows_of
 from oracle_facts import Oracle, facts
 from oracle_files import read_root
-from random_worlds import in_other_words, lively_world, random_world
-from worlds import load_world, person
+from random_worlds import in_other_words, random_world
+from worlds import load_world
 
-from jrdb_avr.engine.generate.scene import load_scene
-from jrdb_avr.loaders.load import Shard, load, load_shard
+from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import LoadRules
-from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS, LABELED
+from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 RELATIONS = (
     ("Person", "SeenIn", "sightings", "track", "frame", "b.frame"),
@@ -139,59 +136,6 @@ def test_many_random_worlds_have_the_facts_of_the_oracle():
         check_tables((in_other_words(random_world) if seed % 2 else random_world)(random.Random(seed), NAME))
 
 
-def test_a_pose_file_without_poses_has_its_frames():
-    """Nobody to compare frame numbers with is no fault of the file."""
-    boxes = {f: [person(1, (100, 60, 50, 200), {"walking": 1})] for f in (0, 15)}
-    expected = check_tables({"yard-2020-01-01_0": {"2d": boxes, "pose": {0: [], 15: []}}})
-    assert expected["sequence"][0]["layers"] == ["2d", "actions", "pose"]
-
-
-@pytest.mark.slow
-def test_random_worlds_are_not_empty_of_facts():
-    """The comparison is worth something only if every kind of fact occurs in it."""
-    seen = Counter()
-    # Short ones, each with facts that the others lack.
-    for seed in (1, 7, 14, 19, 23, 30, 51, 56, 59):
-        expected = check_tables(random_world(random.Random(seed)))
-        for kind in LABELED:
-            rows = expected[kind] + expected[f"possible_{kind}"]
-            seen.update((kind, row["written"], row["gap"], row["certain"]) for row in rows)
-        seen.update((row["label"].endswith("(robot view)"), row["certain"]) for row in expected["beside"])
-        seen.update(("closed", row["closed"]) for row in expected["segments"])
-        seen.update(("size", row["group_size"] is None) for row in expected["sightings"])
-        seen.update(("sector", row["sector"] is None) for row in expected["sightings"])
-        seen.update(("face", row["face_visible"]) for row in expected["sightings"])
-        seen.update(("interactions", row["interactions_listed"]) for row in expected["sightings"])
-        seen.update(("handles", row["handles_listed"]) for row in expected["sightings"])
-        for kind in ("demographics", "group_info"):
-            seen.update((kind, "chosen", row["chosen"]) for row in expected[kind])
-        seen.update(("object", row["category"] is None) for row in expected["objects"])
-        for kind in ("presences", "absences"):
-            seen.update((kind, row["certain"]) for row in expected[kind])
-        seen.update(("angle", row["angle"]) for row in expected["object_sightings"])
-        seen.update(("gender", row["gender"]) for row in expected["persons"])
-        seen.update(("clock", row["seconds"] == row["frame"] / 15) for row in expected["frames"])
-    assert len(seen) == 4 + 3 + 4 + 4 + 4 + 2 + 2 + 2 + 3 + 2 + 2 + 2 + 2 + 2 + 2 + 2 + 3 + 3 + 2, seen
-
-
-def test_presence_is_that_of_questions(tmp_path):
-    """At every keyframe from a person's first box to the last."""
-    seen = Counter()
-    for seed in range(6):
-        store = memory_store(tmp_path / str(seed), lively_world(random.Random(seed), NAME))
-        scene = load_scene(store, NAME)
-        stated = [(kind, row) for kind in ("presences", "absences") for row in store.interval(kind, NAME).to_pylist()]
-        for moment, (track, frame) in enumerate(itertools.product(scene.tracks.tolist(), scene.keyframes.tolist())):
-            mine = [(kind, row) for kind, row in stated if row["track"] == track]
-            if min(row["first"] for _, row in mine) <= frame <= max(row["last"] for _, row in mine):
-                now = [(kind, row["certain"]) for kind, row in mine if row["first"] <= frame <= row["last"]]
-                assert len(now) == 1
-                seen.update(now)
-                assert scene.present.flat[moment] == (now == [("presences", True)])
-                assert scene.absent[moment] == (now == [("absences", True)])
-    assert len(seen) == 4
-
-
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_graph_has_the_facts_of_the_oracle(seed, tmp_path):
     """Three sequences in one graph: each has its own rows and no other's."""
@@ -208,22 +152,6 @@ def test_the_graph_has_the_facts_of_the_oracle(seed, tmp_path):
             total = sum(store.interval(kind, sequence).num_rows for kind in kinds for sequence in world)
             found = graph.query(f"MATCH ()-[r:{relation}]->() RETURN count(*) AS n")["n"][0].as_py()
             assert found == total == store.manifest().graph[relation]
-
-
-@pytest.mark.slow
-def test_a_synthetic_sample_has_the_facts_of_the_oracle(tmp_path):
-    from jrdb_avr.loaders.synthetic.write import plan, write
-
-    root = tmp_path / "root"
-    for _ in write(plan(root, [(90, 6)], 3, images="none"), 1):
-        pass
-    store = Store(tmp_path / "store")
-    load(find_root(root), store, LoadRules(), 1)
-    with Graph.open(store.graph_path, read_only=True) as graph:
-        for sequence in store.manifest().sequences:
-            expected = facts(root, sequence)
-            compare_tables(store, expected, sequence)
-            compare_graph(graph, expected, sequence)
 
 
 @pytest.mark.skipif(not REAL.exists(), reason="the slice of real data is not here")

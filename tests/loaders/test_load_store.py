@@ -129,15 +129,6 @@ def test_rebuild_under_other_rules_and_back(tmp_path, world, loaded_world):
     assert files(store) == before
 
 
-def test_rebuild_names_a_broken_annotation_file(tmp_path, loaded_one):
-    store = copied(loaded_one, tmp_path / "store")
-    store.annotation_path("boxes_2d", "yard-1").write_bytes(b"PAR1 no more")
-    before = files(store)
-    with pytest.raises(StoreError, match="boxes_2d/yard-1"):
-        loading.rebuild(store, LoadRules())
-    assert files(store) == before
-
-
 def test_rebuild_refuses_an_annotation_file_that_is_not_the_one_loaded(tmp_path, loaded_two):
     store = copied(loaded_two, tmp_path / "store")
     other = store.annotation_path("boxes_2d", "yard-2")
@@ -153,28 +144,6 @@ def test_sequences_and_layers_that_are_gone_do_not_linger(tmp_path, loaded_one):
     same(store, loaded_one)
     assert list(store.manifest().sequences) == ["yard-1"]
     assert "3d" not in store.manifest().sequences["yard-1"].layers
-
-
-@pytest.mark.parametrize("layers", [("2d",), ("3d",), ("2d", "3d"), ("2d", "images"), ("2d", "3d", "images")])
-@pytest.mark.parametrize("labels_level", [True, False])
-def test_any_subset_of_layers_loads(tmp_path, layers, labels_level):
-    whole = GOOD | {"3d": {f: [person_3d(1, 3, 0), person_3d(2, 4, 0)] for f in range(40)}, "images": [0, 15]}
-    world = {"yard-1": {layer: whole[layer] for layer in layers}}
-    root = find_root(write_root(tmp_path / "root", world, labels_level))
-    store = Store(tmp_path / "store")
-    with without_graph():
-        (report,) = loading.load(root, store, LoadRules(), 1).reports
-    expected = {"2d": ["2d", "actions", "groups"], "3d": ["3d"], "images": ["images"]}
-    assert report.layers == [name for layer in layers for name in expected[layer]]
-    assert (store.manifest().image_root is not None) == ("images" in layers)
-    assert report.people == (2 if "3d" in layers else 1)
-    assert store.interval("sequence", "yard-1")["keyframes"].to_pylist() == [[0, 15, 30]]
-
-
-def test_the_stitched_boxes_are_found_in_richer_label_files(tmp_path):
-    root = write_root(tmp_path / "root", {"yard-1": GOOD})
-    (root / "labels" / "labels_2d_stitched").rename(root / "labels" / "labels_2d_activity_social_stitched")
-    assert find_root(root).sequences[0].labels["2d"].endswith("labels_2d_activity_social_stitched/yard-1.json")
 
 
 # -- what goes wrong on the way ------------------------------------------------------------------------------------
@@ -196,34 +165,6 @@ class Killed(BaseException):
     """Stands for the end of the process."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("call", range(3))
-def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, loaded_one, loaded_two, call):
-    """The moment when the new parts are moved in is too short to hit by chance."""
-    old = copied(loaded_two, tmp_path / "old")
-    root = find_root(write_root(tmp_path / "new", {"yard-1": GOOD}))
-    swap, calls = loading._swap, []
-
-    def dying(place, new, gone):
-        if len(calls) == call:
-            raise Killed
-        calls.append(place)
-        swap(place, new, gone)
-        if call == 2 and len(calls) == 2:
-            raise Killed
-
-    monkeypatch.setattr(loading, "_swap", dying)
-    # Nothing is tidied up by a process that is killed.
-    monkeypatch.setattr(loading.shutil, "rmtree", lambda *a, **k: None)
-    with pytest.raises(Killed):
-        loading.load(root, old, LoadRules(), 1)
-    monkeypatch.undo()
-    with pytest.raises(StoreError, match="load"):
-        old.manifest()
-    loading.load(root, old, LoadRules(), 1)
-    same(old, loaded_one)
-
-
 @pytest.mark.parametrize(
     ("call", "first", "again"),
     [
@@ -231,10 +172,6 @@ def test_killed_between_any_two_moves_a_rerun_repairs(tmp_path, monkeypatch, loa
         (0, "rebuild", "load"),
         (1, "load", "load"),
         (1, "rebuild", "rebuild"),
-        pytest.param(0, "load", "load", marks=pytest.mark.slow),
-        pytest.param(0, "rebuild", "rebuild", marks=pytest.mark.slow),
-        pytest.param(1, "load", "rebuild", marks=pytest.mark.slow),
-        pytest.param(1, "rebuild", "load", marks=pytest.mark.slow),
     ],
 )
 def test_killed_between_any_two_moves_no_table_is_lost(
@@ -362,18 +299,10 @@ def test_json_is_one_array_of_rows_and_strict_fails_on_a_bad_record(tmp_path):
     expected = {
         "sequence": "yard-1",
         "layers": ["2d", "actions", "groups"],
-        "steps": {"2d": 1, "actions": 1, "groups": 1},
-        "frames": 40,
-        "people": 1,
         "boxes": 40,
-        "boxes_3d": 0,
-        "unknown_labels": [],
         "problems": [],
-        "heading": None,
         "files": {"2d": "labels_2d_stitched/yard-1.json"},
         "label_frames": {"first": 0, "last": 39, "count": 40},
-        "image_frames": None,
-        "warnings": [],
     }
     assert {name: rows[0][name] for name in expected} == expected
     (problem,) = rows[1]["problems"]

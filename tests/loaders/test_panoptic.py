@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import random
 
-import numpy as np
 import pyarrow as pa
 import pytest
-from environment import examples
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from pycocotools import mask as masks
-from pycocotools.coco import COCO
 from worlds import coco_file, person, thing
 
 from jrdb_avr.loaders.intervals.derive import derive
@@ -45,10 +36,6 @@ def things(reading):
     return [(row["frame"], row["category_id"], row["object"]) for row in reading.tables["panoptic"].to_pylist()]
 
 
-def known(reading):
-    return dict(zip(*(column.tolist() for column in reading.frames["panoptic"]), strict=True))
-
-
 def found(problems):
     return [(p.kind, p.reason, p.count, p.frame, p.field) for p in problems]
 
@@ -72,14 +59,6 @@ def test_things_and_stuff_are_kept_as_written(tmp_path):
         [0, 0, SHELF, -3.0, 4.5, 30.0, 40.0, 12.5, '{"size":[480,3760],"counts":"abc"}'],
         [0, 7, PERSON, 10.0, 20.0, 30.0, 40.0, None, '{"size":[4,4],"counts":[3,5,8]}'],
     ]
-    assert problems == []
-
-
-def test_case_15_an_image_without_annotations_is_a_known_frame(tmp_path):
-    reading, problems = reading_of(
-        tmp_path, coco_file({0: [thing(1, SHELF)], 15: [], 30: [thing(1, SHELF)]}, "panoptic")
-    )
-    assert known(reading) == {0: 1, 15: 0, 30: 1}
     assert problems == []
 
 
@@ -119,14 +98,6 @@ def test_case_33_categories_go_by_name_and_tracks_restart_in_each(tmp_path):
     ]
 
 
-def test_the_first_of_a_repeated_thing_is_kept_and_stuff_is_never_repeated(tmp_path):
-    rows = [thing(1, SHELF, (1, 1, 1, 1)), thing(None, WALL), thing(1, SHELF, (2, 2, 2, 2)), thing(None, WALL)]
-    reading, problems = reading_of(tmp_path, coco_file({0: rows}, "panoptic"))
-    assert things(reading) == [(0, WALL, None), (0, WALL, None), (0, SHELF, 1)]
-    assert reading.tables["panoptic"]["x"].to_pylist() == [10.0, 10.0, 1.0]
-    assert [p.count for p in problems] == [1]
-
-
 SPELLINGS = {
     "TRASH_BIN": "trash_bin",
     "t_door": "door",
@@ -156,79 +127,6 @@ def test_every_name_of_the_vocabulary_is_its_own_usual_spelling():
         assert normal_category(name) == name
         assert normal_category(f"T_{name.upper()}") == name
     assert PERSON_CATEGORIES.issubset(OBJECTS)
-
-
-def by_coco_tools(path):
-    """Boxes and masks of the same file, read by the tools of the COCO project."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        tools = COCO(str(path))
-    frame_of = {i: int(item["file_name"][-10:-4]) for i, item in tools.imgs.items()}
-    return {
-        (frame_of[a["image_id"]], tools.cats[a["category_id"]]["name"], a["tracking_id"]): (
-            a["bbox"],
-            a["area"],
-            int(tools.annToMask(a).sum()),
-        )
-        for a in tools.loadAnns(tools.getAnnIds())
-    }
-
-
-def pixels_of(text):
-    """Area of a stored mask, by the mask tools."""
-    mask = json.loads(text)
-    if isinstance(mask, list):
-        mask = masks.merge(masks.frPyObjects(mask, 48, 376))
-    elif isinstance(mask["counts"], list):
-        mask = masks.frPyObjects(mask, *mask["size"])
-    return int(masks.area(mask))
-
-
-@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
-@settings(max_examples=examples(10), deadline=None)
-@given(seed=st.integers(0, 10**6))
-def test_the_coco_projects_own_tools_read_the_same(tmp_path_factory, seed):
-    rng = random.Random(seed)
-    frames = rng.sample(range(0, 600, 15), rng.randrange(1, 5))
-    numbers = rng.sample(range(1, 1000), len(frames))
-    images = [
-        {"id": n, "file_name": f"image_stitched/{NAME}/{f:06d}.jpg", "height": 48, "width": 376}
-        for n, f in zip(numbers, frames, strict=True)
-    ]
-    names = rng.sample(OBJECTS, 6)
-    categories = [{"id": i, "name": name} for i, name in zip(rng.sample(range(100), 6), names, strict=True)]
-    keys = {(n, rng.choice(categories)["id"], rng.randrange(4)) for n in numbers for _ in range(rng.randrange(5))}
-    annotations = []
-    for i, (number, category, track) in enumerate(sorted(keys), 1):
-        x, y, w, h = rng.randrange(300), rng.randrange(30), rng.randrange(2, 70), rng.randrange(2, 18)
-        grid = np.zeros((48, 376), np.uint8, order="F")
-        grid[y : y + h, x : x + w] = 1
-        packed = masks.encode(grid)
-        runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[2], grid.ravel("F"), [2]]))), prepend=0)[1:]
-        shape = rng.choice(
-            [
-                {"size": [48, 376], "counts": packed["counts"].decode()},
-                {"size": [48, 376], "counts": runs.tolist()},
-                [[float(x), y, x + w, y, x + w, y + h, x, y + h]],
-            ]
-        )
-        annotations.append(
-            {"id": i, "image_id": number, "category_id": category, "tracking_id": track}
-            | {"bbox": [x, y, w, h], "area": float(w * h), "segmentation": shape}
-        )
-    folder = tmp_path_factory.mktemp("coco")
-    reading, problems = reading_of(folder, {"images": images, "annotations": annotations, "categories": categories})
-    name_of = {row["category_id"]: row["category"] for row in reading.tables["categories"].to_pylist()}
-    rows = {
-        (row["frame"], name_of[row["category_id"]], row["object"]): (
-            [row[side] for side in "xywh"],
-            row["area"],
-            pixels_of(row["segmentation"]),
-        )
-        for row in reading.tables["panoptic"].to_pylist()
-    }
-    assert rows == by_coco_tools(folder / f"{NAME}.json")
-    assert len(rows) == len(annotations)
-    assert problems == []
 
 
 # -- what is refused -----------------------------------------------------------------------------------------------
@@ -290,12 +188,6 @@ def test_a_field_of_another_type_costs_its_record(tmp_path, field, value):
     assert [(kind, count, frame, name) for kind, _, count, frame, name in found(problems)] == [
         ("record", 1, "annotation 3", field)
     ]
-
-
-def test_a_category_that_is_not_listed_is_unknown(tmp_path):
-    reading, problems = reading_of(tmp_path, beside_good({"category_id": 12}))
-    assert things(reading) == [(0, SHELF, 1), (15, 12, 9), (15, SHELF, 2)]
-    assert found(problems) == [("field", "not in the list of categories", 1, "000015.jpg", "category_id")]
 
 
 BAD_CATEGORIES = {
@@ -382,20 +274,6 @@ def objects(tables):
     return [tuple(row.values())[1:] for row in tables["objects"].to_pylist()]
 
 
-def test_objects_have_a_track_and_are_no_people(tmp_path):
-    frames = {
-        0: [thing(2, SHELF), thing(None, WALL), thing(5, PERSON), thing(None, DOOR)],
-        15: [thing(2, DOOR), thing(0, TEAPOT)],
-        30: [thing(2, SHELF), thing(2, DOOR), thing(5, PERSON)],
-    }
-    tables = derived(tmp_path, frames)
-    assert objects(tables) == [
-        (2, SHELF, "shelf", 0, 30),
-        (2, DOOR, "door", 15, 30),
-        (0, TEAPOT, None, 15, 15),
-    ]
-
-
 def test_what_people_handle_is_an_object_where_no_mask_shows_it_too(tmp_path):
     handles = [(0, 1, 2, SHELF), (1, 1, 8, DOOR), (2, 1, 8, DOOR), (3, 1, 4, 12), (4, 1, 5, PERSON), (5, 1, 0, SHELF)]
     tables = derived(tmp_path, {15: [thing(2, SHELF)]}, handles)
@@ -411,16 +289,3 @@ def test_what_people_handle_is_an_object_where_no_mask_shows_it_too(tmp_path):
 def test_people_are_left_out_under_any_number_and_spelling(tmp_path, name):
     tables = derived(tmp_path, {0: [thing(1, 3), thing(1, 4)]}, [(0, 1, 9, 3)], {3: f"T_{name.upper()}", 4: "bag"})
     assert objects(tables) == [(1, 4, "bag", 0, 0)]
-
-
-def test_case_14_a_panoptic_layer_once_per_second_changes_no_other_frame(tmp_path):
-    tables = derived(tmp_path, {0: [thing(2, SHELF)], 15: [], 30: [thing(2, SHELF)]})
-    bare = derived(tmp_path, {})
-    row, other = tables["sequence"].to_pylist()[0], bare["sequence"].to_pylist()[0]
-    assert row["layers"] == ["2d", "panoptic"]
-    assert {**row, "layers": []} == {**other, "layers": []}
-    assert row["keyframes"] == [0, 15, 30]
-    for kind in ("frames", "sightings", "persons", "beside"):
-        assert tables[kind] == bare[kind], kind
-    assert objects(tables) == [(2, SHELF, "shelf", 0, 30)]
-    assert objects(bare) == []

@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import random
 
 import pytest
-from environment import examples
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from loaded_stores import graphless_store
-from pycocotools.coco import COCO
 from worlds import coco_file, person, pose
 
 from jrdb_avr.loaders.intervals.derive import derive
@@ -69,49 +62,6 @@ def test_keypoints_are_kept_as_written(tmp_path):
     rows, frames, problems = read(tmp_path, a_file(annotation(3, 20, 0, keypoints=[-7.25, 3800.5, 2, *POINTS[3:]])))
     assert rows == GOOD | {(15, 0): [-7.25, 3800.5, 2.0, *POINTS[3:]]}  # a person 0, beyond both edges
     assert frames == {0: 1, 15: 2}
-    assert problems == []
-
-
-def test_case_14_and_15_frames_are_those_of_the_images(tmp_path):
-    """The last frame is missing here, and frame 15 shows nobody: it is known all the same."""
-    rows, frames, problems = read(tmp_path, coco_file({0: [pose(1)], 15: []}, "pose"))
-    assert list(rows) == [(0, 1)]
-    assert frames == {0: 1, 15: 0}
-    assert problems == []
-
-
-@pytest.mark.parametrize("folder", ["", "image_stitched/", f"x\\{NAME}\\", f"/data/train/{NAME}/", "yard/"])
-def test_the_folder_of_an_image_says_nothing_unless_it_is_another_sequence(tmp_path, folder):
-    images = [image(10, 0, folder), image(20, 15, folder)]
-    assert read(tmp_path, a_file(images=images)) == (GOOD, {0: 1, 15: 1}, [])
-
-
-def by_coco_tools(path):
-    """The same file read by the tools of the COCO project."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        tools = COCO(str(path))
-    frame_of = {i: int(item["file_name"][-10:-4]) for i, item in tools.imgs.items()}
-    return {(frame_of[a["image_id"]], a["track_id"]): a["keypoints"] for a in tools.loadAnns(tools.getAnnIds())}
-
-
-@settings(max_examples=examples(10), deadline=None)
-@given(seed=st.integers(0, 10**6))
-def test_the_coco_projects_own_tools_read_the_same(tmp_path_factory, seed):
-    rng = random.Random(seed)
-    frames = rng.sample(range(2000), rng.randrange(1, 8))
-    numbers = rng.sample(range(-5, 10**6), len(frames))
-    images = [image(n, frame) for n, frame in zip(numbers, frames, strict=True)]
-    people = [(n, track) for n in numbers for track in rng.sample(range(50), rng.randrange(6))]
-    rng.shuffle(people)
-
-    def points():
-        return [v for _ in range(17) for v in (round(rng.uniform(-50, 3900), 2), rng.randrange(480), rng.randrange(3))]
-
-    annotations = [annotation(i, *pair, keypoints=points()) for i, pair in enumerate(people)]
-    folder = tmp_path_factory.mktemp("coco")
-    rows, known, problems = read(folder, {"images": images, "annotations": annotations, "categories": []})
-    assert rows == by_coco_tools(folder / f"{NAME}.json")
-    assert known == {frame: sum(key[0] == frame for key in rows) for frame in frames}
     assert problems == []
 
 
@@ -283,28 +233,6 @@ def test_a_face_is_visible_where_head_or_an_eye_is(tmp_path, point, code):
     seen = {(row["frame"], row["track"]): row["face_visible"] for row in tables["sightings"].to_pylist()}
     # A person without a pose, and one in a frame without poses: unknown.
     assert seen == {(0, 0): point < 3 and code == 2, (0, 1): None, (15, 0): None}
-
-
-def test_case_14_a_pose_layer_without_the_last_frame_takes_nothing_away(tmp_path):
-    people = {frame: [1] for frame in range(46)}
-    with_poses = derived(tmp_path, people, coco_file({frame: [pose(1)] for frame in range(45)}, "pose"))
-    without = derived(tmp_path, people, coco_file({}, "pose"))
-    row, bare = with_poses["sequence"].to_pylist()[0], without["sequence"].to_pylist()[0]
-    assert row["layers"] == ["2d", "pose"]
-    assert bare["layers"] == ["2d"]
-    assert {**row, "layers": []} == {**bare, "layers": []}
-    assert row["keyframes"] == [0, 15, 30, 45]
-    assert with_poses["frames"] == without["frames"]
-    assert with_poses["sightings"]["face_visible"].to_pylist() == [True] * 45 + [None]
-    assert with_poses["sightings"].drop_columns("face_visible") == without["sightings"].drop_columns("face_visible")
-
-
-def test_a_pose_of_a_person_without_a_box_makes_no_person(tmp_path):
-    tables = derived(tmp_path, {0: [1]}, coco_file({0: [pose(1), pose(2)], 15: [pose(2)]}, "pose"))
-    assert tables["persons"]["track"].to_pylist() == [1]
-    assert tables["sightings"]["track"].to_pylist() == [1]
-    # Both layers know frames; only the boxes know who is there.
-    assert [(row["frame"], row["annotated"]) for row in tables["frames"].to_pylist()] == [(0, True), (15, False)]
 
 
 def test_keypoints_are_read_with_their_sighting(tmp_path):

@@ -58,24 +58,6 @@ def test_beside_a_social_file_only_things_are_read(tmp_path):
     assert problems == []
 
 
-@pytest.mark.parametrize("loader", [whole, things_alone])
-def test_case_06_an_absent_list_is_an_empty_one(tmp_path, loader):
-    content = {0: [member(1, BOX), member(2, BOX, handles=[])], 15: []}
-    reading, problems = read(tmp_path, content, loader)
-    layers = ["interactions", "handles"] if loader is whole else ["handles"]
-    assert rows(reading, "listed") == [(layer, 0, track) for layer in layers for track in (1, 2)]
-    assert {layer: reading.frames[layer][0].tolist() for layer in layers} == {layer: [0] for layer in layers}
-    assert problems == []
-
-
-@pytest.mark.parametrize("pair", [[3, 17], ["3", "17"], [3.0, "17"], ["3", 17]])
-@pytest.mark.parametrize("code", [1, 1.0, "1"])
-def test_case_05_numbers_in_every_form(tmp_path, pair, code):
-    reading, problems = read(tmp_path, [record(HOI=handling((pair, {"holding": code})))], things_alone)
-    assert rows(reading, "handles") == [(0, 1, 3, 17, "holding", 1)]
-    assert problems == []
-
-
 def test_case_09_verbs_in_every_spelling(tmp_path):
     verbs = {"looking_at": "1", "Finding something": "1", "talking-on": "1", "juggling_balls": "2"}
     reading, problems = read(tmp_path, [record(HOI=handling(([3, 17], verbs)))], things_alone)
@@ -87,12 +69,6 @@ def test_case_09_verbs_in_every_spelling(tmp_path):
     ]
     assert dict(reading.unknown) == {("HOI", "juggling balls"): 1}
     assert problems == []
-
-
-def test_case_10_zero_is_a_number_like_others(tmp_path):
-    content = [member(0, BOX, handles=[((0, 0), {"holding": "1"})])]
-    reading, _ = read(tmp_path, content, things_alone)
-    assert rows(reading, "handles") == [(0, 0, 0, 0, "holding", 1)]
 
 
 PAIRS = {
@@ -118,13 +94,6 @@ def test_a_pair_that_cannot_be_read(tmp_path, name):
     # Of things nothing can be denied; interactions are another list.
     assert rows(reading, "listed") == [("interactions", 0, 1), ("interactions", 0, 2), ("handles", 0, 2)]
     assert reasons(problems) == [(reason, "HOI", "000000.jpg", 1)]
-
-
-def test_true_is_not_the_number_one(tmp_path):
-    entries = handling(([1, 5], {"holding": "1"}), ([True, 5], {"using": "1"}))
-    reading, problems = read(tmp_path, [record(HOI=entries)], things_alone)
-    assert rows(reading, "handles") == [(0, 1, 1, 5, "holding", 1)]
-    assert [p.reason for p in problems] == ["pair: not a number"]
 
 
 # -- intervals ---------------------------------------------------------------------------------------------------
@@ -171,46 +140,3 @@ def test_people_are_no_things_and_the_absent_handle_nothing(tmp_path):
     store, _ = loaded(tmp_path, boxes=people([0], 1), reasoning=told, panoptic={0: [thing(5, 40), thing(5, 63)]})
     # Category 63 is the pedestrian; person 2 has no box.
     assert spans(store, "handles") == [(1, 5, 40, "touching", 0, 0, True)]
-
-
-def test_the_social_file_goes_first(tmp_path):
-    social = {0: [member(1, placed(1), {"gender": {"Male": "1"}}, [(2, {"hugging": "1"})])]}
-    reasoning = {
-        0: [
-            member(1, placed(1), {"gender": {"female": "1"}}, [], None, [((5, 40), {"touching": "1"})], alias="HHI"),
-            member(2, placed(2)),
-        ]
-    }
-    store, report = loaded(tmp_path, boxes=people([0], 1, 2), social=social, reasoning=reasoning)
-    assert store.interval("persons", NAME)["gender"].to_pylist() == ["male", None]
-    assert [row[:3] for row in spans(store, "interactions")] == [(1, 2, "hugging"), (2, 1, "hugging")]
-    assert [row[:4] for row in spans(store, "handles")] == [(1, 5, 40, "touching")]
-    sightings = store.interval("sightings", NAME)
-    # Person 2 has no list in the social file, whatever the other file leaves out.
-    assert sightings["interactions_listed"].to_pylist() == [True, False]
-    assert sightings["handles_listed"].to_pylist() == [True, True]
-    assert report.problems == []
-
-
-@pytest.mark.parametrize("social", [None, b"", {0: []}])
-def test_case_36_the_reasoning_file_stands_in_for_a_social_file(tmp_path, social):
-    told = {
-        0: [
-            member(1, placed(1), {"gender": {"female": "1"}}, [(2, {"hugging": "1"})], alias="HHI"),
-            member(2, placed(2)),
-        ]
-    }
-    layers = {"reasoning": told} | ({} if social is None else {"social": social})
-    store, _ = loaded(tmp_path, boxes=people([0], 1, 2), **layers)
-    assert store.interval("persons", NAME)["gender"].to_pylist() == ["female", None]
-    assert [row[:3] for row in spans(store, "interactions")] == [(1, 2, "hugging"), (2, 1, "hugging")]
-    assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [True, True]
-
-
-def test_without_the_layer_its_facts_are_unknown(tmp_path):
-    store, _ = loaded(tmp_path, boxes=people([0], 1))
-    for kind in ("interactions", "handles", "demographics", "group_info", "objects"):
-        assert store.interval(kind, NAME).num_rows == 0
-    sightings = store.interval("sightings", NAME)
-    assert sightings["interactions_listed"].to_pylist() == [False]
-    assert sightings["handles_listed"].to_pylist() == [False]

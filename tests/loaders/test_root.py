@@ -8,10 +8,10 @@ import os
 import pytest
 from click.testing import CliRunner
 from loaded_stores import NAME, reported_store
-from worlds import coco_file, member, person, person_3d, pose, write_root
+from worlds import member, person, write_root
 
 from jrdb_avr.engine.commands.load import command
-from jrdb_avr.loaders.root import LAYER_FILES, find_root
+from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
 
 BOX = (100, 60, 50, 200)
@@ -37,16 +37,6 @@ def put(root, folder, *sequences, text='{"labels": {}}'):
 
 def files_of(root, **layer_dirs):
     return {files.sequence: files.labels for files in find_root(root, layer_dirs or None).sequences}
-
-
-@pytest.mark.parametrize("level", ["labels", ""], ids=["case 34 with labels/", "case 34 without"])
-@pytest.mark.parametrize("layer, folder", [(layer, name) for layer, names in NAMES.items() for name in names])
-def test_case_34_every_folder_name_is_known(tmp_path, layer, folder, level):
-    put(tmp_path / level, folder, NAME)
-    found = files_of(tmp_path)[NAME]
-    assert found[layer] == str(tmp_path / level / folder / f"{NAME}.json")
-    # Social and reasoning files stand in for the 2D layer, and no file for any other.
-    assert set(found) == ({layer, "2d"} if layer in ("social", "reasoning") else {layer})
 
 
 @pytest.mark.parametrize("layer", NAMES)
@@ -149,50 +139,6 @@ def load_one(tmp_path, layers):
     return reported_store(tmp_path, layers)
 
 
-def test_case_1_the_frame_is_the_key_and_file_id_a_note(tmp_path):
-    records = {f: [person(1, BOX, {"walking": 1}, file_id=f"{f + 2:06d}.jpg")] for f in range(3)}
-    store, report = load_one(tmp_path, {"2d": records})
-    rows = store.annotation("boxes_2d", NAME).to_pylist()
-    assert [(row["frame"], row["file_id"]) for row in rows] == [(f, f"{f + 2:06d}.jpg") for f in range(3)]
-    assert report.problems == []
-
-
-def test_case_13_people_of_one_layer_only_are_kept(tmp_path):
-    layers = {
-        "2d": {0: [person(1, BOX), person(2, BOX)]},
-        "3d": {0: [person_3d(2, 3, 1), person_3d(3, 4, 1)]},
-    }
-    store, report = load_one(tmp_path, layers)
-    assert store.interval("persons", NAME)["track"].to_pylist() == [1, 2, 3]
-    located = {row["track"]: row["located"] for row in store.interval("sightings", NAME).to_pylist()}
-    assert located == {1: False, 2: True}
-    assert (report.boxes, report.boxes_3d, report.refused) == (2, 2, 0)
-
-
-def test_case_14_frames_are_those_of_any_layer_but_the_timestamps(tmp_path):
-    layers = {
-        "2d": {f: [person(1, BOX)] for f in range(5, 31)},
-        "3d": {f: [person_3d(1, 3, 1)] for f in range(4, 29)},
-        "pose": {f: [pose(1)] for f in range(5, 30)},
-        "panoptic": {0: [], 15: [], 30: []},
-        "timestamps": {"images": {f: 10.0 + f / 15 for f in range(100)}},
-        "images": [33],
-    }
-    store, report = load_one(tmp_path, layers)
-    frames = store.interval("frames", NAME)["frame"].to_pylist()
-    assert frames == [0, *range(4, 31), 33]
-    assert report.steps["panoptic"] == 15 and report.steps["pose"] == 1
-    assert (report.label_frames.first, report.label_frames.last) == (0, 30)
-    assert (report.image_frames.first, report.image_frames.last) == (33, 33)
-    assert any("off by 2 frames" in warning and "0-30" in warning for warning in report.warnings)
-
-
-def test_case_35_the_frame_count_is_what_is_there(tmp_path):
-    store, report = load_one(tmp_path, {"2d": {f: [] for f in range(1726)}})
-    assert store.interval("sequence", NAME)["frame_count"].to_pylist() == [1726]
-    assert report.frames == 1726
-
-
 def test_reasoning_serves_social_facts_only_without_a_usable_social_file(tmp_path):
     said = {"gender": {"Male": "1"}}, {"gender": {"Female": "1"}}
     social = {0: [member(1, BOX, said[0], [(2, {"conversation": "1"})]), member(2, BOX)]}
@@ -217,25 +163,6 @@ def test_reasoning_serves_social_facts_only_without_a_usable_social_file(tmp_pat
     assert broken == (*alone[:3], [("social", "file")])
     empty = facts("empty", {"social": {0: []}, "reasoning": reasoning})
     assert empty == alone
-
-
-BROKEN = dict.fromkeys(("2d", "3d", "social", "reasoning", "pose", "panoptic", "calibration"), "{")
-
-
-@pytest.mark.parametrize("layer", BROKEN)
-def test_a_broken_file_of_any_layer_costs_that_layer(tmp_path, layer):
-    layers = {
-        "2d": {0: [person(1, BOX)]},
-        "3d": {0: [person_3d(1, 3, 1)]},
-        "social": {0: [member(1, BOX)]},
-        "reasoning": {0: [member(1, BOX)]},
-        "pose": coco_file({0: [pose(1)]}, "pose"),
-        "panoptic": {0: []},
-        "calibration": "cameras: {}",
-    }
-    _, report = load_one(tmp_path, layers | {layer: BROKEN[layer]})
-    assert [(p.kind, p.layer) for p in report.problems] == [("file", layer)]
-    assert set(report.files) == set(LAYER_FILES) - {"timestamps"}
 
 
 def test_the_command_takes_folders_and_prints_what_it_found(tmp_path):

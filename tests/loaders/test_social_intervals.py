@@ -143,20 +143,6 @@ def in_groups(tmp_path, frames):
     return loaded(tmp_path, social, boxes)
 
 
-def test_case_30_members_agree_by_majority(tmp_path):
-    indoors, outdoors = {"venue": {"indoor_street": "1"}}, {"venue": {"outdoor_street": "1"}}
-    told = [(1, 7, indoors), (2, 7, indoors), (3, 7, outdoors), (4, 8, outdoors)]
-    store, report = in_groups(tmp_path, {0: told})
-    assert spans(store, "group_info") == [
-        (7, "venue", "indoor_street", 2, True),
-        (7, "venue", "outdoor_street", 1, False),
-        (8, "venue", "outdoor_street", 1, True),
-    ]
-    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
-        ("group 7", "venue", {"indoor_street": 2, "outdoor_street": 1}, 3)
-    ]
-
-
 def test_several_values_of_a_group_may_be_chosen_but_one_venue(tmp_path):
     info = {
         "aim": {"socializing&commuting": "1"},
@@ -173,12 +159,6 @@ def test_several_values_of_a_group_may_be_chosen_but_one_venue(tmp_path):
         (7, "venue", "outdoor_street", 2, False),
     ]
     assert report.disagreements == []
-
-
-def test_the_cluster_is_that_of_the_frame(tmp_path):
-    street, wall = {"SSC": {"table": "1"}}, {"SSC": {"wall": "1"}}
-    store, _ = in_groups(tmp_path, {0: [(1, 7, street)], 1: [(1, 8, wall)], 2: [(1, 7, [])]})
-    assert spans(store, "group_info") == [(7, "ssc", "table", 1, True), (8, "ssc", "wall", 1, True)]
 
 
 def test_votes_are_those_that_counting_finds():

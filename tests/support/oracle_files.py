@@ -109,7 +109,6 @@ def said_too(difficulties):
     return also | difficulties
 
 
-BROKEN = type("Broken", (), {"__repr__": lambda self: "BROKEN"})()
 TRACK_MAX = 2**31 - 2
 PIXEL_MAX = 1e5
 METRE_MAX = 1e4
@@ -156,131 +155,22 @@ class Found:
 
 # -- text to values ------------------------------------------------------------------------------------------------
 
-_STRING = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
-_SCALAR = re.compile(r'[^,\[\]{}\s"]+', re.ASCII)
-_MARK = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"|["\[\]{}]', re.DOTALL)
-_BLANK = re.compile(r"[ \t\r\n]*")
 
+def parse(data, last=False):
+    """Return the value of a JSON text; of equal keys of an object the first counts, or the last.
 
-class StructureError(Exception):
-    """Brackets, commas or quotes are not where they must be."""
-
-
-def parse(data, carrying, last=False):
-    """The value of a JSON text, BROKEN where a part of it is none. RefusedError where nothing can be told.
-
-    `carrying` are the members of the outermost object that the facts are in: their structure must be whole. Of others
-    only the end must be found.
+    Raises RefusedError if the text is not JSON.
     """
     try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise RefusedError("not UTF-8") from None
-    try:
-        return json.loads(text, object_pairs_hook=lambda pairs: _members(pairs, last))
+        return json.loads(data.decode("utf-8-sig"), object_pairs_hook=lambda pairs: _members(pairs, last))
     except (ValueError, RecursionError):
-        pass
-    try:
-        value, end = _value(text, _skip(text, 0), last, 0, carrying)
-    except StructureError as error:
-        raise RefusedError(str(error)) from None
-    if _skip(text, end) != len(text):
-        raise RefusedError("text after the end")
-    return value
+        raise RefusedError("not JSON") from None
 
 
 def _members(pairs, last):
     if last:
         return dict(pairs)
     return dict(reversed(pairs)) if len({key for key, _ in pairs}) < len(pairs) else dict(pairs)
-
-
-def _skip(text, at):
-    return _BLANK.match(text, at).end()
-
-
-def _value(text, at, last, depth, carrying=()):
-    first = text[at : at + 1]
-    if first not in ("[", "{"):
-        match = (_STRING if first == '"' else _SCALAR).match(text, at)
-        if match is None:
-            raise StructureError("a value is missing")
-        try:
-            return json.loads(match[0], strict=False), match.end()
-        except (ValueError, RecursionError):
-            return BROKEN, match.end()
-    end = _closing(text, at)
-    # The outer levels carry the file: a fault in their structure is a fault of the whole.
-    if depth > 60:
-        return BROKEN, end
-    try:
-        return _container(text, at, last, depth, carrying)
-    except StructureError:
-        if depth < 2:
-            raise
-        return BROKEN, end
-
-
-def _container(text, at, last, depth, carrying):
-    opening, closing = text[at], "]" if text[at] == "[" else "}"
-    found, at = [], _skip(text, at + 1)
-    if text[at : at + 1] == closing:
-        return ([] if opening == "[" else {}), at + 1
-    while True:
-        key = None
-        if opening == "{":
-            key = _STRING.match(text, at)
-            if key is None:
-                raise StructureError("a key is missing")
-            at = _skip(text, key.end())
-            if text[at : at + 1] != ":":
-                raise StructureError("a colon is missing")
-            at = _skip(text, at + 1)
-        try:
-            name = None if key is None else json.loads(key[0], strict=False)
-        except ValueError:
-            name = key[0]
-        value, at = _value(text, at, last, depth + (1 if depth or name is None or name in carrying else 2))
-        found.append(value if key is None else (name, value))
-        at = _skip(text, at)
-        mark = text[at : at + 1]
-        if mark == closing:
-            return (found if opening == "[" else _members(found, last)), at + 1
-        if mark != ",":
-            raise StructureError("a comma is missing")
-        at = _skip(text, at + 1)
-
-
-def _closing(text, at):
-    """Where the list or object ends that begins there."""
-    known = _closings(text)
-    if at not in known:
-        _close(text, at, known)
-    if isinstance(known[at], str):
-        raise StructureError(known[at])
-    return known[at]
-
-
-@lru_cache(maxsize=8)
-def _closings(text):
-    """{beginning: end, or why there is none} of what has been looked at; whatever lies inside is known with it."""
-    return {}
-
-
-def _close(text, at, known):
-    fault, begun = "the text ends early", []
-    for match in _MARK.finditer(text, at):
-        mark = match[0]
-        if mark == '"':
-            fault = "a string does not end"
-            break
-        if len(mark) == 1 and mark in "[{":
-            begun.append(match.start())
-        elif len(mark) == 1:
-            known[begun.pop()] = match.end()
-            if not begun:
-                break
-    known.update(dict.fromkeys(begun, fault))
 
 
 # -- single fields ---------------------------------------------------------------------------------------------------
@@ -787,17 +677,9 @@ READ = {
 }
 
 
-CARRYING = {
-    "pose": ("images", "annotations"),
-    "panoptic": ("images", "annotations", "categories"),
-    "images": ("data",),
-    "clouds": ("data",),
-}
-
-
 def read(layer, data, last=False, every=False):
     """The facts of one file. RefusedError where it cannot be used at all."""
-    return READ[layer](parse(data, CARRYING.get(layer, ("labels",)), last), every=every)
+    return READ[layer](parse(data, last), every=every)
 
 
 def read_root(root, sequence):

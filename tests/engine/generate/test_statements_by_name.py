@@ -1,5 +1,5 @@
-"""The generators and necessity statements, run by name over a stored graph as a person runs them: their rows are the
-candidates of the sequence with their judgement, and what the perturbed programs read is what the proofs say."""
+"""The statements of the generators, run by name over a stored graph: their rows are the candidates of the sequence with
+their judgement."""
 
 import contextlib
 import re
@@ -44,8 +44,6 @@ FLAGS = {
 }
 """Columns that judge a candidate, and the rule that each decides."""
 RANGED = KEYFRAME_NODES.keys() - {"Keyframes"}
-WALK = ("description", "r1", "r2")
-SHIFT = 45
 
 
 class Sequence:
@@ -58,13 +56,6 @@ class Sequence:
 
     def rows(self, name, **values):
         return self.store.cypher(name, sequence=self.context.scene.sequence, **values)
-
-    def by(self, name, keys, **values):
-        """The rows of a statement by some of their columns."""
-        rows = self.rows(name, **values).to_pylist()
-        found = {tuple(row[key] for key in keys): row for row in rows}
-        assert len(found) == len(rows)
-        return found
 
     def found(self, name):
         return find_candidates(self.context, TEMPLATES[name])
@@ -84,9 +75,6 @@ class Sequence:
     def keys(self, name, columns):
         """Per candidate of a template its values in these columns."""
         return list(zip(*(self.columns(name)[column] for column in columns), strict=True))
-
-    def inside(self, frame):
-        return self.context.scene.keyframes[0] <= frame <= self.context.scene.keyframes[-1]
 
 
 @pytest.fixture(scope="module")
@@ -192,102 +180,6 @@ def test_people_counted_are_those_whom_an_encounter_meets(sequences):
     for sequence in sequences:
         assert sequence.rows("gap_count_people").equals(sequence.context.people_met)
     assert len(sequence.context.people_met)
-
-
-# -- proofs -----------------------------------------------------------------------------------------------------------
-
-
-def moves(name):
-    """By how many frames, the proof's variant, and the values that a person gives."""
-    assert named_queries("cypher")[f"{name}_shift"].defaults == {"by": SHIFT}
-    return [(SHIFT, "+3 s", {}), (-SHIFT, "-3 s", {"by": -SHIFT})]
-
-
-@pytest.mark.parametrize("name", ["change", "later_pose", "distance"])
-def test_a_time_moved_or_dropped_reads_what_the_proofs_say(sequences, name):
-    compared = set()
-    for sequence in sequences:
-        found, queries = sequence.found(name), TEMPLATES[name].time_queries
-        target, answers = found.template.target, sequence.columns(name)["answer"]
-        times = sequence.keys(name, ("t0", "t1"))
-        for by, variant, values in moves(queries):
-            keys = [key for key in ("a", "t0", "t1") if key in sequence.rows(f"{queries}_shift").column_names]
-            read, proofs = sequence.by(f"{queries}_shift", keys, **values), outcomes(found, "time.shift", variant)
-            own = sequence.keys(name, [target if key == "a" else key for key in keys])
-            for key, (t0, t1), answer, proof in zip(own, times, answers, proofs, strict=True):
-                text = read.get(key, {"answer": "unknown"})["answer"] or "empty"
-                outside = t1 + by <= t0 or not sequence.inside(t1 + by)
-                assert proof == ("outside" if outside else outcome(text, answer))
-            compared.update(proofs)
-        check_drop(sequence, name, f"{queries}_drop", {"a": target, "t0": "t0"}, range(len(found)))
-    assert compared >= {"same", "different", "unknown", "outside"}
-
-
-def check_drop(sequence, name, statement, keys, rows):
-    """At how many keyframes there is an answer, and how many, against the proofs of time.drop of these candidates.
-    keys: the statement's columns, and those of the candidates."""
-    read, own = sequence.by(statement, keys), sequence.keys(name, keys.values())
-    proofs = outcomes(sequence.found(name), "time.drop", "all keyframes")
-    for i in rows:
-        row = read.get(own[i], {"defined": 0, "answers": 0})
-        single = "same" if row["defined"] > 1 else "empty"
-        assert proofs[i] == ("different" if row["answers"] > 1 else single)
-
-
-def test_presence_moved_is_seen_as_the_proofs_say(sequences):
-    words = {(1, 1): "both times", (1, 0): "only at the first time", (0, 1): "only at the second time"}
-    words[0, 0] = "neither time"
-    for sequence in sequences:
-        keys = sequence.keys("presence", ("a", "t0", "t1", "t2", "answer"))
-        for by, variant, values in moves("presence"):
-            seen = {key: row["seen"] for key, row in sequence.by("presence_shift", ("a", "frame"), **values).items()}
-            proofs = outcomes(sequence.found("presence"), "time.shift", variant)
-            for (a, t0, t1, t2, answer), proof in zip(keys, proofs, strict=True):
-                outside = t1 + by <= t0 or not sequence.inside(t1 + by) or not sequence.inside(t2 + by)
-                text = words.get((seen.get((a, t1)), seen.get((a, t2))))
-                assert proof == ("outside" if outside else outcome(text, answer))
-
-
-@pytest.mark.parametrize("name", ["two_hop", "three_hop"])
-def test_a_program_moved_or_dropped_reads_what_the_proofs_say(sequences, name):
-    compared = set()
-    for sequence in sequences:
-        found, columns = sequence.found(name), sequence.columns(name)
-        own, path = ("name", *found.relations), {key: key for key in ("description", *found.relations)}
-        # Paths that stop early with the answer are not tried at other times.
-        tried = reached(found, "time.shift")
-        for by, variant, values in moves(name):
-            read, proofs = sequence.by(f"{name}_shift", own, **values), outcomes(found, "time.shift", variant)
-            for i in tried:
-                text = read.get(sequence.keys(name, own)[i], {"answer": None})["answer"]
-                inside = sequence.inside(columns["t0"][i] + by)
-                assert proofs[i] == (outcome(text, columns["answer"][i]) if inside else "outside")
-                compared.add(proofs[i])
-        check_drop(sequence, name, f"{name}_drop", path, tried)
-    assert compared >= {"same", "different", "empty"}
-
-
-def test_a_fork_moved_leads_nowhere_where_the_proofs_say(sequences):
-    """Whom two branches single out together is no part of these statements: where they lead to two people, the proof
-    may say anything."""
-    compared = set()
-    for sequence in sequences:
-        found, own = sequence.found("fork_join"), sequence.keys("fork_join", ("name", "r1", "r2"))
-        tried, t0 = reached(found, "hop.stop"), sequence.columns("fork_join")["t0"]
-        for by, variant, values in moves("fork_join"):
-            read = sequence.by("fork_join_shift", ("name", "r1", "r2"), **values)
-            proofs = outcomes(found, "time.shift", variant)
-            for i in tried:
-                if not sequence.inside(t0[i] + by):
-                    assert proofs[i] == "outside"
-                elif own[i] not in read:
-                    assert proofs[i] == "unknown"
-                elif nowhere := [read[own[i]][f"{node}_outcome"] for node in "abc" if read[own[i]][node] is None]:
-                    assert proofs[i] == next(one for one in ("empty", "ambiguous", "unknown") if one in nowhere)
-                    compared.add(proofs[i])
-        walks = {tuple(row[key] for key in WALK) for row in sequence.rows("fork_join_drop").to_pylist()}
-        assert walks.issuperset(sequence.keys("fork_join", WALK))
-    assert compared
 
 
 # -- doors ------------------------------------------------------------------------------------------------------------
