@@ -137,17 +137,23 @@ class _Prober:
         except EndpointError as error:
             return error
 
-    def read(self, reply: Reply | EndpointError) -> dict[str, Any] | EndpointError | DecodeError:
-        """Read the JSON object of a reply. Return the object or the error."""
+    def read(self, reply: Reply | EndpointError) -> dict[str, Any] | _Fault:
+        """Read the JSON object of a reply. Return the object or the fault."""
+        if isinstance(reply, EndpointError):
+            return _Fault(f"refused ({reply})")
         try:
-            return reply if isinstance(reply, EndpointError) else reply_object(reply, self.client.convention)
+            return reply_object(reply, self.client.convention)
         except DecodeError as error:
-            cut = isinstance(reply, Reply) and reply.finish_reason == "length"
-            return _CutOffError(str(error)) if cut else error
+            # A reply that ends at the token limit is a fault of neither the server nor the schema.
+            cut = reply.finish_reason == "length"
+            return _Fault(str(error), _LONGER_REMEDY) if cut else _Fault(f"not followed ({error})")
 
 
-class _CutOffError(DecodeError):
-    """A reply that ended at the token limit, which is a fault of neither the server nor the schema."""
+class _Fault(NamedTuple):
+    """The fault of a reply in words, and its remedy if only one can help."""
+
+    seen: str
+    remedy: str = ""
 
 
 def _checks(client: Client) -> Iterator[Check]:
@@ -170,10 +176,7 @@ def _checks(client: Client) -> Iterator[Check]:
         return
     picture = _picture(prober)
     yield picture
-    for request in _largest_requests():
-        # A model that does not see one picture does not see many. A schema is refused only if it is sent.
-        if strict if request.name == "plan" else picture.passed:
-            yield _check_largest(prober, request)
+    yield from _largest_requests(prober, picture.passed, strict)
     yield _thinking(client, text, shaped)
     yield Check(
         "finish",
@@ -218,22 +221,17 @@ def _schema(prober: _Prober, reply: Reply | EndpointError) -> Check:
         "json_object": "declare --response-format none, or use a model that replies in JSON",
         "none": "use a model that replies in JSON, or declare --response-format json_schema",
     }[declared]
-    match prober.read(reply):
-        case EndpointError() as error:
-            client = prober.client
-            if declared != "none" and client.options.thinks(client.convention):
-                # llama.cpp refuses a schema if it cannot separate the template's thinking from the reply.
-                remedy = f"declare --thinking off; else {remedy}"
-            return Check("schema", False, f"{declared} is refused ({error})", remedy)
-        case _CutOffError() as error:
-            return Check("schema", False, str(error), _LONGER_REMEDY)
-        case DecodeError() as error:
-            return Check("schema", False, f"{declared} is not followed ({error})", remedy)
-        case found:
-            pairs = [(key, value in _SHAPE.get(key, ())) for key, value in found.items()]
-            follows = declared != "json_schema" or pairs == [(key, True) for key in _SHAPE]
-            seen = "followed" if follows else "ignored: another object came"
-            return Check("schema", follows, f"{declared} is {seen}", remedy)
+    client, read = prober.client, prober.read(reply)
+    if isinstance(read, _Fault):
+        if isinstance(reply, EndpointError) and declared != "none" and client.options.thinks(client.convention):
+            # llama.cpp refuses a schema if it cannot separate the template's thinking from the reply.
+            remedy = f"declare --thinking off; else {remedy}"
+        return Check("schema", False, f"{declared} is {read.seen}", read.remedy or remedy)
+    pairs = [(key, value in _SHAPE.get(key, ())) for key, value in read.items()]
+    follows = declared != "json_schema" or pairs == [(key, True) for key in _SHAPE]
+    return Check(
+        "schema", follows, f"{declared} is {'followed' if follows else 'ignored: another object came'}", remedy
+    )
 
 
 def _picture(prober: _Prober) -> Check:
@@ -241,91 +239,82 @@ def _picture(prober: _Prober) -> Check:
     right = 0
     for corner, box in CORNERS.items():
         parts = (render("preflight_picture"), drawn_picture(CROP_SIZE, box), CORNER_LINE)
-        found = prober.read(prober.send(*parts, schema=_CORNER_SCHEMA))
-        if isinstance(found, EndpointError):
-            return Check("picture", False, f"a picture is refused ({found})", remedy)
-        if isinstance(found, _CutOffError):
-            return Check("picture", False, str(found), _LONGER_REMEDY)
-        right += isinstance(found, dict) and found.get("corner") == corner
+        reply = prober.send(*parts, schema=_CORNER_SCHEMA)
+        read = prober.read(reply)
+        if isinstance(read, _Fault) and (read.remedy or isinstance(reply, EndpointError)):
+            return Check("picture", False, f"a picture is {read.seen}", read.remedy or remedy)
+        right += isinstance(read, dict) and read.get("corner") == corner
     seen = f"{right} of {len(CORNERS)} drawn pictures were seen right"
     return Check("picture", right >= _SEEN_CORNERS, seen, remedy)
 
 
-class _LargestRequest(NamedTuple):
-    """The largest request of some methods: its content in words, and the test of a right reply."""
-
-    name: str
-    content: str
-    parts: tuple[Part, ...]
-    schema: Mapping[str, Any]
-    is_right: Callable[[Mapping[str, Any]], bool]
-
-
-def _largest_requests() -> tuple[_LargestRequest, ...]:
-    # The marked picture is neither the first nor the last: a server may pass only one of them on.
-    marked_panorama, marked_crop = 5, 14
-    panoramas = [
-        Panorama("drawn", n, f"{n:06d}", float(n), drawn_picture(PANORAMA_SIZE, box).data)
-        for n in range(1, PANORAMAS + 1)
-        for box in [Box(1500, 130, 180, 240) if n == marked_panorama else None]
-    ]
-    crops: list[Part] = []
-    for n in range(1, CROPS + 1):
-        box = CORNERS["upper left"] if n == marked_crop else None
-        crops += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
+def _largest_requests(prober: _Prober, sees: bool, strict: bool) -> Iterator[Check]:
     question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
-    return (
-        _LargestRequest(
+    # A model that does not see one picture does not see many. The marked one is neither the first nor the last, because
+    # a server may pass only one of them on.
+    if sees:
+        panoramas = [
+            Panorama("drawn", n, f"{n:06d}", float(n), drawn_picture(PANORAMA_SIZE, box).data)
+            for n in range(1, PANORAMAS + 1)
+            for box in [Box(1500, 130, 180, 240) if n == 5 else None]
+        ]
+        yield _largest_request(
+            prober,
             "panoramas",
             f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)",
             (render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE),
             graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA),
-            lambda reply: _names_panorama(reply, marked_panorama),
-        ),
-        _LargestRequest(
+            lambda reply: _last_answer(reply) == 5,
+        )
+        crops: list[Part] = []
+        for n in range(1, CROPS + 1):
+            box = CORNERS["upper left"] if n == 14 else None
+            crops += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
+        yield _largest_request(
+            prober,
             "crops",
             f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)",
             (render("preflight_crops", n=CROPS), *crops, CROP_LINE),
             react_turn_schema(question),
-            lambda reply: reply.get("frame_id") == f"{marked_crop:06d}",
-        ),
-        _LargestRequest(
-            "plan",
+            lambda reply: reply.get("frame_id") == "000014",
+        )
+    # A schema is refused only if it is sent.
+    if strict:
+        content, parts, keys = (
             "the schema of a plan ($ref at the root)",
             (render("preflight_plan"),),
-            plan_form(),
-            lambda reply: set(reply) == set(Plan.__struct_fields__),
-        ),
-    )
+            Plan.__struct_fields__,
+        )
+        yield _largest_request(prober, "plan", content, parts, plan_form(), lambda reply: set(reply) == set(keys))
 
 
-def _names_panorama(reply: Mapping[str, Any], number: int) -> bool:
+def _last_answer(reply: Mapping[str, Any]) -> object:
     match reply:
-        case {"calls": [*_, {"answer": int(named)}]}:
-            return named == number
-    return False
+        case {"calls": [*_, {"answer": answer}]}:
+            return answer
+    return None
 
 
-def _check_largest(prober: _Prober, request: _LargestRequest) -> Check:
-    methods = SENDERS[request.name]
-    reply = prober.read(prober.send(*request.parts, schema=request.schema))
-    remedy = "let the server take such requests (vLLM: --limit-mm-per-prompt) and pass every picture on in its size"
-    match reply:
-        case EndpointError():
-            seen = f"refused ({reply})"
-            remedy += ", or declare --response-format json_object or none"
-        case _CutOffError():
-            return Check(request.name, False, f"{request.content}: {reply}", _LONGER_REMEDY, True, methods)
-        case DecodeError():
-            seen, remedy = f"not followed ({reply})", "use a model that replies in the form of the prompt"
-        case _ if request.is_right(reply):
-            return Check(request.name, True, f"{request.content}: taken", "")
-        case _:
-            seen = "taken, but the reply is wrong"
+def _largest_request(
+    prober: _Prober,
+    name: str,
+    content: str,
+    parts: Sequence[Part],
+    schema: Mapping[str, Any],
+    is_right: Callable[[Mapping[str, Any]], bool],
+) -> Check:
+    reply, methods = prober.send(*parts, schema=schema), SENDERS[name]
+    read = prober.read(reply)
+    if isinstance(read, dict) and is_right(read):
+        return Check(name, True, f"{content}: taken", "")
+    remedy = "use a model that replies in the form of the prompt"
+    if isinstance(reply, EndpointError):
+        remedy = "let the server take such requests (vLLM: --limit-mm-per-prompt), or declare --response-format none"
+    fault = read if isinstance(read, _Fault) else _Fault("taken, but the reply is wrong")
+    remedy = fault.remedy or f"{remedy}; else do without {', '.join(methods)}"
     # A model that loses count among many crops can still answer: most questions need a few.
-    needed = request.name != "crops" or isinstance(reply, Exception)
-    remedy += f"; else do without {', '.join(methods)}"
-    return Check(request.name, False, f"{request.content}: {seen}", remedy, needed, methods)
+    needed = name != "crops" or isinstance(read, _Fault)
+    return Check(name, False, f"{content}: {fault.seen}", remedy, needed, methods)
 
 
 def _thinking(client: Client, text: Reply, shaped: Reply | EndpointError) -> Check:

@@ -19,7 +19,7 @@ Complete = Callable[[click.Context, click.Parameter, str], list[str]]
 
 
 def _of_store(names: Callable[[Store], Iterable[str]]) -> Complete:
-    """Completion from the store of the line or the environment; nothing where there is none."""
+    """Return a completion from the store of the line or the environment; it completes nothing without a store."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
         store = ctx.params.get("store")

@@ -10,9 +10,13 @@ from jrdb_avr.engine.commands._options import STORE_VARIABLE
 
 
 def next_steps(folder: Path) -> list[str]:
-    """Lines for the terminal: the state of each store found, and the commands to run next.
+    """Return lines for the terminal: the state of each store, and the next commands.
 
-    The store is that of the environment variable, or a folder in `folder`, or this itself.
+    Args:
+        folder: The folder to search, unless the environment variable names a store.
+
+    Returns:
+        The lines.
     """
     named = os.environ.get(STORE_VARIABLE)
     places = [Path(named)] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]

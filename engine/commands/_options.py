@@ -34,7 +34,7 @@ def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None
 
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:
-    """Add the option `--store` as a Store; the environment variable `JRDB_AVR_STORE` stands in for it."""
+    """Add the option `--store` as a Store; its default is the environment variable `JRDB_AVR_STORE`."""
     return click.option(
         "--store",
         "-s",

@@ -64,7 +64,7 @@ def steps(folder: Path, size: Size) -> list[list[str]]:
 
 
 def run_demo(folder: Path, size: Size, say: Callable[[str], None]) -> None:
-    """Run every step in its own process. Raises InputError where the folder is in use or a step fails."""
+    """Run every step in a process apart. Raise InputError if the folder is in use or a step fails."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} exists and is not empty: remove it, or name another with --out", file=str(folder))
     begin = time.monotonic()

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 LOG_EVERY_S: Final = 30.0
-"""Seconds between two lines of scores so far if there is no terminal."""
+"""Seconds between two lines of live scores if there is no terminal."""
 
 _EXAMPLE: Final = """\b
 Examples:

@@ -24,7 +24,7 @@ Example:
 
 
 @click.command(
-    # An ANGLE may be negative: -90 is no option.
+    # Because an ANGLE may be negative, such as -90.
     context_settings={"ignore_unknown_options": True},
     epilog=_EXAMPLE,
 )

@@ -23,8 +23,8 @@ Example:
 def command(model: str, endpoint: Any, form: RowFormat) -> None:
     """Check a model's server: text, JSON schema, pictures, system message, thinking, and the largest requests.
 
-    'evaluate' makes the same checks before a run, warns of failed ones and records them. Exit code 1 where one fails
-    that a run needs.
+    'evaluate' makes the same checks before a run, warns of failed checks and records them. The exit code is 1 if a
+    check fails that a run needs.
     """
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of

@@ -61,7 +61,7 @@ def show(run: str, store: Store, form: RowFormat) -> None:
         return
     note(f"in {found.pop('folder')}")
     rows = [{"what": name, "value": value} for name, own in found.items() for name, value in _lines(name, own)]
-    # The names of settings are long enough without where they stand.
+    # Without the prefix, because names of settings are long.
     rows = [{**row, "what": row["what"].removeprefix("settings.")} for row in rows if row["value"] not in (None, "")]
     print_rows(rows)
 

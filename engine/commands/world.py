@@ -81,7 +81,7 @@ def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 
 
 def _record(store: Store, run_id: str) -> pa.Table:
-    """A finished run's record. Raises StoreError where there is no such run, or it has none, and what to do then."""
+    """Return the record of a finished run. Raise StoreError, with a remedy, if the run or its record is missing."""
     from jrdb_avr.engine.run.methods import WORLD_METHODS
     from jrdb_avr.queries.beliefs.record import read_record
     from jrdb_avr.queries.runs import read_run_manifest
@@ -92,7 +92,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
     if record is not None and record.num_rows:
         return record
     if not store.run_path(run_id).exists():
-        # A folder that is no store lacks more than a run.
+        # The manifest first, because a folder without a store lacks more than a run.
         store.manifest()
     method = read_run_manifest(store, run_id).method
     if method not in WORLD_METHODS:
@@ -103,7 +103,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
 
 
 def _graph_path(store: Store) -> Path:
-    """The store's graph. Raises StoreError where there is none: one without a scene must not take its place."""
+    """Return the graph of the store. Raise StoreError if it is missing; a graph without a scene must not replace it."""
     from jrdb_avr.schema.errors import StoreError
 
     if not store.graph_path.exists():

@@ -1,4 +1,4 @@
-"""Have a method answer questions, one or many at a time; whatever it does, each question gets a journal line."""
+"""Let a method answer questions, several at a time; each question gets a line of the journal."""
 
 from __future__ import annotations
 
@@ -31,29 +31,30 @@ from jrdb_avr.schema.method import (
 R = TypeVar("R")
 
 _STOP_S: Final = 1.0
-"""Longest wait for the threads of a run that ends early."""
+"""Maximum seconds to wait for the threads of a run that ends early."""
 
 _SWITCH_S: Final = 0.05
-"""Interval at which Python lets another thread run: short turns only cost time where threads wait for a server."""
+"""Seconds between switches of Python threads. Shorter turns cost time, because most threads wait for a server."""
 
 
 _PACKAGE: Final = f"{__name__.partition('.')[0]}."
 _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-"""Folders of code that is neither this package's nor a method's own."""
+"""Folders of code that belongs neither to this package nor to a method."""
 
 
 class Entries(Protocol):
-    """Where finished questions go: a journal, or another process that has one."""
+    """A store of finished questions, such as a journal."""
 
     @property
-    def finished(self) -> Mapping[str, Finished]: ...
+    def finished(self) -> Mapping[str, Finished]:
+        """The finished questions by id."""
 
     def append(self, entry: Finished) -> None:
         """Add a finished question."""
 
 
 class _Stopped(BaseException):
-    """The run has ended while a method works on a question. It passes the method's own `except Exception`."""
+    """End of a run while a method works on a question. It is not an Exception, so that a method does not catch it."""
 
 
 def answer_one(
@@ -64,14 +65,29 @@ def answer_one(
     panorama: GetPanorama,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Finished:
-    """Have a method answer one question. Whatever it raises, or a result that is no prediction, becomes an `error` with
-    the reason. Raises RunStoppedError where no question can be answered now, KeyboardInterrupt in the main thread."""
+    """Let a method answer one question.
+
+    Args:
+        method: The method.
+        question: The question.
+        sequence: The sequence of the question.
+        observe: Returns crops.
+        panorama: Returns panoramas.
+        stopped: Returns whether the run has ended.
+
+    Returns:
+        The line of the journal. Its status is "error", with the reason, if the method raises or returns no prediction.
+
+    Raises:
+        RunStoppedError: No question can be answered now.
+        KeyboardInterrupt: The user interrupts the main thread.
+    """
     steps: list[Step] = []
     writes: list[Write] = []
     calls: Counter[str] = Counter()
 
     def counted(name: str, function: Callable[..., R]) -> Callable[..., R]:
-        """The function, which ends the question once the run has stopped; its successful calls are counted."""
+        """Count the successful calls of a function; a call after the run has stopped ends the question."""
 
         def call(*values: Any, **named: Any) -> R:
             if stopped():
@@ -96,7 +112,7 @@ def answer_one(
     except (RunStoppedError, _Stopped):
         raise
     except BaseException as error:
-        # Python interrupts the main thread alone: in any other one it is the method that raised it.
+        # Python interrupts only the main thread; in another thread the method raised it.
         if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
             raise
         kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
@@ -110,18 +126,18 @@ def answer_one(
         try:
             finished = finished_entry(question, failed, steps, writes, seconds)
         except Exception:
-            # A step or a write is what cannot be stored.
+            # A step or a write cannot be stored.
             finished = finished_entry(question, failed, [], [], seconds)
     return finished
 
 
 def _reason(error: BaseException) -> str:
-    """An exception in one line: its type, unless it is this package's, its message, and where a method raised it."""
+    """Return an exception in one line: type (unless this package raised it), message, and line of the method."""
     text = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
     frames = list(traceback.walk_tb(error.__traceback__))
     outside = [(f.f_code, line) for f, line in frames if not str(f.f_globals.get("__name__")).startswith(_PACKAGE)]
     own = [place for place in outside if not place[0].co_filename.startswith(_LIBRARIES)]
-    # What the package raises names its own remedy; a place in a library would not help.
+    # Errors of this package name a remedy; a line of a library would not help.
     places = own or ([] if isinstance(error, AvrError) else outside)
     where = f" ({Path(places[-1][0].co_filename).name}:{places[-1][1]}, in {places[-1][0].co_name})" if places else ""
     return (text if isinstance(error, AvrError) else f"{type(error).__name__}: {text}") + where
@@ -129,11 +145,11 @@ def _reason(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def for_many_threads() -> Iterator[None]:
-    """Set OpenCV and Python up for a block in which many questions are worked on at a time."""
+    """Configure OpenCV and Python for many threads while a block runs."""
     import cv2
 
     pool, interval = cv2.getNumThreads(), sys.getswitchinterval()
-    # OpenCV's threads spin after each small piece of work, and the questions in flight are threads enough.
+    # Threads of OpenCV spin after each small task, and the questions in flight already use all cores.
     cv2.setNumThreads(1)
     sys.setswitchinterval(_SWITCH_S)
     try:
@@ -154,14 +170,27 @@ def answer_all(
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> None:
-    """Answer the questions that the journal lacks, or holds as an error; `concurrency` of them are in flight at a time.
+    """Answer the questions that the journal lacks or holds as errors.
 
-    The threads are daemons and one thread writes: an interrupt ends the process within seconds, and loses only what is
-    in flight. Raises RunStoppedError where no further question can be answered now, once those in flight have ended.
+    The threads are daemons, and one thread writes. An interrupt ends the process within seconds and loses only
+    questions in flight.
+
+    Args:
+        method: The method.
+        questions: The questions.
+        sequences: The sequences by name.
+        observe: Returns crops.
+        panorama: Returns panoramas.
+        journal: Receives each finished question.
+        concurrency: The maximum number of questions in flight.
+        advance: Called with numbers of finished questions.
+
+    Raises:
+        RunStoppedError: No further question can be answered now; the questions in flight have ended.
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException | None] = queue.SimpleQueue()
-    # By sequence: its panoramas are in memory, and few files of the journal change at a time.
+    # By sequence, because its panoramas are in memory and few files of the journal change at a time.
     due = sorted(unanswered(questions, journal.finished), key=lambda question: question.sequence)
     advance(len(questions) - len(due))
     for question in due:
@@ -201,11 +230,11 @@ def answer_all(
         if stopped:
             raise stopped[0]
     finally:
-        # A thread inside the image decoder when the interpreter ends would abort the process; one that waits for a
-        # server would not, and gets no more than the deadline.
+        # A thread that decodes an image when the interpreter ends would abort the process. A thread that waits for a
+        # server would not, so the wait has a deadline.
         stop.set()
         deadline = time.monotonic() + _STOP_S
         for thread in threads:
-            # An interrupt may come before all are started.
+            # An interrupt may come before all threads are started.
             if thread.is_alive():
                 thread.join(max(0.0, deadline - time.monotonic()))

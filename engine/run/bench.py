@@ -1,6 +1,6 @@
-"""The public half of a benchmark: questions and pictures, handed out as tasks and episodes.
+"""Hand out questions and pictures of a store as tasks and episodes: the public half of a benchmark.
 
-Only public files are read. The private half, answers and evidence, is `judge.py`.
+Only public files are read. `judge.py` has the private half, answers and evidence.
 """
 
 from __future__ import annotations
@@ -23,18 +23,31 @@ from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
 
 
 class Bench:
-    """Questions of a store and their pictures, as a player gets them. Safe for many threads.
-
-    `questions`: in order, with opaque names of sequences where those are used; `sequences`: by those names.
-    `observer`: their pictures, of the sequences `observed` in the `folders` of opaque ones. `synthetic`: whether any is
-    about a sample world.
+    """Questions of a store and their pictures, for players. Safe for many threads.
 
         bench = Bench.open("store")
         episode = bench.episode(bench.questions[0].question_id)
+
+    Attributes:
+        questions: The questions in order, with opaque names of sequences if these are used.
+        sequences: The sequences by these names.
+        observer: The pictures of the sequences in `observed`.
+        folders: The folders of sequences with opaque names; None without.
+        synthetic: Whether a question is about a sample world.
     """
 
     def __init__(self, store: Store, questions: Sequence[QuestionRow], image_root: str | None, opaque: bool) -> None:
-        """Hold the given questions; `Bench.open` selects them first. Raises StoreError for one of no known sequence."""
+        """Hold selected questions; `Bench.open` selects them first.
+
+        Args:
+            store: The store.
+            questions: The questions.
+            image_root: Folder with one folder of panoramas per sequence.
+            opaque: Whether players get opaque names of sequences.
+
+        Raises:
+            StoreError: A question is about an unknown sequence.
+        """
         found = read_sequences(store)
         if unknown := sorted({question.sequence for question in questions} - found.keys()):
             raise StoreError(f"questions are about {unknown[0][:120]!r}, which sequences.parquet lacks: generate again")
@@ -58,10 +71,21 @@ class Bench:
         images: str | Path | None = None,
         opaque: bool = False,
     ) -> Bench:
-        """The questions of a selection or with these ids (all without), at most `limit`, that have panoramas.
+        """Select questions of a store.
 
-        `images` stands in for the store's panoramas; `opaque`: whether players get opaque names of sequences.
-        Raises StoreError where a public file is missing or nothing is left, InputError for an unknown name.
+        Args:
+            store: The store, or its folder.
+            questions: A selection or ids; by default all questions that have panoramas.
+            limit: A maximum number of questions.
+            images: Folder of panoramas in place of the folder that the store names.
+            opaque: Whether players get opaque names of sequences.
+
+        Returns:
+            The bench.
+
+        Raises:
+            StoreError: A public file is missing, or no question remains.
+            InputError: The selection has an unknown name.
         """
         store = Store.of(store)
         image_root = find_images(store, images)
@@ -69,7 +93,7 @@ class Bench:
         return cls(store, chosen, image_root, opaque)
 
     def question(self, question_id: str) -> Question:
-        """The question with this id. Raises InputError for an unknown one."""
+        """Return a question by its id. Raise InputError if the id is unknown."""
         if question_id not in self._by_id:
             raise InputError(f"no question {question_id[:40]!r} among the {len(self.questions)}", field="question_id")
         return self._by_id[question_id]
@@ -80,22 +104,46 @@ class Bench:
         record: Record = lambda step: None,
         record_write: RecordWrite = lambda write: None,
     ) -> Task:
-        """What a method receives; its steps and writes go to the functions. Raises InputError for an unknown id."""
+        """Return the task of a question for a method.
+
+        Args:
+            question_id: The id of the question.
+            record: Receives the steps of the method.
+            record_write: Receives writes into a world model.
+
+        Returns:
+            The task.
+
+        Raises:
+            InputError: The id is unknown.
+        """
         question = self.question(question_id)
         info = self.sequences[question.sequence]
         return Task(question, info, self.observer, self.observer.stored, record, record_write)
 
     def episode(self, question_id: str, *, budget: int = BUDGET, record: Record = lambda step: None) -> Episode:
-        """Begin to play a question. Raises InputError for an unknown id."""
+        """Begin to play a question.
+
+        Args:
+            question_id: The id of the question.
+            budget: The maximum number of looks.
+            record: Receives the steps of the player.
+
+        Returns:
+            The episode.
+
+        Raises:
+            InputError: The id is unknown.
+        """
         return Episode(self.task(question_id, record), budget=budget)
 
 
 _LABELS_BESIDE: Final = ("image_stitched", "images")
-"""Names of the folders between panoramas and the root that also holds the labels."""
+"""Names of folders between panoramas and the root folder, which also holds the labels."""
 
 
 def root_of_images(images: str | Path) -> Path:
-    """The folder in which annotations stand beside these panoramas, if they are part of a JRDB root."""
+    """Return the root folder of JRDB that holds a folder of panoramas; the folder itself if it is not part of one."""
     root = Path(images).resolve()
     for name in _LABELS_BESIDE:
         root = root.parent if root.name == name else root
@@ -103,9 +151,17 @@ def root_of_images(images: str | Path) -> Path:
 
 
 def find_images(store: Store, images: str | Path | None) -> str | None:
-    """The folder of panoramas: `images`, or the store's own; None where a store was loaded without.
+    """Return the folder of panoramas.
 
-    Raises StoreError where the store has no manifest to name it.
+    Args:
+        store: The store.
+        images: A folder in place of the folder that the store names.
+
+    Returns:
+        The folder; None if the store was loaded without panoramas.
+
+    Raises:
+        StoreError: The store has no manifest to name the folder.
     """
     if images is not None:
         return str(images)

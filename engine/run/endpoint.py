@@ -1,6 +1,6 @@
-"""Connect to a model's server: its checks before a run, the built-in model's own server, and stored calibrations.
+"""Connect to the server of a model: checks before a run, the server of the built-in model, and stored calibrations.
 
-STORE/conventions/<model>.json    how the model writes boxes, as `calibrate` found it
+STORE/conventions/<model>.json    how the model writes boxes, found by `calibrate`
 """
 
 from __future__ import annotations
@@ -25,9 +25,12 @@ from jrdb_avr.schema.errors import EndpointError, StoreError
 
 
 class Endpoint:
-    """A server after its preflight. `warnings`: the lines of the checks that failed.
+    """A server after its preflight.
 
-    `settings` are plain JSON for a run's manifest: a resumed run needs equal ones (`run.check_manifest`).
+    Attributes:
+        settings: Plain JSON for the manifest of a run; a resumed run needs equal settings (`run.check_manifest`).
+        warnings: A line per failed check.
+        served: The id of the model in the replies of the server.
     """
 
     def __init__(
@@ -40,11 +43,19 @@ class Endpoint:
         method: str | None = None,
         strict: bool = False,
     ) -> None:
-        """Check a server. `cache`: the file for finished calls. `method`: whose run is refused, if `strict`, where a
-        check fails that it needs; without a method, where any fails.
+        """Check a server.
 
-        The convention is the model's declared one, with the `calibration` if there is one. Raises EndpointError where
-        the server does not reply, or the calibration was made with other options.
+        Args:
+            calibration: The calibration of the model, if any.
+            model: The id of the model.
+            base_url: The address of the server.
+            options: The options of its requests.
+            cache: The file of finished calls.
+            method: The player whose run is checked; None for all checks.
+            strict: Whether to refuse a run if a check fails that its method needs.
+
+        Raises:
+            EndpointError: The server does not reply, a needed check fails, or the calibration has other options.
         """
         declared = convention_of(model)
         self.convention = declared if calibration is None else calibration.convention(declared)
@@ -74,17 +85,26 @@ class Endpoint:
         }
 
     def changed(self) -> str:
-        """A line about replies that named another model than the first one; empty without any."""
+        """Return a line about replies that named another model than the first reply; "" if none did."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
         return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
 
 
 @contextlib.contextmanager
 def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None) -> Iterator[str]:
-    """Yield the address of the model's server: `base_url`, or that of a simulated model started for this block.
+    """Yield the address of the server of a model.
 
-    `log` is the simulated model's; `knobs` stand in place of its profile's. Raises EndpointError for another model
-    without an address.
+    Args:
+        model: The id of the model.
+        base_url: The address; without one, the block has a server of the simulated model.
+        log: The log file of the simulated model.
+        knobs: Knobs in place of the profile of the simulated model.
+
+    Yields:
+        The address.
+
+    Raises:
+        EndpointError: The model is not the simulated one and has no address.
     """
     from jrdb_avr.agent.simulated.server import marker_server
 
@@ -101,7 +121,7 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
 
 
 def convention_path(store: Store, model: str) -> Path:
-    """The file of a model's calibration; a name that no file can have is made plain and gets a hash."""
+    """Return the file of the calibration of a model. A name that no file can have is shortened and gets a hash."""
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", model).strip("-.")[:80]
     if plain != model or not is_plain_name(plain):
         plain = f"{plain or 'model'}-{hashlib.sha256(model.encode()).hexdigest()[:8]}".replace("..", "-")
@@ -109,7 +129,18 @@ def convention_path(store: Store, model: str) -> Path:
 
 
 def read_calibration(store: Store, model: str) -> Calibration | None:
-    """The store's calibration of a model, or None. Raises StoreError for one that cannot be read."""
+    """Read the calibration of a model.
+
+    Args:
+        store: The store.
+        model: The id of the model.
+
+    Returns:
+        The calibration; None if the store has none.
+
+    Raises:
+        StoreError: The file cannot be read, or belongs to another model.
+    """
     path = convention_path(store, model)
     try:
         found = msgspec.json.decode(path.read_bytes(), type=Calibration)
@@ -123,7 +154,7 @@ def read_calibration(store: Store, model: str) -> Calibration | None:
 
 
 def write_calibration(store: Store, calibration: Calibration) -> Path:
-    """Write a calibration atomically; returns its path."""
+    """Write a calibration atomically, and return its file."""
     path = convention_path(store, calibration.model)
     write_json(path, calibration)
     return path

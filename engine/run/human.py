@@ -1,7 +1,7 @@
-"""A person as a method: the requests of the page `play`, carried out as moves of an episode.
+"""Let a person play as a method: carry out the requests of the page `play` as moves of an episode.
 
-The person gets what ReAct gets, the question, its legal frames and the crops that were looked at, under the same rules
-and budget. Only the public half of the store is read, and no response says whether an answer is right.
+The person gets the same as ReAct: the question, its legal frames and the crops of their looks, under the same rules and
+budget. Only public files of the store are read. No response says whether an answer is right.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jrdb_avr.schema.method import Observation
 
 
 class _Move(msgspec.Struct, forbid_unknown_fields=True):
-    """A move, and the question it is meant for: another window may have gone on."""
+    """A move and its question, because another window may have gone on to the next question."""
 
     question_id: str
     move: dict[str, Any]
@@ -34,7 +34,7 @@ _MOVE: Final = msgspec.json.Decoder(_Move)
 
 
 class HumanDesk:
-    """Answers the requests of one person's page, who plays the questions of a run one after another."""
+    """Server of the page of one person, who plays the questions of a run one after another."""
 
     def __init__(self, bench: Bench, run: Run, page: str) -> None:
         self._bench, self._run, self._page = bench, run, page
@@ -44,7 +44,17 @@ class HumanDesk:
         self._lock = threading.Lock()
 
     def respond(self, request: Request) -> Response:
-        """The page, the state of the question, or a picture. Raises AvrError for what is not there."""
+        """Respond to a request of the page.
+
+        Args:
+            request: The request.
+
+        Returns:
+            The page, the state of the question, or a picture.
+
+        Raises:
+            AvrError: The request is unknown or refused.
+        """
         with self._lock:
             match request.method, request.path:
                 case "GET", "":
@@ -81,15 +91,14 @@ class HumanDesk:
         return self._state(error)
 
     def _record(self) -> None:
-        """Add a question that is over to the run. Raises StoreError where the disk refuses; the next request tries
-        again."""
+        """Add a finished question to the run. Raise StoreError if the disk refuses; the next request tries again."""
         play = self._play
         if play is not None and play.episode.over and play.episode.question.question_id in self._due:
             play.record(self._run)
             self._due.remove(play.episode.question.question_id)
 
     def _state(self, error: str = "") -> Response:
-        """What the page shows, as JSON; begins the next question where none is being played."""
+        """Return what the page shows, as JSON. Begin the next question if none is in progress."""
         if self._play is None and self._due:
             self._play, self._seen = Play.begin(self._bench, self._due[0]), []
         state: dict[str, Any] = {"due": len(self._due), "questions": len(self._bench.questions), "error": error}

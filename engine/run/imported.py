@@ -1,4 +1,4 @@
-"""Predictions that were made elsewhere, taken into a store as a run of their own."""
+"""Import predictions from elsewhere as a run of a store."""
 
 from __future__ import annotations
 
@@ -22,15 +22,26 @@ from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
 
 IMPORTED: Final = "imported"
-"""The method of such a run; of its model nothing is known."""
+"""Method of an imported run; its model is unknown."""
 
 
 def import_predictions(store: Store | str | Path, path: str | Path, run_id: str | None = None) -> str:
-    """Take a file of prediction lines into a store as a run, and return its id: that of the file's name without one.
+    """Import a file of prediction lines as a run.
 
-    The run's questions are those that the file has lines of. The same file is taken in again, which finishes what was
-    killed. Raises InputError for a file that cannot be read or names a question that the store lacks, StoreError where
-    the run is of other predictions.
+    The questions of the run are the questions of the lines. The same file can be imported again, which finishes a
+    killed import.
+
+    Args:
+        store: The store, or its folder.
+        path: The file.
+        run_id: The id of the run; by default the name of the file.
+
+    Returns:
+        The id of the run.
+
+    Raises:
+        InputError: The file cannot be read, or names a question that the store lacks.
+        StoreError: The run exists with other predictions.
     """
     store, path = Store.of(store), Path(path)
     run_id = path.stem if run_id is None else run_id
@@ -54,20 +65,20 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     )
     if not begun:
         write_run_manifest(store, manifest)
-    # Predictions come last: a run that has them is complete.
+    # Predictions come last, because a run with predictions is complete.
     store.write_run(run_id, "predictions", _in_order(predictions, questions))
     return run_id
 
 
 def _in_order(predictions: pa.Table, questions: Sequence[QuestionRow]) -> pa.Table:
-    """The predictions in the order of the tables of runs."""
+    """Return the predictions in the order of the tables of runs."""
     ordered = sorted((question.sequence, question.question_id) for question in questions)
     ids = predictions["question_id"].combine_chunks()
     return predictions.take(pc.index_in(pa.array([name for _, name in ordered], pa.string()), value_set=ids))
 
 
 def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
-    """Whether the same predictions were taken in before, in full or in part. Raises StoreError for a run of others."""
+    """Return whether the same predictions were imported before, if only in part. Raise StoreError for another run."""
     if has_manifest(store, run_id):
         known = read_run_manifest(store, run_id)
         if (known.method, known.settings, known.questions_sha256) == (IMPORTED, settings, questions_hash(store)):

@@ -1,10 +1,9 @@
-"""The journal of a run: finished questions on disk, and the tables that are written from them.
+"""Keep the journal of a run: finished questions on disk, from which the tables are written.
 
     runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
-    runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal at the end
+    runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
 
-A run killed at any point loses nothing that is in the journal. The tables are in the order of sequences, and of the
-questions in each.
+A run that is killed loses nothing that is in the journal. The tables are sorted by sequence and question.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from jrdb_avr.schema.tables import RUNS
 
 
 class Finished(msgspec.Struct, frozen=True):
-    """A line of the journal: a question's row of `predictions`, its rows of `steps` and of `world`, without run id."""
+    """A line of the journal: the rows of a question in `predictions`, `steps` and `world`, without run id."""
 
     question_id: str
     prediction: dict[str, Any]
@@ -44,7 +43,7 @@ class Finished(msgspec.Struct, frozen=True):
         return bool(self.prediction["status"] == "error")
 
 
-# Made at import: threads that meet a type first at the same time crash the decoder.
+# Made at import, because msgspec crashes if several threads make the first decoder of a type at once.
 _FINISHED: Final = msgspec.json.Decoder(Finished)
 
 _DAMAGE: Final = (
@@ -56,14 +55,14 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.string(): str,
     pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
     pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
-    # Beyond these not every whole number is a float, and Arrow takes none.
+    # Larger whole numbers are not exact as floats, and Arrow refuses them.
     pa.float64(): Annotated[float, msgspec.Meta(gt=-(2.0**53), lt=2.0**53)],
     pa.bool_(): bool,
 }
 
 
 def _row_type(table: str) -> Any:
-    """The type of a row by its table's schema, which Arrow itself bends values to: 0.9 to 0, True to 1.0."""
+    """Return the type of a row of a table. Arrow itself would convert values silently: 0.9 to 0, True to 1.0."""
     fields = [field for field in RUNS[table] if field.name != "run_id"]
     kinds = [(f.name, _KINDS[f.type] | None if f.nullable else _KINDS[f.type]) for f in fields]
     return msgspec.defstruct(table, kinds, forbid_unknown_fields=True)
@@ -76,7 +75,7 @@ _STORABLE: Final = msgspec.json.Decoder(
 
 
 def check_storable(entry: Finished) -> None:
-    """Raises ValueError, or an error of msgspec, for an entry that journal and tables would not give back as it is."""
+    """Raise ValueError, or an error of msgspec, if journal and tables would change an entry."""
     line = msgspec.json.encode(entry)
     _STORABLE.decode(line)
     if _FINISHED.decode(line) != entry:
@@ -86,10 +85,20 @@ def check_storable(entry: Finished) -> None:
 def finished_entry(
     question: Question, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
 ) -> Finished:
-    """The journal's line of a question.
+    """Return the line of a question in the journal.
 
-    Raises ValueError and the like for values that journal and tables would not give back as they are: a method may be
-    anybody's.
+    Args:
+        question: The question.
+        prediction: The prediction of the method.
+        steps: Its steps.
+        writes: Its writes into a world model.
+        seconds: The seconds that it took.
+
+    Returns:
+        The line.
+
+    Raises:
+        ValueError: Journal and tables would change a value; other errors of msgspec and Arrow mean the same.
     """
     evidence, answer = prediction.evidence, prediction.answer
     box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
@@ -110,7 +119,15 @@ def finished_entry(
 
 
 def check_entry(entry: Finished, question: Question) -> None:
-    """Raises ValueError and the like for an entry that is no answer to the question, or that no table can hold."""
+    """Check that an entry answers a question and can be stored.
+
+    Args:
+        entry: The entry.
+        question: The question.
+
+    Raises:
+        ValueError: It does not; other errors of msgspec and Arrow mean the same.
+    """
     row = entry.prediction
     check_storable(entry)
     if row["status"] not in get_args(Status):
@@ -125,10 +142,10 @@ def check_entry(entry: Finished, question: Question) -> None:
 
 
 def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
-    """A row of a table of `RUNS` without its run id: `known` values, and the record's attributes for all others."""
+    """Return a row of a table of `RUNS` without run id: known values, and attributes of the record for all others."""
     names = [name for name in RUNS[table].names if name not in known and name != "run_id"]
     values = {name: getattr(record, name) for name in names}
-    # Lone surrogates, which UTF-8 cannot hold, are written out; in a short name they are a fault.
+    # UTF-8 cannot hold lone surrogates, so texts get escapes. In short names they are faults.
     texts = {
         name: value.encode("utf-8", "backslashreplace").decode()
         for name, value in values.items()
@@ -138,12 +155,12 @@ def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
 
 
 def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) -> list[Question]:
-    """The questions that have not finished, or ended in an error, in order."""
+    """Return the questions that have not finished or ended in an error, in order."""
     return [own for own in questions if (entry := finished.get(own.question_id)) is None or entry.failed]
 
 
 class LinePlace(NamedTuple):
-    """The place of a line in a journal: the sequence that names its file, its first byte, its length in bytes."""
+    """Position of a line in a journal: the sequence that names its file, its first byte, and its length in bytes."""
 
     sequence: str
     at: int
@@ -151,23 +168,22 @@ class LinePlace(NamedTuple):
 
 
 class KeptEntries(Mapping[str, Finished]):
-    """The entries of a journal by question, each read from its file when it is looked up: their transcripts may be a
-    hundred kilobytes each. Raises StoreError where one cannot be read again."""
+    """Entries of a journal by question id; each is read from its file on access, because transcripts are large."""
 
     def __init__(self, folder: Path, places: dict[str, LinePlace]) -> None:
-        """`places`: of each question's line."""
+        """Hold the positions of lines in the files of a folder."""
         self._folder, self._places = folder, places
 
     def add(self, question_id: str, place: LinePlace) -> None:
-        """Add the place of a line, in place of the question's earlier one."""
+        """Add the position of a line, in place of an earlier line of the question."""
         self._places[question_id] = place
 
     def of(self, question_ids: Iterable[str]) -> KeptEntries:
-        """The entries of these questions, as far as they are finished."""
+        """Return the entries of the given questions that are finished."""
         return KeptEntries(self._folder, {name: self._places[name] for name in question_ids if name in self._places})
 
     def by_sequence(self) -> Iterator[list[str]]:
-        """The questions of each sequence, both in order."""
+        """Yield the question ids of each sequence, both in order."""
         ordered = sorted((place.sequence, name) for name, place in self._places.items())
         for _, own in itertools.groupby(ordered, operator.itemgetter(0)):
             yield [name for _, name in own]
@@ -182,7 +198,7 @@ class KeptEntries(Mapping[str, Finished]):
             raise StoreError(f"{path} was changed while it is in use: run again with --resume") from None
 
     def __iter__(self) -> Iterator[str]:
-        # Another thread may add one meanwhile.
+        # A copy, because another thread may add an entry.
         return iter(list(self._places))
 
     def __len__(self) -> int:
@@ -190,23 +206,32 @@ class KeptEntries(Mapping[str, Finished]):
 
 
 def journal_folder(run: Path) -> Path:
-    """The folder of a run's journal."""
+    """Return the folder of the journal of a run."""
     return run / "journal"
 
 
 def segment_path(folder: Path, sequence: str) -> Path:
-    """The file of a sequence in a journal."""
+    """Return the file of a sequence in a journal."""
     return folder / f"{safe_sequence(sequence)}.jsonl"
 
 
 def segments(folder: Path) -> list[Path]:
-    """The files of a journal, sorted."""
+    """Return the files of a journal, sorted."""
     return sorted(folder.glob("*.jsonl"))
 
 
 @contextlib.contextmanager
 def journal_lock(folder: Path, doing: str) -> Iterator[None]:
-    """Hold a journal's lock. Raises LockedError while another process has it, OSError where there is no folder."""
+    """Hold the lock of a journal while a block runs.
+
+    Args:
+        folder: The folder of the journal.
+        doing: An end of the error message.
+
+    Raises:
+        LockedError: Another process has the lock.
+        OSError: The folder does not exist.
+    """
     path = folder / ".lock"
     with path.open("ab") as file:
         try:
@@ -219,15 +244,22 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
 
 class Journal(contextlib.ExitStack):
-    """Finished questions on disk, a file per sequence, each in the order in which they finished; the last line of a
-    question counts.
+    """Finished questions on disk: a file per sequence, in the order in which they finished.
 
-    Opening takes the journal's lock (LockedError if another process runs this run) and drops last lines that a crash
-    cut short. Raises StoreError where a file is damaged elsewhere or cannot be written.
+    If a question has several lines, the last one counts.
     """
 
     def __init__(self, folder: Path, sequence_of: Mapping[str, str]) -> None:
-        """`sequence_of`: the sequence of each question that may be added."""
+        """Open the journal, take its lock, and drop last lines that a crash cut short.
+
+        Args:
+            folder: The folder of the journal.
+            sequence_of: The sequence of each question that may be added.
+
+        Raises:
+            LockedError: Another process has the journal.
+            StoreError: A file is damaged elsewhere, or cannot be written.
+        """
         super().__init__()
         self._folder, self._sequence_of = folder, sequence_of
         try:
@@ -245,7 +277,7 @@ class Journal(contextlib.ExitStack):
         places: dict[str, LinePlace] = {}
         for path in segments(self._folder):
             whole = 0
-            # By a reader with a buffer, line by line: the file may be larger than memory.
+            # Line by line, because the file may be larger than memory.
             with path.open("rb") as lines:
                 for number, line in enumerate(lines, 1):
                     if not line.endswith(b"\n"):
@@ -256,13 +288,13 @@ class Journal(contextlib.ExitStack):
         return KeptEntries(self._folder, places)
 
     def append(self, entry: Finished) -> None:
-        """Add a finished question; returns when it is on disk."""
+        """Add a finished question, and return when it is on disk. Raise StoreError if the disk refuses."""
         line = msgspec.json.encode(entry) + b"\n"
         sequence, size = self._sequence_of[entry.question_id], len(line)
         path = segment_path(self._folder, sequence)
         try:
             known = path.exists()
-            # Not buffered: a buffer would write what the disk refused once more at the end.
+            # Without a buffer, which would write refused bytes again when the file closes.
             with path.open("ab", buffering=0) as file:
                 end = file.seek(0, os.SEEK_END)
                 try:
@@ -270,7 +302,7 @@ class Journal(contextlib.ExitStack):
                         line = line[file.write(line) :]
                     os.fsync(file.fileno())
                 except OSError:
-                    # A part of a line must not stand before another one. (At the end, opening drops it.)
+                    # A partial line must not precede another line. (A partial last line is dropped on opening.)
                     with contextlib.suppress(OSError):
                         file.truncate(end)
                     raise
@@ -282,7 +314,7 @@ class Journal(contextlib.ExitStack):
 
 
 def _read_line(path: Path, number: int, line: bytes) -> str:
-    """The question of a line of the journal. Raises StoreError for one that the tables could not hold."""
+    """Return the question id of a line. Raise StoreError if the tables could not hold the line."""
     try:
         entry = _FINISHED.decode(line)
         for name in _TABLES:
@@ -293,7 +325,7 @@ def _read_line(path: Path, number: int, line: bytes) -> str:
 
 
 def _sync(folder: Path) -> None:
-    """Bring the names in a folder to the disk. Raises OSError."""
+    """Write the names of files in a folder to the disk. Raise OSError if that fails."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -306,24 +338,43 @@ _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
     "steps": lambda entry: entry.steps,
     "predictions": lambda entry: [entry.prediction],
 }
-"""The tables of a run, and an entry's rows of each."""
+"""Rows of an entry by table of a run."""
 
 _GROUP: Final = 200
-"""Most questions of a row group; their transcripts are in memory while it is written."""
+"""Maximum questions of a row group; their transcripts are in memory while it is written."""
 
 
 def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
-    """A table of a run: the entries' rows, in their order. Raises pyarrow's errors, ValueError and the like where an
-    entry does not fit."""
+    """Return a table of a run from entries.
+
+    Args:
+        run_id: The id of the run.
+        name: "predictions", "steps" or "world".
+        entries: The entries, in the order of the rows.
+
+    Returns:
+        The table.
+
+    Raises:
+        ValueError: An entry does not fit; other errors of Arrow mean the same.
+    """
     rows = [{"run_id": run_id, **row} for entry in entries for row in _TABLES[name](entry)]
-    # Only the cast finds a null in a column that allows none.
+    # Only the cast finds a null in a column without nulls.
     return pa.Table.from_pylist(rows, RUNS[name]).cast(RUNS[name])
 
 
 def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
-    """Write a run's `world`, `steps` and `predictions`, sorted by sequence, question and step; returns the predictions.
+    """Write the tables of a run, sorted by sequence, question and step.
 
-    A row group holds whole sequences, of `_GROUP` questions at most, or a part of a larger one.
+    A row group holds whole sequences with at most `_GROUP` questions, or a part of one larger sequence.
+
+    Args:
+        store: The store.
+        run_id: The id of the run.
+        finished: The finished questions.
+
+    Returns:
+        The predictions.
     """
 
     def groups(table: str) -> Iterator[pa.Table]:
@@ -332,7 +383,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
             if group.num_rows:
                 yield group
 
-    # Predictions last: a run that has them is complete.
+    # Predictions come last, because a run with predictions is complete.
     for table in ("world", "steps", "predictions"):
         path = store.run_path(run_id) / f"{table}.parquet"
         write_groups(path, groups(table), RUNS[table])
@@ -340,7 +391,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
 
 def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
-    """Parts put together as long as they stay whole and within `_GROUP`; a larger one is cut."""
+    """Yield parts joined to groups of at most `_GROUP` questions; only a larger part is cut."""
     group: list[str] = []
     for part in parts:
         if len(group) + len(part) > _GROUP and group:
@@ -355,6 +406,6 @@ def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
 
 
 def world_rows(run_id: str, finished: Mapping[str, Finished]) -> pa.Table:
-    """The rows of `world` of all entries but failed ones, which a resumed run answers again."""
+    """Return the rows of `world` of all entries that did not end in an error."""
     entries = (finished[name] for name in sorted(finished))
     return run_table(run_id, "world", (entry for entry in entries if not entry.failed))

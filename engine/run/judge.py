@@ -1,11 +1,10 @@
-"""The private half of a benchmark: scores of one prediction at a time, from a process of its own.
+"""Score one prediction at a time in a process apart: the private half of a benchmark.
 
     python -m jrdb_avr.engine.run.judge STORE
 
-The process that talks to a model never opens the private files. A child process reads the answers; it gets rows of
-`predictions` as lines of JSON and sends back four digits for each: answer, evidence and combined score, and whether
-output could not be read; or one line that says why there is nothing to score by. Nothing else comes back. The child
-ends when its standard input closes.
+The process that talks to a model never opens the private files. A child process reads the answers. It gets rows of
+`predictions` as lines of JSON and returns four digits per row: answer, evidence and combined score, and whether the
+output was unreadable. If it cannot score, it returns one line with the reason. It ends when its standard input closes.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _SCORE: Final = re.compile(r"[01]{4}")
 
 
 class QuestionScore(NamedTuple):
-    """Scores of one prediction, each 0 or 1; `invalid`: whether the model's output could not be read."""
+    """Scores of one prediction, each 0 or 1; `invalid` marks unreadable output of the model."""
 
     answer: int
     evidence: int
@@ -42,16 +41,16 @@ class QuestionScore(NamedTuple):
 
 
 class Judge(contextlib.ExitStack):
-    """Scores predictions of a store's questions. Safe for many threads, which take turns.
+    """Judge of predictions of the questions of a store. Safe for many threads, which take turns.
 
     with Judge.open("store") as judge:
         judge.score(question, prediction).combined
     """
 
     def __init__(self, store: Store) -> None:
-        """Start the process. Raises StoreError where the store's answers are missing or unfit."""
+        """Start the process. Raise StoreError if the answers of the store are missing or unfit."""
         super().__init__()
-        # It has no business with the model's server.
+        # The child never talks to the server of the model.
         environment = {name: value for name, value in os.environ.items() if not name.endswith("_API_KEY")}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "jrdb_avr.engine.run.judge", str(store.path)],
@@ -69,16 +68,28 @@ class Judge(contextlib.ExitStack):
 
     @classmethod
     def open(cls, store: Store | str | Path) -> Judge:
-        """The judge of a store's questions. Raises StoreError where its answers are missing or unfit."""
+        """Return the judge of the questions of a store. Raise StoreError if its answers are missing or unfit."""
         return cls(Store.of(store))
 
     def score(self, question: Question, prediction: Prediction) -> QuestionScore:
-        """Score a prediction. Raises InputError for a question that has no answer in the store, StoreError if the
-        process has ended, ValueError for a prediction that no table can hold."""
+        """Score a prediction.
+
+        Args:
+            question: The question.
+            prediction: The prediction.
+
+        Returns:
+            The scores.
+
+        Raises:
+            InputError: The store has no answer to the question.
+            StoreError: The process has ended.
+            ValueError: No table can hold the prediction.
+        """
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
-        """Score a row of `predictions`; raises as `score` does."""
+        """Score a row of `predictions`. Raise errors as `score` does."""
         with self._lock:
             try:
                 assert self._process.stdin is not None, "stdin is a pipe"
@@ -102,7 +113,7 @@ class Judge(contextlib.ExitStack):
             return ""
 
     def _end(self) -> None:
-        # Killed at once: it holds nothing that anybody needs.
+        # Killed at once, because it holds nothing to save.
         self._process.kill()
         with contextlib.suppress(OSError), self._process:
             pass
@@ -112,7 +123,7 @@ class Judge(contextlib.ExitStack):
 
 
 def judge_lines(store: Store, lines: IO[str]) -> None:
-    """Print the scores of each line's prediction, until there are no more."""
+    """Print the scores of the prediction in each line."""
     import pyarrow as pa
 
     from jrdb_avr.engine.report.scoring import score_predictions

@@ -1,7 +1,6 @@
-"""Scores of a run that is in progress: sums of what the `Judge` says of each finished question.
+"""Compute scores of a run in progress, from the results of `Judge` for each finished question.
 
-Nothing of it reaches a method. Where there are no answers (a machine that has the public files alone), or anything is
-wrong, nothing is reported.
+Scores never reach a method. If there are no answers, or an error occurs, no scores are reported.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from jrdb_avr.schema.errors import AvrError
 
 @dataclass(frozen=True, slots=True)
 class LiveScore:
-    """Scores so far: the questions judged, and how many of them score."""
+    """Scores so far: the number of judged questions, and how many of them are right."""
 
     judged: int
     answer: int
@@ -37,12 +36,17 @@ class LiveScore:
 def report_scores(
     store: Store, before: Iterable[Finished], report: Callable[[LiveScore], None]
 ) -> Iterator[Callable[[Finished], None]]:
-    """Call `report` with a run's scores whenever they change, from another thread, while the block lasts.
+    """Report scores of a run, from another thread, while a block runs.
 
-    `before`: what was finished earlier; yields a function that takes what finishes. The last entry of a question
-    counts; an error scores nothing.
+    Args:
+        store: The store.
+        before: Entries that finished earlier.
+        report: Called with the scores if they change.
+
+    Yields:
+        A function that takes each entry that finishes. The last entry of a question counts.
     """
-    # Predictions alone: transcripts may be a hundred kilobytes each, and judging may fall behind.
+    # Without transcripts, which are large, because judging may fall behind.
     entries: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
     for entry in before:
         entries.put(entry.prediction)

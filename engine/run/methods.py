@@ -1,8 +1,8 @@
-"""Methods by name, as `evaluate --method` takes them: the built-in ones and custom ones.
+"""Find methods by name, as `evaluate --method` takes them: built-in methods and custom methods.
 
-A custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is called with the chat client, or None
-where the run has no model, and returns a `schema.method.Method`; its `settings()`, if it has them, are stored with the
-run. It is the user's own code and runs as such.
+A custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is called with the chat client (None if the
+run has no model) and returns a `schema.method.Method`. The run stores the result of its `settings()`, if it has
+that function. A custom method is code of the user and has the user's rights.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
-"""The model of a custom method that calls none."""
+"""Name of the model of a method that calls no model."""
 
 METHODS: Final = (
     "monolithic",
@@ -43,29 +43,38 @@ METHODS: Final = (
 )
 
 POLICIES: Final = ("model", "guided", "driven")
-"""Who chooses the looks of an agent."""
+"""Ways in which an agent chooses its looks."""
 
 DRIVABLE: Final = ("agent", "agent-no-world")
-"""Methods whose looks the harness may choose, as it does unless something else is asked for."""
+"""Methods for which the program can choose looks, as it does by default."""
 
 CHATS: Final = ("react", "agent-no-world")
-"""Methods that send their pictures again in every turn, if the model chooses the looks."""
+"""Methods that send all pictures again in every turn, if the model chooses the looks."""
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write into a world model."""
 
 
 def default_policy(method: object) -> Policy:
-    """The policy of a method where none is asked for."""
+    """Return the policy of a method if the user names none."""
     return "driven" if method in DRIVABLE else "model"
 
 
 @contextlib.contextmanager
 def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel]:
-    """A run's world model in the graph file at `path`, which is made if there is none; closed at the end of the block.
+    """Yield the world model of a run in a graph file, and close it at the end of the block.
 
-    record: the run's world rows so far; what the graph lacks of them is brought back first. Raises LockedError where
-    another process has the graph open, StoreError where it cannot be opened.
+    Args:
+        path: The graph file; it is made if it is missing.
+        run_id: The id of the run.
+        record: The world rows of the run so far; missing facts are restored first.
+
+    Yields:
+        The world model.
+
+    Raises:
+        LockedError: Another process has the graph open.
+        StoreError: The graph cannot be opened.
     """
     from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.queries.beliefs.graph import WorldGraph, open_graph
@@ -85,10 +94,18 @@ def make_method(
     policy: Policy | None = None,
     history: int | None = None,
 ) -> ConfigurableMethod:
-    """The method of a name in `METHODS`.
+    """Make a built-in method.
 
-    One of `WORLD_METHODS` takes its world model; agents take a policy, `default_policy` without; one of `CHATS`, where
-    the model chooses its looks, how many pictures it sends.
+    Args:
+        name: A name of `METHODS`.
+        chat: The client of the model.
+        convention: The convention of the model.
+        world: The world model, for a method of `WORLD_METHODS`.
+        policy: The policy of an agent; by default `default_policy`.
+        history: The number of pictures that a method of `CHATS` sends; by default all.
+
+    Returns:
+        The method.
     """
     from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
     from jrdb_avr.agent.methods.monolithic import Monolithic
@@ -114,7 +131,7 @@ _SPEC: Final = re.compile(r"(?P<where>.+):(?P<name>[A-Za-z_][A-Za-z0-9_]*)")
 
 
 class CustomMethod:
-    """A user's method, with settings whether or not it has any of its own."""
+    """A method of the user; it has settings even if the user's class has none."""
 
     def __init__(self, spec: str, method: Any) -> None:
         if not callable(getattr(method, "answer", None)) or not isinstance(getattr(method, "name", None), str):
@@ -126,28 +143,41 @@ class CustomMethod:
 
     @property
     def name(self) -> str:
+        """The name of the method."""
         return str(self._method.name)
 
     def settings(self) -> dict[str, Any]:
-        """The file or module of the method, and the settings that it reports."""
+        """Return the file or module of the method, and the settings that it reports."""
         own: Any = getattr(self._method, "settings", dict)()
         return {"from": Path(self._spec).name, "settings": own}
 
     def answer(self, task: Task) -> Prediction:
+        """Answer one question."""
         prediction: Prediction = self._method.answer(task)
         return prediction
 
 
 def is_custom(spec: str) -> bool:
-    """Whether a method's name is FILE.py:NAME or MODULE:NAME."""
+    """Return whether the name of a method is FILE.py:NAME or MODULE:NAME."""
     return _SPEC.fullmatch(spec) is not None
 
 
 def load_custom_method(spec: str, chat: Chat | None) -> CustomMethod:
-    """Import and make a custom method. Raises InputError with the reason where that fails."""
+    """Import and make a custom method.
+
+    Args:
+        spec: FILE.py:NAME or MODULE:NAME.
+        chat: The client of the model, or None.
+
+    Returns:
+        The method.
+
+    Raises:
+        InputError: The method cannot be imported or made; the message has the reason.
+    """
     found = _SPEC.fullmatch(spec)
     if found is None:
-        raise InputError(f"{spec!r} is no method: write FILE.py:NAME or MODULE:NAME", field="method")
+        raise InputError(f"{spec!r} is not a method: write FILE.py:NAME or MODULE:NAME", field="method")
     make: Callable[[Chat | None], Any] | None = getattr(_module(found["where"]), found["name"], None)
     if not callable(make):
         raise InputError(f"{found['where']} has no {found['name']} that can be called", field="method")
@@ -167,7 +197,7 @@ def _module(where: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(Path(where).stem, where)
         assert spec is not None and spec.loader is not None, "the name ends in .py"
         module = importlib.util.module_from_spec(spec)
-        # Dataclasses of the file look their module up.
+        # Because dataclasses of the file look up their module.
         sys.modules.setdefault(spec.name, module)
         spec.loader.exec_module(module)
     except FileNotFoundError:

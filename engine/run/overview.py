@@ -20,28 +20,33 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError, did_you_mean
 
 _REASONS: Final = 3
-"""Commonest reasons that `show_run` lists of each status."""
+"""Maximum reasons per status that `show_run` lists."""
 
 
 _TRASH: Final = ".removed-"
-"""Begins the names of folders that are being deleted; whoever removes a run next deletes what a kill left of them."""
+"""Prefix of folders in deletion; the next removal deletes remains that a killed process left."""
 
 
 class _Line(msgspec.Struct):
-    """What is read of a line of the journal."""
+    """Part of a line of the journal."""
 
     question_id: str
     prediction: dict[str, Any]
 
 
 def list_runs(store: Store | str | Path) -> list[dict[str, Any]]:
-    """A row per run, by id: method, model, label, state, questions by status, and when it began.
+    """List the runs of a store.
 
-    state: "complete", "unfinished", "other questions" where the store's are no longer those of the run, or "damaged".
+    Args:
+        store: The store, or its folder.
+
+    Returns:
+        A row per run, by id: method, model, label, state, questions by status, and start time. The state is "complete",
+        "unfinished", "other questions" if the questions of the store have changed, or "damaged".
     """
     store = Store.of(store)
     if not run_ids(store):
-        store.manifest()  # A folder that is no store lacks more than runs.
+        store.manifest()  # It raises for a folder without a store.
     return [_row(store, name) for name in run_ids(store)]
 
 
@@ -68,16 +73,24 @@ def _state(store: Store, manifest: RunManifest, played: int) -> str:
     path = store.question_path("questions")
     if path.exists() and questions_hash(store) != manifest.questions_sha256:
         return "other questions"
-    # A person who stops in the middle leaves tables of what was played.
+    # A person may stop early, which leaves tables of the finished questions.
     written = (store.run_path(manifest.run_id) / "predictions.parquet").exists()
     return "complete" if written and played == len(manifest.question_ids) else "unfinished"
 
 
 def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:
-    """A run as plain values: its row of `list_runs`, how its questions were selected, its settings, the commonest
-    reasons of what is invalid or an error, and its folder.
+    """Return the facts of a run as plain values.
 
-    Raises StoreError for a run that is missing or damaged.
+    Args:
+        store: The store, or its folder.
+        run_id: The id of the run.
+
+    Returns:
+        The row of `list_runs`, the selection, the settings, the most frequent reasons of invalid questions and
+        errors, and the folder.
+
+    Raises:
+        StoreError: The run is missing or damaged.
     """
     store = Store.of(store)
     _require(store, run_id)
@@ -97,9 +110,15 @@ def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:
 
 
 def remove_run(store: Store | str | Path, run_id: str) -> None:
-    """Delete a run's folder, and what the store's graph holds of it.
+    """Delete the folder of a run, and its world model in the graph of the store.
 
-    Raises StoreError where there is no such run, LockedError while it runs or another process has the graph.
+    Args:
+        store: The store, or its folder.
+        run_id: The id of the run.
+
+    Raises:
+        StoreError: The run is missing.
+        LockedError: The run is in progress, or another process has the graph.
     """
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
@@ -117,7 +136,7 @@ def remove_run(store: Store | str | Path, run_id: str) -> None:
         if believes and store.graph_path.exists():
             with open_graph(store.graph_path) as graph, graph.transaction():
                 drop_world(graph, run_id)
-        # Moved out of the runs at once: one that is deleted in part would be taken for a run.
+        # Moved first, because a partly deleted folder would count as a run.
         try:
             trash = Path(tempfile.mkdtemp(prefix=_TRASH, dir=store.path))
             shutil.move(folder, trash)
@@ -134,14 +153,14 @@ def _require(store: Store, run_id: str) -> None:
 
 @contextlib.contextmanager
 def _idle(folder: Path) -> Iterator[None]:
-    """Hold the run's lock. Raises LockedError while another process runs it."""
+    """Hold the lock of a run. Raise LockedError if another process runs it."""
     journal = journal_folder(folder)
     with journal_lock(journal, "") if journal.exists() else contextlib.nullcontext():
         yield
 
 
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
-    """Status and reason of each finished question, of an unfinished run from its journal."""
+    """Return status and reason of each finished question; an unfinished run has them in its journal."""
     folder = store.run_path(run_id)
     path = folder / "predictions.parquet"
     try:
@@ -151,7 +170,7 @@ def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
         found = {}
         for segment in segments(journal_folder(folder)):
             with segment.open("rb") as lines:
-                # The last line may be one that is being written.
+                # Another process may still write the last line.
                 for line in (msgspec.json.decode(own, type=_Line) for own in lines if own.endswith(b"\n")):
                     found[line.question_id] = {
                         name: str(line.prediction.get(name, "")) for name in ("status", "reason")

@@ -1,4 +1,4 @@
-"""A run whose questions are played one move at a time, by somebody other than a method of this program."""
+"""Play the questions of a run one move at a time, by a person or an agent outside this program."""
 
 from __future__ import annotations
 
@@ -31,9 +31,25 @@ def played_run(
     images: str | Path | None = None,
     opaque: bool = False,
 ) -> Iterator[tuple[Bench, Run]]:
-    """The bench and the run of a player; an interrupt ends it, and at the end the tables are written.
+    """Yield the bench and the run of a player. An interrupt ends the block, and the tables are written at its end.
 
-    Raises StoreError or InputError where store, run or selection do not fit.
+    Args:
+        store: The store.
+        method: The method of the run.
+        model: The player, as the model of the run.
+        run_id: The id of the run.
+        questions: The selection of the questions.
+        limit: A maximum number of questions.
+        resume: Whether the run may exist.
+        images: Folder of panoramas in place of the folder that the store names.
+        opaque: Whether the player gets opaque names of sequences.
+
+    Yields:
+        The bench and the run.
+
+    Raises:
+        StoreError: The store or the run does not fit.
+        InputError: The selection does not fit.
     """
     image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
@@ -52,13 +68,13 @@ def played_run(
 
 
 def due_questions(bench: Bench, run: Run) -> list[str]:
-    """The ids of the bench's questions that the run has not answered, in order."""
+    """Return the ids of questions that the run has not answered, in order."""
     return [own.question_id for own in unanswered(bench.questions, run.finished)]
 
 
 @dataclass
 class Play:
-    """A question being played: its episode, the steps on record, and when it began."""
+    """A question in progress: its episode, its recorded steps, and its start time."""
 
     episode: Episode
     steps: list[Step]
@@ -71,6 +87,6 @@ class Play:
         return cls(bench.episode(question_id, budget=BUDGET, record=lambda step: steps.append(step)), steps)
 
     def record(self, run: Run) -> None:
-        """Add what was played to the run."""
+        """Add the question to the run."""
         seconds = time.perf_counter() - self.started
         run.append(finished_entry(self.episode.question, self.episode.finished(), self.steps, (), seconds))

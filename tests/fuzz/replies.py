@@ -147,6 +147,7 @@ class Chat(Client):
         super().__init__(
             "http://127.0.0.1:9/v1", "m", EndpointOptions(retries=1), convention=convention, pause=lambda seconds: None
         )
+        self._connections = self
         self.bodies = []
         self.rng = Random(0)
         self._schema = None
@@ -160,7 +161,8 @@ class Chat(Client):
         thinking_text(reply, self.convention)
         return reply
 
-    def _post(self, body, timeout_s):
+    def exchange(self, *request, **more):
+        """Reply in place of the client's connections."""
         data = body_of(self.rng, written(self.rng, self._schema))
         self.bodies.append(data)
         status = 200 if self.rng.random() < 0.97 else self.rng.choice((204, 400, 401, 404, 429, 500, 503, 529))

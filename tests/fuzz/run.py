@@ -1,8 +1,8 @@
-"""Fuzz the program from outside: label files, replies of models, plans, statements of users, prediction files.
+"""Fuzz the program from outside: replies of models, plans, statements of users, prediction files.
 
     python tests/fuzz/run.py                                     about a minute, as the gate runs it
-    python tests/fuzz/run.py --records 1000000 --replies 100000  for half an hour and more
-    python tests/fuzz/run.py --only records --case 17            one case again
+    python tests/fuzz/run.py --replies 100000  for half an hour and more
+    python tests/fuzz/run.py --only replies --case 17            one case again
 
 Everything follows from the seed and the number of a case. A case fails where something else than an error of
 `schema/errors.py` is raised, a check of its module does not hold, a call takes more than 10 seconds of the processor,
@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-KINDS = {"records": 15_000, "replies": 10_000, "plans": 200, "statements": 600, "predictions": 1500}
+KINDS = {"replies": 10_000, "plans": 200, "statements": 600, "predictions": 1500}
 """What is fuzzed, each a module with a function `run_case`; and how many items are tried if nothing else is said."""
 
 MEMORY = 2 << 30

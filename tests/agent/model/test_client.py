@@ -653,7 +653,7 @@ def test_sixty_four_are_in_flight_at_once():
     together = threading.Barrier(64)
 
     def script(request, n):
-        together.wait(20)
+        together.wait(300)
         return "hi"
 
     with FakeServer(script) as server:

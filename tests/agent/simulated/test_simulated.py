@@ -315,7 +315,7 @@ def test_the_server_ends_with_its_parent():
         url = parent.stdout.readline().strip()
         assert Client(url, "marker").probe(HELLO).model == "marker"
         parent.kill()
-    for _ in range(100):
+    for _ in range(1200):
         try:
             post(url, b"{}")
         except OSError:
@@ -347,7 +347,7 @@ def serving(code):
         try:
             yield process.stdout.readline().rpartition(" ")[2].strip(), told
         finally:
-            told += process.communicate(timeout=30)[1].splitlines()
+            told += process.communicate()[1].splitlines()
 
 
 def test_the_marker_reads_nothing_but_what_it_is_sent(tmp_path):
@@ -364,7 +364,7 @@ def test_the_marker_reads_nothing_but_what_it_is_sent(tmp_path):
     check_evidence(prediction, box.box)
     # The first shows that the watch sees; source files are told of where the package runs from its folder.
     assert told[:1] == [f"opened {os.devnull}"]
-    assert [line for line in told[1:] if not line.endswith((".py", ".pyc"))] == []
+    assert [line for line in told[1:] if not line.endswith((".py", ".pyc", ".pyi"))] == []
 
 
 def test_a_client_that_goes_away_is_no_traceback():
