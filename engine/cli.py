@@ -24,25 +24,25 @@ COMMANDS: Final[dict[str, str]] = {
     "generate": "Find questions, prove them and write the benchmark.",
     "rules": "List the thresholds of the benchmark.",
     "validate": "Check the question files against the annotations.",
-    "stats": "Count questions; show what a blind guesser scores.",
-    "cypher": "Ask the scene graph.",
-    "sql": "Ask the Parquet tables.",
+    "stats": "Count questions, and score guessers that see no image.",
+    "cypher": "Query the graph with Cypher.",
+    "sql": "Query the Parquet tables with SQL.",
     "schema": "Print the tables of graph and store, or draw them.",
-    "observe": "Look: write a crop of a panorama as PNG.",
+    "observe": "Write a crop of a panorama as PNG.",
     "preflight": "Check a model's server before a run.",
-    "calibrate": "Find out how a model writes boxes.",
+    "calibrate": "Find the way in which a model writes boxes.",
     "evaluate": "Run a method on the questions.",
     "mcp": "Let an agent that speaks MCP answer the questions.",
     "play": "Let a person answer the questions in the browser.",
-    "world": "Bring runs' world models into the graph, or drop them.",
-    "runs": "List, show, compare or remove runs.",
+    "world": "Copy world models of runs into the graph, or remove them.",
+    "runs": "List, show, compare, merge or remove runs.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
-    "trace": "Show what a run did with a question, step by step.",
-    "view": "Look at questions and runs in the browser.",
-    "export": "Write predictions in the forms of other tools.",
-    "submit": "Write a run as a bundle, to be scored elsewhere.",
-    "inspect": "Show questions on a page, for a person to judge.",
+    "trace": "Show the steps of a run for one question.",
+    "view": "Show questions and runs in the browser.",
+    "export": "Write questions or predictions for other tools.",
+    "submit": "Write a run as a bundle that another store can score.",
+    "inspect": "Show questions on a page for a reviewer.",
     "demo": "Run everything once on a synthetic world.",
 }
 """Every command with its short help, which must not need the command's module."""
@@ -91,7 +91,7 @@ class LazyGroup(NamingGroup):
 def group(ctx: click.Context) -> None:
     """Active visual reasoning over JRDB: questions with proofs, observations, methods, scores.
 
-    Without a command: what there is here, and what comes next.
+    Without a command, print the state of the stores here and the next command.
     """
     if ctx.invoked_subcommand is None:
         steps = importlib.import_module("jrdb_avr.engine.commands._next").next_steps(Path.cwd())

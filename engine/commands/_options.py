@@ -44,7 +44,7 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         type=FOLDER,
         envvar=STORE_VARIABLE,
         callback=open_store,
-        help=f"Folder of the store; without it the one that {STORE_VARIABLE} names.",
+        help=f"Folder of the store; by default the folder that {STORE_VARIABLE} names.",
     )
 
 
@@ -85,7 +85,7 @@ def executor_option(function: _C) -> Callable[..., Any]:
         "--executor",
         metavar="ray[://HOST:PORT]",
         callback=check,
-        help="Use a Ray cluster, whose machines see the same folders, in place of local processes.",
+        help="Use a Ray cluster in place of local processes. All its machines need the same folders.",
     )
     return workers_option(executor(command))
 
@@ -95,7 +95,7 @@ iou_option = click.option(
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=0.5,
     show_default=True,
-    help="Least IoU with the true box at which evidence scores.",
+    help="Minimum IoU with the true box for evidence to score.",
 )
 
 port_option = click.option(

@@ -26,10 +26,10 @@ Example:
 @endpoint_options
 @form_option
 def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
-    """Find out in which order and scale a model writes boxes, from 50 drawn rectangles without questions.
+    """Find the order and scale in which a model writes boxes, from 50 drawn rectangles without questions.
 
-    The store keeps the result for later runs of the model with the same response format and thinking. If no reading of
-    the boxes is clearly the best, nothing is stored and the exit code is 1.
+    The store keeps the result for later runs of the model with the same response format and thinking. If no order and
+    scale is clearly the best, nothing is stored and the exit code is 1.
     """
     import msgspec
 

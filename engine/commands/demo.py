@@ -42,7 +42,7 @@ class Size:
 def command(out: Path) -> None:
     """Make a synthetic world, load it, generate questions, let the simulated model answer them, score and report.
 
-    Every step is printed as the command that you would type. Takes about twenty seconds.
+    The demo prints every step as a command that you can type. It takes about twenty seconds.
     """
     run_demo(out, Size(), click.echo)
 

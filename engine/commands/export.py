@@ -25,12 +25,12 @@ Examples:
 @click.command(epilog=_EXAMPLE)
 @store_option()
 @run_argument("run", required=False)
-@click.option("--jsonl", type=FILE, help="Write the predictions of RUN, a line each; 'score --jsonl' reads them.")
+@click.option("--jsonl", type=FILE, help="Write the predictions of RUN, one per line. 'score --jsonl' reads the file.")
 @click.option("--public", type=FOLDER, help="Write a store of questions and panoramas without answers and labels.")
-@click.option("--opaque", is_flag=True, help="With --public: hashes in place of the names of sequences.")
+@click.option("--opaque", is_flag=True, help="With --public: write hashes in place of the names of sequences.")
 @click.option("--hf", type=FOLDER, help="Write the questions as DIR/public, for Hugging Face, and DIR/private.")
-@click.option("--creator", default=CREATOR, show_default=True, help="Of --hf: who publishes the questions.")
-@click.option("--url", default=HOME, show_default=True, help="Of --hf: where they will be published.")
+@click.option("--creator", default=CREATOR, show_default=True, help="With --hf: publisher of the questions.")
+@click.option("--url", default=HOME, show_default=True, help="With --hf: address of the published questions.")
 def export(
     store: Store,
     run: str | None,
@@ -80,7 +80,7 @@ def export(
 _SUBMIT_EXAMPLES: Final = """\b
 Examples:
   jrdb-avr submit react-marker bundle --store S
-  jrdb-avr score --store S --bundle bundle         on a machine with the answers
+  jrdb-avr score --store S --bundle bundle         on the machine with the answers
 """
 
 
@@ -89,10 +89,10 @@ Examples:
 @run_argument("run")
 @click.argument("folder", metavar="DIR", type=FOLDER)
 def submit(store: Store, run: str, folder: Path) -> None:
-    """Write RUN as a bundle into the new folder DIR; a store with the answers can score it.
+    """Write RUN as a bundle into the new folder DIR. A store with the answers can score it.
 
-    The bundle holds predictions, the manifest with the settings, and hashes. It needs no answers, and leaves out the
-    address of the model's server.
+    The bundle holds predictions, hashes, and the manifest with the settings but without the address of the model's
+    server. The command needs no answers.
     """
     from jrdb_avr.engine.report.bundle import write_bundle
 

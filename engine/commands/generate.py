@@ -31,34 +31,32 @@ _blind_option = click.option(
     type=click.Choice(["all", "paper", "train"]),
     default="all",
     show_default=True,
-    help="How many questions of each family: all that balance leaves, or the paper's numbers; or a training set, with "
-    "no caps per person and no limits on answers.",
+    help="Number of questions per family. 'all': as many as balance allows. 'paper': the numbers of the paper. "
+    "'train': a training set, without caps per person and without limits on answers.",
 )
-@click.option("--n", type=click.IntRange(1), help="With --profile train: at most so many questions.")
+@click.option("--n", type=click.IntRange(1), help="With --profile train: maximum number of questions.")
 @click.option(
     "--disjoint-from",
     type=FOLDER,
     metavar="STORE",
-    help="With --profile train: no question needs a person of STORE's questions at the same time.",
+    help="With --profile train: leave out questions that need a person of a question of STORE at the same time.",
 )
 @executor_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Decides between equally good selections.")
-@click.option(
-    "--candidates", type=FILE, help="Also write every proven candidate before selection to this Parquet file."
-)
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed that decides among equal selections.")
+@click.option("--candidates", type=FILE, help="Parquet file to which every proven candidate is also written.")
 @click.option("--require-occlusion", is_flag=True, help="Skip sequences whose boxes have no occlusion attributes.")
-@click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
+@click.option("--exclude-rejected", is_flag=True, help="Leave out what reviewers rejected (inspect --import).")
 @pairs_option("--rule", "overrides", "Override a rule; may be repeated. Caps that --profile train lifts stay lifted.")
 @_blind_option
 @form_option
 def generate(
     store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], blind: str, form: RowFormat, **options: Any
 ) -> None:
-    """Search every sequence of STORE for questions, keep those whose proofs hold, and write them to STORE/questions.
+    """Search every sequence of a store for questions, and write the questions whose proofs hold to STORE/questions.
 
-    Prints per template the candidates, how many each rule refused, the questions, why there are few, and what a blind
-    guesser scores; with --profile paper also how many of each family were reached. The result is the same for any
-    number of workers. --profile train makes a training set: give it a store of its own.
+    The command prints for each template the candidates, the refusals by rule, the questions, the reasons if there are
+    few, and the score of a blind guesser. With --profile paper it also prints how many questions each family got. The
+    number of workers does not change the result. A training set needs a store of its own.
     """
     from jrdb_avr.engine.generate import run
     from jrdb_avr.engine.generate.diagnostics import fillings
@@ -95,10 +93,10 @@ def generate(
     "--latex", "as_latex", is_flag=True, help="Print the paper's table of generators, for the package booktabs."
 )
 def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
-    """Count the questions of STORE by family, template, sequence, answer; score guessers that see no image.
+    """Count the questions of a store by family, template, sequence and answer, and score guessers that see no image.
 
-    Says for each template what became of its candidates and, where there are few questions, why. With --json each row
-    object names its table under "table".
+    For each template the command prints the refusals of its candidates, and the reasons if there are few questions.
+    With --json each row object names its table under "table".
     """
     if form and as_latex:
         raise click.UsageError(f"choose one of --{form} and --latex")

@@ -24,19 +24,19 @@ Examples:
 @click.command(epilog=_EXAMPLES)
 @click.argument("questions", nargs=-1, metavar="[QUESTION]...")
 @store_option()
-@click.option("--sample", type=click.IntRange(1, 1000), help="Instead of QUESTIONs: so many, drawn at random.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the random draw.")
+@click.option("--sample", type=click.IntRange(1, 1000), help="Number of questions to draw at random, if none is named.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random draw.")
 @page_option("inspect.html")
-@click.option("--import", "decisions", type=FILE, help="Store a page's decisions.")
-@click.option("--reviewer", help="Who decided; with --import.")
+@click.option("--import", "decisions", type=FILE, help="File of decisions from the page, to be stored.")
+@click.option("--reviewer", help="With --import: name of the reviewer.")
 @form_option
 def command(
     questions: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, form: RowFormat, **review: Any
 ) -> None:
-    """Write a page that shows questions with their answers, plans, proofs and views, or store what was decided on it.
+    """Write a page that shows questions with answers, plans, proofs and views, or store the decisions made on it.
 
-    On the page: a accepts, r rejects, u undoes, j and k go on and back, comma and dot a second earlier and later. With
-    --import, prints how far every two reviewers agree (Cohen's kappa).
+    Keys on the page: a accepts, r rejects, u undoes, j and k go to the next and previous question, comma and dot move
+    by a second. --import prints the agreement of every two reviewers (Cohen's kappa).
     """
     decisions, reviewer = review["decisions"], review["reviewer"]
     if (decisions is None) != (reviewer is None):

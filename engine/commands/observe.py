@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLE: Final = """180 is straight ahead, 90 the robot's left, 0 behind, 270 its right.
+_EXAMPLE: Final = """Angle 180 is ahead of the robot, 90 is left of it, 0 behind it, and 270 right of it.
 
 \b
 Example:
@@ -33,12 +33,12 @@ Example:
 @click.argument("angle", type=float, required=False)
 @store_option()
 @click.option("--out", required=True, type=FILE, help="PNG file to write.")
-@click.option("--panorama", is_flag=True, help="The whole strip instead of a crop; needs no ANGLE.")
-@click.option("--boxes", is_flag=True, help="Draw the annotated boxes with track, pose and group, and skeletons.")
+@click.option("--panorama", is_flag=True, help="Write the whole panorama in place of a crop; without ANGLE.")
+@click.option("--boxes", is_flag=True, help="Draw annotated boxes with track, pose and group, and skeletons.")
 def command(
     sequence: str, frame: int, angle: float | None, store: Store, out: Path, panorama: bool, boxes: bool
 ) -> None:
-    """Look at FRAME of SEQUENCE in direction ANGLE (degrees): a 480 x 480 crop as PNG."""
+    """Write the 480 x 480 crop of FRAME of SEQUENCE around ANGLE (degrees) as PNG."""
     if panorama == (angle is not None):
         raise click.UsageError("give either an ANGLE or --panorama")
 

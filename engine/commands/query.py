@@ -38,7 +38,7 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
             type=click.FloatRange(0.1, 86_400),
             default=60.0,
             show_default=True,
-            help="Seconds after which the query is stopped.",
+            help="Maximum seconds of the query.",
         ),
         click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
@@ -66,16 +66,20 @@ Examples:
 @click.command(epilog=_CYPHER_EXAMPLES)
 @_query_options
 def cypher(**options: Any) -> None:
-    """Query the graph: QUERY is one reading Cypher statement, the name of a saved query (see --list), FILE.cypher, or -
-    for standard input."""
+    """Query the graph with one reading Cypher statement.
+
+    QUERY is the statement, the name of a saved query (see --list), FILE.cypher, or - for standard input.
+    """
     _run("cypher", **options)
 
 
 @click.command(epilog=_SQL_EXAMPLES)
 @_query_options
 def sql(**options: Any) -> None:
-    """Ask the Parquet tables: QUERY is one SELECT over the store's views, the name of a saved query (see --list),
-    FILE.sql, or - for standard input."""
+    """Query the Parquet tables with one SELECT statement over the views of the store.
+
+    QUERY is the statement, the name of a saved query (see --list), FILE.sql, or - for standard input.
+    """
     _run("sql", **options)
 
 

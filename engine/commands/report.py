@@ -32,23 +32,23 @@ _runs_argument = run_argument("runs", nargs=-1, metavar="[RUN]...")
 
 _SCORE_EXAMPLE: Final = """\b
 Examples:
-  jrdb-avr score --store S react-marker           (without a RUN: all runs)
-  jrdb-avr score --store S --jsonl mine.jsonl     predictions made elsewhere, as the run 'mine'
-  jrdb-avr score --store S --bundle bundle        what 'submit' wrote
+  jrdb-avr score --store S react-marker           (all runs without a RUN)
+  jrdb-avr score --store S --jsonl mine.jsonl     import predictions as the run 'mine'
+  jrdb-avr score --store S --bundle bundle        score a bundle of 'submit'
 """
 
 
 @click.command(epilog=_SCORE_EXAMPLE)
 @_runs_argument
 @store_option()
-@click.option("--jsonl", type=FILE, help="Take predictions in as a run first, named RUN or like the file; score it.")
-@click.option("--bundle", type=FOLDER, help="Score a bundle; nothing is written.")
+@click.option("--jsonl", type=FILE, help="File of predictions to import as the run RUN and to score.")
+@click.option("--bundle", type=FOLDER, help="Score this bundle without writing anything.")
 @iou_option
 @form_option
 def score(
     runs: tuple[str, ...], store: Store, iou: float, form: RowFormat, jsonl: Path | None, bundle: Path | None
 ) -> None:
-    """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question."""
+    """Score runs: write answer, evidence and combined score of every question to runs/RUN/scores.parquet."""
     from jrdb_avr.engine.report import comparison
 
     if (jsonl and len(runs) > 1) or (bundle and (runs or jsonl)):
@@ -79,21 +79,22 @@ def score(
     "tables",
     multiple=True,
     metavar="NAME",
-    help="main; family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence (breakdowns); "
-    "ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost; all. May be repeated.  [default: main]",
+    help="Table to print: main; a breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg, "
+    "sequence; ablation, pairs, people, epochs, wrong_choices, evidence_failures or cost; or all. May be repeated.  "
+    "[default: main]",
 )
 @click.option("--paper", is_flag=True, help="Add the paper's figures as rows, labelled 'paper'.")
 @iou_option
 @form_option
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
-@click.option("--html", type=FILE, help="Write everything as one page.")
-@click.option("--leaderboard", is_flag=True, help="Rank bundles, the folders given in place of runs, by question set.")
+@click.option("--html", type=FILE, help="Write all tables as one page.")
+@click.option("--leaderboard", is_flag=True, help="Rank bundles per question set. The arguments are bundles, not runs.")
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
-    """Compare runs: answer, evidence, combined, hallucination and invalid in percent of the n questions.
+    """Compare runs by answer, evidence and combined score, hallucination and invalid replies, in percent of questions.
 
     Intervals are 95 %, from 10,000 seeded draws of whole sequences. Macro averages are over the seven families and the
-    paper's five groups.
+    five groups of the paper.
     """
     form, as_markdown, as_latex = options["form"], options["as_markdown"], options["as_latex"]
     if bool(form) + as_markdown + as_latex + (html is not None) > 1:

@@ -17,7 +17,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 @click.option(
     "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Frames of each sequence."
 )
-@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at a time.")
+@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People at the same time.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the world.")
 @click.option("--no-images", is_flag=True, help="Write label files only.")
 @click.option(
@@ -25,7 +25,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     type=click.Choice(("keyframes", "changes", "all")),
     default="changes",
     show_default=True,
-    help="Frames with a panorama; 'changes': keyframes, and once per second both frames round a moment of change.",
+    help="Frames that get a panorama. 'changes': keyframes, and per second the two frames between which states change.",
 )
 @click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
 @workers_option

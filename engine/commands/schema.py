@@ -23,10 +23,10 @@ Examples:
 @click.option("--mermaid", is_flag=True, help="Print a diagram in Mermaid.")
 @form_option
 def command(what: str, names: tuple[str, ...], mermaid: bool, form: RowFormat) -> None:
-    """Print the tables of the graph, for 'cypher', or of the store, for 'sql'; of those with a NAME their columns.
+    """Print the tables of the graph (for 'cypher') or of the store (for 'sql'), or the columns of the tables NAME.
 
-    NAMEs are tables, or parts: scene, keyframes and beliefs of the graph; annotations, intervals, questions and runs of
-    the store. Needs no store.
+    A NAME is a table or a part. The parts of the graph are scene, keyframes and beliefs; the parts of the store are
+    annotations, intervals, questions and runs. The command needs no store.
     """
     from jrdb_avr.schema import catalog
 

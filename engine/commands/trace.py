@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 @store_option()
 @page_option("trace.html")
 def command(run: str, question: str, store: Store, out: Path) -> None:
-    """Write a page that shows how RUN came to its answer to QUESTION (an id), step by step, beside the truth.
+    """Write a page that shows the steps of RUN for QUESTION (an id), with the true answer.
 
-    Each look is drawn on the panorama; of an agent, the world model as it grew, with the writes that were refused.
+    The page draws each look on the panorama. For an agent it shows the world model and the refused writes at each step.
     """
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page

@@ -17,17 +17,16 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")
 @store_option()
-@click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph.")
+@click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher over the graph.")
 @executor_option
 @pairs_option("--rule", "overrides", "As in the call of generate.")
 @form_option
 def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple[str, str]], form: RowFormat) -> None:
-    """Check the questions of STORE: files, ids, choices, answers, texts, evidence; derive answers and proofs again.
+    """Check the questions of a store: files, ids, choices, answers, texts, evidence; derive answers and proofs again.
 
-    The second derivation reads the annotation tables and nothing that generation made. With --replay all proofs of
-    all questions are run again from the stored plans, and each plan, compiled to Cypher, has to find the stored people
-    and answer in the graph; whatever comes out otherwise than stored is named with its question and proof. Exit code 1
-    on any fault.
+    The second derivation reads only the annotation tables. With --replay all proofs run again from the stored plans.
+    Each plan also runs as Cypher over the graph and must find the stored people and answer. Every difference is printed
+    with its question and proof. The exit code is 1 on any fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override

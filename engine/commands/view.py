@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr view --store S --answers")
 @store_option()
-@click.option("--answers", is_flag=True, help="Also show true answers, targets, scores and causes: private files.")
-@click.option("--images", type=FOLDER, help="Folder with a folder of panoramas per sequence; the store's if left out.")
+@click.option("--answers", is_flag=True, help="Also show true answers, targets, scores and causes (private files).")
+@click.option("--images", type=FOLDER, help="Folder of panoramas by sequence; by default as the store names it.")
 @port_option
 @iou_option
 def command(store: Store, answers: bool, images: Path | None, port: int, iou: float) -> None:
-    """Serve a page over a store on this machine: runs side by side, each question with its frames, pairs of runs.
+    """Serve pages over a store to a browser of this machine: runs side by side, questions with frames, pairs of runs.
 
-    Prints the address to open, which holds a token; ends with Ctrl-C. Runs are read at the start.
+    The command prints its address, which holds a token, and stops at Ctrl-C. It reads the runs when it starts.
     """
     from jrdb_avr.engine.local_server import LocalServer
     from jrdb_avr.engine.pages.view import Viewer

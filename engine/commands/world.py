@@ -27,22 +27,23 @@ Examples:
 
 @click.group(cls=NamingGroup, epilog=_EXAMPLES)
 def command() -> None:
-    """Bring the world models of runs, what their agents believed, into the store's graph, or drop them.
+    """Copy the world models of runs into the store's graph, or remove them from it.
 
-    The record is runs/RUN/world.parquet. A run writes its world model into the graph itself, unless --world-db names
-    another; 'load' and 'load --rebuild' bring every run's back. Query it with 'cypher' (see its --list).
+    A world model holds the beliefs of an agent. Its record is runs/RUN/world.parquet. A run writes its world model into
+    the graph itself, unless --world-db names another file; 'load' and 'load --rebuild' copy all records again.
+    'cypher --list' lists the saved queries over world models.
     """
 
 
 @command.command(
-    short_help="Bring runs' world models into the store's graph.",
+    short_help="Copy world models of runs into the store's graph.",
     epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @form_option
 def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
+    """Copy the world models of finished runs into the store's graph, in place of what it holds of these runs."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
 
@@ -61,7 +62,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Take runs' world models out of the store's graph. Their records stay, and the next load brings them back."""
+    """Remove the world models of runs from the store's graph. The records stay, and the next load copies them again."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.schema.errors import StoreError
