@@ -112,7 +112,7 @@ class RunOptions:
     simulated model.
     """
 
-    run_id: str | None = option(None, "Name of the run; by default METHOD-MODEL, or METHOD-POLICY-MODEL with --policy.")
+    run_id: str | None = option(None, "Name of the run; by default made of method, policy (if given) and model.")
     resume: bool = option(
         False,
         "Finish a run that was stopped. Questions that ended in an error are asked again; if more questions are "
