@@ -111,7 +111,7 @@ def page_option(default: str) -> Callable[[_C], _C]:
 def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[_C], _C]:
     """Add a repeatable option; the command gets a list of (name, value)."""
 
-    def split(ctx: click.Context, own: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
+    def split(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
         for text in texts:
             if "=" not in text:
                 raise click.UsageError(f"{flag} {text}: write {metavar}")

@@ -41,8 +41,8 @@ def _helps(parent: click.Group, name: str, above: click.Context) -> Iterator[tup
     lines = [line.rstrip() for line in command.get_help(context).splitlines()]
     yield context.command_path, "\n".join(lines).strip()
     if isinstance(command, click.Group):
-        for own in command.list_commands(context):
-            yield from _helps(command, own, context)
+        for subcommand in command.list_commands(context):
+            yield from _helps(command, subcommand, context)
 
 
 def api_page() -> str:
@@ -64,10 +64,10 @@ def _signature(name: str, value: Any) -> str:
     if isinstance(value, type) and (issubclass(value, Exception) or getattr(value, "_is_protocol", False)):
         return ""
     signature = inspect.signature(value)
-    parameters = [_short(own) for own in signature.parameters.values()]
+    parameters = [_short(parameter) for parameter in signature.parameters.values()]
     # Annotations are strings, which print with quotes.
-    lines = [re.sub(r": '([^']*)'", r": \1", f"    {own},\n") for own in parameters]
-    star = next((i for i, own in enumerate(signature.parameters.values()) if own.kind is own.KEYWORD_ONLY), None)
+    lines = [re.sub(r": '([^']*)'", r": \1", f"    {parameter},\n") for parameter in parameters]
+    star = next((i for i, parameter in enumerate(parameters) if parameter.kind is parameter.KEYWORD_ONLY), None)
     if star is not None:
         lines.insert(star, "    *,\n")
     end = f" -> {signature.return_annotation}" if inspect.isfunction(value) else ""

@@ -19,18 +19,16 @@ from traced_runs import trace_runs
 
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.inspect import (
-    Stretch,
-    TimelineRow,
     choose_questions,
     close_up,
     inspect_page,
     inspect_questions,
     nearest_annotated,
-    runs_of,
 )
 from jrdb_avr.engine.pages.page import environment, readable, render, write_page
 from jrdb_avr.engine.pages.report import Crossed, pivot
 from jrdb_avr.engine.pages.svg import PlanGraph, scatter, wrapped
+from jrdb_avr.engine.pages.timeline import Stretch, TimelineRow, runs_of
 from jrdb_avr.engine.report.bundle import write_bundle
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
