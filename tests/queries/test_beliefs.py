@@ -224,6 +224,7 @@ def compare_moments(graph, seed):
 @settings(max_examples=examples(3), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**9))
 # A guess where no frame was looked at that the moment may be: somebody's age, which holds at any time, still counts.
+@pytest.mark.slow
 @example(seed=178825)
 def test_what_holds_before_or_after_a_frame_is_found_as_by_brute_force(graph, seed):
     compare_moments(graph, seed)

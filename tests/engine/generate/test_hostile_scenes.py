@@ -172,6 +172,7 @@ def made(tmp_path_factory):
     return folder / "root", store, questions, candidates
 
 
+@pytest.mark.slow
 def test_the_questions_are_sound(made):
     _, store, questions, _ = made
     report = validate(store, RULES)
