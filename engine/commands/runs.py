@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,16 +15,14 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr runs list --store S
-  jrdb-avr runs diff react-a react-b --store S
-"""
-
-
-@click.group(cls=NamingGroup, epilog=_EXAMPLES)
+@click.group(cls=NamingGroup)
 def command() -> None:
-    """List, show, compare, merge or remove the runs of a store."""
+    """List, show, compare, merge or remove the runs of a store.
+
+    Examples:
+      jrdb-avr runs list --store S
+      jrdb-avr runs diff react-a react-b --store S
+    """
 
 
 @command.command(

@@ -1,4 +1,4 @@
-"""`sample`: write a synthetic JRDB root."""
+"""`jrdb-avr sample`: write a synthetic JRDB root."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 @click.option(
     "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Frames of each sequence."
 )
-@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People at the same time.")
+@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at a time.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the world.")
 @click.option("--no-images", is_flag=True, help="Write label files only.")
 @click.option(
@@ -25,15 +25,16 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     type=click.Choice(("keyframes", "changes", "all")),
     default="changes",
     show_default=True,
-    help="Frames that get a panorama. 'changes': keyframes, and per second the two frames between which states change.",
+    help="Frames with a panorama; 'changes': keyframes, and once per second the frames before and after a change.",
 )
-@click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
+@click.option(
+    "--full-scale", is_flag=True, help="Write 27 sequences of the size of the JRDB test split, without images."
+)
 @workers_option
 @form_option
 def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
     """Write a synthetic JRDB root: label files and panoramas of marked people.
 
-    \b
     Examples:
       jrdb-avr sample ./sample
       jrdb-avr sample ./big --full-scale

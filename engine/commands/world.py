@@ -1,9 +1,9 @@
-"""`jrdb-avr world`: what runs' agents believed, brought into the store's graph or taken out of it."""
+"""`jrdb-avr world`: add the world models of runs to the graph of the store, or drop them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,32 +18,28 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr world merge agent-marker --store S
-  jrdb-avr world drop agent-marker --store S
-"""
-
-
-@click.group(cls=NamingGroup, epilog=_EXAMPLES)
+@click.group(cls=NamingGroup)
 def command() -> None:
-    """Copy the world models of runs into the store's graph, or remove them from it.
+    """Add the world models of runs, the beliefs of their agents, to the graph of the store, or drop them.
 
-    A world model holds the beliefs of an agent. Its record is runs/RUN/world.parquet. A run writes its world model into
-    the graph itself, unless --world-db names another file; 'load' and 'load --rebuild' copy all records again.
-    'cypher --list' lists the saved queries over world models.
+    The record is runs/RUN/world.parquet. A run itself writes its world model to the graph unless --world-db names
+    another file. 'load' and 'load --rebuild' add all of them again. Query them with 'cypher' (see its --list).
+
+    Examples:
+      jrdb-avr world merge agent-marker --store S
+      jrdb-avr world drop agent-marker --store S
     """
 
 
 @command.command(
-    short_help="Copy world models of runs into the store's graph.",
+    short_help="Add world models of runs to the graph of the store.",
     epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @form_option
 def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Copy the world models of finished runs into the store's graph, in place of what it holds of these runs."""
+    """Add the world models of finished runs to the graph of the store, replacing earlier versions."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
 
@@ -62,7 +58,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Remove the world models of runs from the store's graph. The records stay, and the next load copies them again."""
+    """Drop the world models of runs from the graph of the store. Their records stay; the next load adds them again."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.schema.errors import StoreError
@@ -93,7 +89,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
     if record is not None and record.num_rows:
         return record
     if not store.run_path(run_id).exists():
-        # The manifest first, because a folder without a store lacks more than a run.
+        # The manifest first, because a folder that is no store needs another message.
         store.manifest()
     method = read_run_manifest(store, run_id).method
     if method not in WORLD_METHODS:
@@ -113,7 +109,7 @@ def _graph_path(store: Store) -> Path:
 
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:
-    """What a graph holds of a run."""
+    """Return the counts of a run's episodes and writes in a graph."""
     from jrdb_avr.queries.beliefs.record import writes_held
 
     held = writes_held(graph, run_id)
