@@ -41,12 +41,12 @@ class _Object(click.ParamType[dict[str, Any]]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, Any]:
         try:
-            found = json.loads(value) if isinstance(value, str) else value
+            decoded = json.loads(value) if isinstance(value, str) else value
         except (ValueError, RecursionError) as error:
             self.fail(f"{value[:80]!r} is no JSON: {error}", param, ctx)
-        if not isinstance(found, dict):
+        if not isinstance(decoded, dict):
             self.fail("it must be a JSON object", param, ctx)
-        return found
+        return decoded
 
 
 class _Header(click.ParamType[tuple[str, str]]):
@@ -69,10 +69,10 @@ class _Shard(click.ParamType[tuple[int, int]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})", str(value))
-        if found is None or int(found[1]) > int(found[2]):
+        match = re.fullmatch(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})", str(value))
+        if match is None or int(match[1]) > int(match[2]):
             self.fail("it must be I/N, with I from 1 to N", param, ctx)
-        return int(found[1]), int(found[2])
+        return int(match[1]), int(match[2])
 
 
 class _Ids(click.ParamType[tuple[str, ...]]):
@@ -123,7 +123,7 @@ def field_options(kind: Any, *names: str) -> Callable[[_C], _C]:
     Returns:
         A decorator. The command gets a value per field, of which `build` makes the options.
     """
-    options = [_click_option(own) for own in _declared(kind) if own.name in names or not names]
+    options = [_click_option(declared) for declared in _declared(kind) if declared.name in names or not names]
     return lambda function: functools.reduce(lambda inner, add: add(inner), reversed(options), function)
 
 
@@ -140,17 +140,17 @@ def build(kind: Any, values: Mapping[str, Any]) -> Any:
     Raises:
         UsageError: The class refuses a value.
     """
-    found = {own.name: values[own.name] for own in _declared(kind) if own.name in values}
-    if "headers" in found:
-        found["headers"] = dict(found["headers"])
+    arguments = {declared.name: values[declared.name] for declared in _declared(kind) if declared.name in values}
+    if "headers" in arguments:
+        arguments["headers"] = dict(arguments["headers"])
     try:
-        return kind(**found)
+        return kind(**arguments)
     except InputError as error:
         raise click.UsageError(str(error)) from None
 
 
 def _declared(kind: Any) -> list[Field[Any]]:
-    return [own for own in fields(kind) if "flag" in own.metadata]
+    return [field for field in fields(kind) if "flag" in field.metadata]
 
 
 def _click_option(declared: Field[Any]) -> Callable[[_C], _C]:
@@ -180,7 +180,7 @@ def _kind(declared: Field[Any]) -> click.ParamType[Any]:
     if about["choices"]:
         return click.Choice(about["choices"])
     if annotation == "int":
-        return click.IntRange(*limits)
+        return click.INT if limits == (None, None) else click.IntRange(*limits)
     if annotation == "float":
         return click.FloatRange(*limits)
     return {"Path": FILE, "bool": click.BOOL}.get(annotation, click.STRING)
@@ -188,7 +188,7 @@ def _kind(declared: Field[Any]) -> click.ParamType[Any]:
 
 # -- the server of a model --------------------------------------------------------------------------------------------
 
-_REQUEST: Final = tuple(own.name for own in _declared(EndpointOptions) if own.name not in ("price", "max_cost"))
+_REQUEST: Final = tuple(field.name for field in _declared(EndpointOptions) if field.name not in ("price", "max_cost"))
 
 
 def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:

@@ -28,19 +28,6 @@ if TYPE_CHECKING:
 LOG_EVERY_S: Final = 30.0
 """Seconds between two lines of live scores if there is no terminal."""
 
-_EXAMPLE: Final = """\b
-Examples:
-  jrdb-avr evaluate --store S --method react --model marker
-  jrdb-avr evaluate --store S --method agent --model M --base-url http://localhost:8000/v1
-  jrdb-avr evaluate --store S --method agent --model marker --resume
-  jrdb-avr evaluate --store S --matrix runs.toml --limit 100
-
-A machine without answers and labels needs a public store (export --public):
-
-\b
-  jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
-"""
-
 
 class _Evaluation(NamedTuple):
     method: str
@@ -48,7 +35,7 @@ class _Evaluation(NamedTuple):
     options: EvaluateOptions
 
 
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @store_option()
 @click.option(
     "--method",
@@ -82,6 +69,16 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
 
     The environment variable OPENAI_API_KEY holds the key of the model. The server is checked first, as by 'preflight'.
     A run can be stopped at any time and resumed. The exit code is 1 if a question ended in an error.
+
+    Examples:
+      jrdb-avr evaluate --store S --method react --model marker
+      jrdb-avr evaluate --store S --method agent --model M --base-url http://localhost:8000/v1
+      jrdb-avr evaluate --store S --method agent --model marker --resume
+      jrdb-avr evaluate --store S --matrix runs.toml --limit 100
+
+    A machine without answers and labels needs a public store (export --public):
+
+      jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
     from jrdb_avr.agent.simulated.knobs import profile_of
     from jrdb_avr.engine.report.formats import filled

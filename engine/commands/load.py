@@ -21,13 +21,7 @@ MAX_ROWS: Final = 50
 """Maximum printed rows of a table with a length that depends on the files."""
 
 
-_EXAMPLE: Final = """\b
-Example:
-  jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
-"""
-
-
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @click.argument("root", required=False, type=click.Path(path_type=Path))
 @store_option()
 @click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")
@@ -49,6 +43,9 @@ def command(root: Path | None, store: Store, strict: bool, workers: Executor, fo
     Layers: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses, panoptic things,
     timestamps, calibration, panoramas. Any layer may be missing. A layer with other frame numbers than the 2D boxes is
     refused. Broken files and records are refused one by one and listed; the rest loads.
+
+    Example:
+      jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
     """
     from jrdb_avr.loaders import load as loading
     from jrdb_avr.loaders.report import totals

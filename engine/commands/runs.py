@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,16 +15,14 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr runs list --store S
-  jrdb-avr runs diff react-a react-b --store S
-"""
-
-
-@click.group(cls=NamingGroup, epilog=_EXAMPLES)
+@click.group(cls=NamingGroup)
 def command() -> None:
-    """List, show, compare, merge or remove the runs of a store."""
+    """List, show, compare, merge or remove the runs of a store.
+
+    Examples:
+      jrdb-avr runs list --store S
+      jrdb-avr runs diff react-a react-b --store S
+    """
 
 
 @command.command(
@@ -55,12 +53,12 @@ def show(run: str, store: Store, form: RowFormat) -> None:
     """Show a run: its questions and how they were selected, its settings, and why answers are missing."""
     from jrdb_avr.engine.run.overview import show_run
 
-    found = show_run(store, run)
+    facts = show_run(store, run)
     if form:
-        print_data([found], form)
+        print_data([facts], form)
         return
-    note(f"in {found.pop('folder')}")
-    rows = [{"what": name, "value": value} for name, own in found.items() for name, value in _lines(name, own)]
+    note(f"in {facts.pop('folder')}")
+    rows = [{"what": name, "value": value} for name, item in facts.items() for name, value in _lines(name, item)]
     # Without the prefix, because names of settings are long.
     rows = [{**row, "what": row["what"].removeprefix("settings.")} for row in rows if row["value"] not in (None, "")]
     print_rows(rows)
@@ -69,9 +67,9 @@ def show(run: str, store: Store, form: RowFormat) -> None:
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
     """A value by its name, the entries of a mapping or list each on a line."""
     if isinstance(value, dict):
-        return [line for key, own in value.items() for line in _lines(f"{name}.{key}", own)]
+        return [line for key, item in value.items() for line in _lines(f"{name}.{key}", item)]
     if isinstance(value, list) and name.startswith("commonest"):
-        return [(name, own) for own in value]
+        return [(name, item) for item in value]
     return [(name, value)]
 
 
@@ -140,13 +138,13 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     from jrdb_avr.engine.report.formats import with_intervals
     from jrdb_avr.engine.report.tables import TOO_FEW
 
-    found = diff(store, first, second, iou=iou)
-    questions = found.questions(score)
+    compared = diff(store, first, second, iou=iou)
+    questions = compared.questions(score)
     if form:
         print_data(questions, form)
         return
-    few = any(own["interval"] == TOO_FEW for own in found.rows)
-    rows = [{name: own[name] for name in own if name != "interval"} for own in with_intervals(found.scores())]
+    few = any(row["interval"] == TOO_FEW for row in compared.rows)
+    rows = [{name: row[name] for name in row if name != "interval"} for row in with_intervals(compared.scores())]
     print_rows(rows, title=f"first: {first}, second: {second}" + (f"; {TOO_FEW}" if few else ""))
     if questions:
         # What is right says already who alone scores.
@@ -156,5 +154,5 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     else:
         note(f"no question is scored by one of them alone: {score}")
     note(f"next: jrdb-avr view --store {store.path} --answers")
-    if found.synthetic:
+    if compared.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")

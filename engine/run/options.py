@@ -70,7 +70,7 @@ class QuestionSelection:
 
     def record(self) -> dict[str, Any]:
         """Return the options that differ from their defaults, as plain JSON; empty for all questions."""
-        values = {own.name: getattr(self, own.name) for own in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         given = {name: value for name, value in values.items() if value not in (None, ())}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
 
