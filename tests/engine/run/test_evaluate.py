@@ -174,6 +174,7 @@ def test_epochs_are_runs_of_their_own(store):
     assert len(json.loads(evaluate(store, *options, "--resume").stdout)) == 3
 
 
+@pytest.mark.slow
 def test_a_matrix_is_several_runs(store, tmp_path):
     matrix = tmp_path / "runs.toml"
     matrix.write_text(
@@ -397,6 +398,7 @@ def test_questions_of_another_form_are_one_line(store, change):
     assert "generate again" in str(result.exception)
 
 
+@pytest.mark.slow
 def test_a_run_that_cannot_be_written_ends_with_one_line(store):
     """Also while other questions are at work in the image decoder: no abort, exit code 1."""
     command = [sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()", "evaluate"]

@@ -72,6 +72,7 @@ def live(template):
     return found
 
 
+@pytest.mark.slow
 def test_an_episode_that_was_interrupted_before_its_lines_is_taken_away(template):
     """Facts come before the lines of the record: a killed run may leave an episode without any."""
     with Graph.memory() as graph:
@@ -170,6 +171,7 @@ def test_a_kill_leaves_a_run_whole_or_gone_and_the_command_again_ends_it(store, 
     assert of_run(dump(store.graph_path), "two") == of_run(live, "two")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", range(examples(1)))
 def test_a_kill_at_any_moment_of_a_drop_leaves_a_graph_that_the_next_one_finishes(store, live, tmp_path, moment):
     arguments, moment = (
@@ -224,6 +226,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
         jrdb_avr("world", "merge", "one", "--store", store.path)
 
 
+@pytest.mark.slow
 def test_a_resumed_run_brings_back_what_a_new_graph_lacks(store, live):
     """As after a load while the run was stopped; and what an interrupted question left does not stay."""
     journal = segment_of(store.run_path("one"))

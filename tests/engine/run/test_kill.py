@@ -215,6 +215,7 @@ def killed_once(launcher, store, server, counted, method, rng):
     return flying
 
 
+@pytest.mark.slow
 def test_react_killed_and_resumed(launcher, asked_world, tmp_path):
     kill_and_resume(launcher, asked_world, tmp_path, "react", react, 1, 1)
 
