@@ -180,7 +180,7 @@ def _kind(declared: Field[Any]) -> click.ParamType[Any]:
     if about["choices"]:
         return click.Choice(about["choices"])
     if annotation == "int":
-        return click.IntRange(*limits)
+        return click.INT if limits == (None, None) else click.IntRange(*limits)
     if annotation == "float":
         return click.FloatRange(*limits)
     return {"Path": FILE, "bool": click.BOOL}.get(annotation, click.STRING)

@@ -1,9 +1,9 @@
-"""`jrdb-avr mcp`: let an agent that speaks MCP answer the questions."""
+"""`jrdb-avr mcp`: serve the questions to an MCP agent."""
 
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,14 +16,8 @@ from jrdb_avr.schema.errors import InputError
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
-_EXAMPLE: Final = """\b
-Examples:
-  jrdb-avr mcp --store S --http 8765 --model claude   serve, and print address and token
-  jrdb-avr mcp --store S --images DIR                 started by an MCP client, over stdio
-"""
 
-
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @store_option()
 @click.option(
     "--http",
@@ -42,6 +36,10 @@ def command(store: Store, port: int | None, trusted: bool, model: str, **options
 
     Without --http, the server uses standard input and output, and refuses a store with answers, which the agent could
     read. Needs the extra 'mcp'.
+
+    Examples:
+      jrdb-avr mcp --store S --http 8765 --model claude   serve, and print address and token
+      jrdb-avr mcp --store S --images DIR                 started by an MCP client, over stdio
     """
     try:
         from jrdb_avr.engine.integrations.mcp import serve

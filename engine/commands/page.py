@@ -24,8 +24,8 @@ _HOW: Final[dict[str, Any]] = {"terminal_width": 100, "max_content_width": 100, 
 
 
 def commands_page() -> str:
-    """The page of the commands in Markdown: each with its help, those inside a group after it."""
-    parts = ["# Commands\n", "What `--help` of each command prints. This page is made by them: see the foot of it.\n"]
+    """Return the page of the commands in Markdown, each with its help; subcommands follow their group."""
+    parts = ["# Commands\n", "The output of `--help` of each command.\n"]
     top = click.Context(group, info_name=NAME, **_HOW)
     for name in COMMANDS:
         for path, text in _helps(group, name, top):
@@ -46,12 +46,12 @@ def _helps(parent: click.Group, name: str, above: click.Context) -> Iterator[tup
 
 
 def api_page() -> str:
-    """The page of the Python API in Markdown: the public names of `jrdb_avr` with signatures and docstrings."""
+    """Return the page of the Python API in Markdown: the public names with signatures and docstrings."""
     values = {name: getattr(jrdb_avr, name) for name in jrdb_avr.__all__}
     functions = {name: value for name, value in values.items() if inspect.isfunction(value)}
     errors = {name: value for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
     classes = {name: value for name, value in values.items() if isinstance(value, type) and name not in errors}
-    parts = ["# Python API\n", "What `import jrdb_avr` offers; names load on first use.\n"]
+    parts = ["# Python API\n", "The public names of `import jrdb_avr`; each loads on first use.\n"]
     for title, members in (("Functions", functions), ("Classes", classes), ("Errors and warnings", errors)):
         parts.append(f"## {title}\n")
         for name, value in members.items():
@@ -65,7 +65,7 @@ def _signature(name: str, value: Any) -> str:
         return ""
     signature = inspect.signature(value)
     parameters = [_short(parameter) for parameter in signature.parameters.values()]
-    # Annotations are texts, which print with quotes.
+    # Annotations are strings, which print with quotes.
     lines = [re.sub(r": '([^']*)'", r": \1", f"    {parameter},\n") for parameter in parameters]
     star = next((i for i, parameter in enumerate(parameters) if parameter.kind is parameter.KEYWORD_ONLY), None)
     if star is not None:
@@ -84,7 +84,7 @@ def _short(parameter: inspect.Parameter) -> inspect.Parameter:
 
 
 class _Text(str):
-    """A text whose representation is itself."""
+    """A string that prints without quotes in a signature."""
 
     __slots__ = ()
 
@@ -108,7 +108,7 @@ def _doc(value: Any) -> str:
 
 
 def _members(value: Any) -> str:
-    """A list of a class's public methods and properties, each with the first line of its docstring."""
+    """Return a list of the public methods and properties of a class, each with the first line of its docstring."""
     if not isinstance(value, type):
         return ""
     lines = [
