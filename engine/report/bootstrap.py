@@ -102,20 +102,6 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
     ]
 
 
-def cluster_sums(clusters: Ints, columns: Floats) -> Floats:
-    """Sum rows by cluster.
-
-    Args:
-        clusters: Cluster of each row (n).
-        columns: Values to sum (n, columns).
-
-    Returns:
-        Sums in the sorted order of the clusters (clusters, columns).
-    """
-    names, numbers = np.unique(clusters, return_inverse=True)
-    return numbered_sums(numbers, len(names), columns)
-
-
 def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
     """Sum rows by number.
 
@@ -186,7 +172,8 @@ def compare(
     Returns:
         For each pair one `Pair` per score.
     """
-    sums = cluster_sums(clusters, np.concatenate([*scores, np.ones((len(clusters), 1))], axis=1))
+    names, numbers = np.unique(clusters, return_inverse=True)
+    sums = numbered_sums(numbers, len(names), np.concatenate([*scores, np.ones((len(clusters), 1))], axis=1))
     # Draw each run once for all its comparisons. The first row counts each cluster once and gives the shares.
     times = np.concatenate([np.ones((1, len(sums))), draws(len(sums), n, seed)])
     *drawn, questions = sums.T @ times.T

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from jrdb_avr.engine.report.paper import ABLATION
+from jrdb_avr.engine.report.tables import CELLS
 
 _Row = Mapping[str, Any]
 _Cell = tuple[str, str]
@@ -21,12 +22,7 @@ _CHANGES: Final[Mapping[str, tuple[_Cell, _Cell]]] = {
     "active, no world model": (("off", "off"), ("on", "off")),
     "active, world model": (("off", "on"), ("on", "on")),
 }
-_METHODS: Final[Mapping[_Cell, str]] = {
-    ("off", "off"): "agent-passive-no-world",
-    ("off", "on"): "agent-passive",
-    ("on", "off"): "agent-no-world",
-    ("on", "on"): "agent",
-}
+_METHODS: Final = {(cell["active"], cell["world_model"]): method for method, cell in CELLS.items()}
 _SCORES: Final = ("answer", "evidence", "combined", "hallucination")
 
 

@@ -42,14 +42,9 @@ class Published(NamedTuple):
     hallucination: float
 
 
-def _published() -> list[Published]:
-    text = files(__package__).joinpath("paper.csv").read_text("utf-8")
-    return [
-        Published(method, model, *map(float, figures)) for method, model, *figures in csv.reader(text.splitlines()[1:])
-    ]
+_LINES: Final = files(__package__).joinpath("paper.csv").read_text("utf-8").splitlines()[1:]
 
-
-_ROWS: Final = _published()
+_ROWS: Final = [Published(method, model, *map(float, figures)) for method, model, *figures in csv.reader(_LINES)]
 
 MAIN: Final = [row for row in _ROWS if row.method == "agent" or not row.method.startswith("agent")]
 """The paper's main table."""

@@ -29,7 +29,7 @@ Row = dict[str, Any]
 INTERVALS: Final = "95 %"
 TOO_FEW: Final = "too few sequences for an interval"
 
-_CELLS: Final[dict[str, Row]] = {
+CELLS: Final[dict[str, Row]] = {
     "agent-passive-no-world": {"active": "off", "world_model": "off"},
     "agent-passive": {"active": "off", "world_model": "on"},
     "agent-no-world": {"active": "on", "world_model": "off"},
@@ -209,14 +209,14 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
     Returns:
         A row per run, grouped by model and setting.
     """
-    methods = list(_CELLS)
+    methods = list(CELLS)
     among = [run for run in runs if run.manifest.method in methods]
     settings: dict[str, str] = {}
     for policy in {_policy(run) for run in among}:
         # Settings of a policy repeat its column, so they are compared only within a policy.
         settings |= distinguishing_settings([run for run in among if _policy(run) == policy])
     rows = [
-        _CELLS[run.manifest.method]
+        CELLS[run.manifest.method]
         | {"policy": _policy(run)}
         | _head(run)
         | {"setting": settings[run.manifest.run_id]}
@@ -226,7 +226,7 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
     # Group the cells by model and setting, passive cells first.
     rows.sort(key=lambda row: (row["model"], row["setting"], methods.index(row["method"]), row["policy"]))
     if published:
-        rows += [cell | {"policy": "model"} | _published(ABLATION[method]) for method, cell in _CELLS.items()]
+        rows += [cell | {"policy": "model"} | _published(ABLATION[method]) for method, cell in CELLS.items()]
     return rows
 
 
