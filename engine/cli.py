@@ -7,7 +7,9 @@ this package become one line on stderr and exit code 1; a wrong call is exit cod
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
+import re
 import signal
 import sys
 from pathlib import Path
@@ -25,58 +27,64 @@ COMMANDS: Final[dict[str, str]] = {
     "rules": "List the thresholds of the benchmark.",
     "validate": "Check the question files against the annotations.",
     "stats": "Count questions; show what a blind guesser scores.",
-    "cypher": "Ask the scene graph.",
-    "sql": "Ask the Parquet tables.",
+    "cypher": "Query the scene graph.",
+    "sql": "Query the Parquet tables.",
     "schema": "Print the tables of graph and store, or draw them.",
-    "observe": "Look: write a crop of a panorama as PNG.",
+    "observe": "Write a crop of a panorama as PNG.",
     "preflight": "Check a model's server before a run.",
     "calibrate": "Find out how a model writes boxes.",
     "evaluate": "Run a method on the questions.",
-    "mcp": "Let an agent that speaks MCP answer the questions.",
+    "mcp": "Serve the questions to an MCP agent.",
     "play": "Let a person answer the questions in the browser.",
-    "world": "Bring runs' world models into the graph, or drop them.",
+    "world": "Add world models of runs to the graph, or drop them.",
     "runs": "List, show, compare or remove runs.",
     "score": "Score the predictions of runs.",
     "report": "Compare runs in a table.",
-    "trace": "Show what a run did with a question, step by step.",
-    "view": "Look at questions and runs in the browser.",
+    "trace": "Write a page of a run's steps for one question.",
+    "view": "Show questions and runs in the browser.",
     "export": "Write predictions in the forms of other tools.",
-    "submit": "Write a run as a bundle, to be scored elsewhere.",
-    "inspect": "Show questions on a page, for a person to judge.",
+    "submit": "Write a run as a bundle that others can score.",
+    "inspect": "Write a page on which a person reviews questions.",
     "demo": "Run everything once on a synthetic world.",
 }
-"""Every command with its short help, which must not need the command's module."""
+"""Short help by command. It is kept here because `--help` must not import the modules of the commands."""
 
 
 _MODULES: Final = {"cypher": "query", "sql": "query", "stats": "generate", "score": "report", "submit": "export"}
-"""The modules of commands that share one; each command there has its own name."""
+"""Module by command, for modules that define several commands."""
 
 
 class NamingGroup(click.Group):
-    """A group that names the nearest command to one that it does not have."""
+    """A group that suggests the nearest name for an unknown command."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return name, command and remaining arguments. Raise UsageError with the nearest name for an unknown one."""
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             raise click.UsageError(f"no command {args[0]!r}{did_you_mean(args[0], self.list_commands(ctx))}", ctx)
         return super().resolve_command(ctx, args)
 
 
 class LazyGroup(NamingGroup):
-    """A group whose commands are imported when called."""
+    """A group that imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands, in the order of the help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return a command, or return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name)}")
         command: click.Command = getattr(module, cmd_name, None) or module.command
+        # Click wraps a paragraph of help unless it begins with a backspace character.
+        command.help = re.sub(r"\n\n(?=Examples?:\n|  )", "\n\n\b\n", inspect.cleandoc(command.help or ""))
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
@@ -91,7 +99,7 @@ class LazyGroup(NamingGroup):
 def group(ctx: click.Context) -> None:
     """Active visual reasoning over JRDB: questions with proofs, observations, methods, scores.
 
-    Without a command: what there is here, and what comes next.
+    Without a command, print the stores of the working directory and the next steps for each.
     """
     if ctx.invoked_subcommand is None:
         steps = importlib.import_module("jrdb_avr.engine.commands._next").next_steps(Path.cwd())

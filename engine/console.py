@@ -1,4 +1,4 @@
-"""Output of the commands: rows as a table, JSON or CSV, lines for people, and progress bars.
+"""Output of the commands: rows as a table, JSON or CSV, notes, and progress bars.
 
 Rows go to stdout, everything else to stderr. `--json` prints exactly one JSON array of row objects, `--csv` the same
 rows under one heading. Text from data files or models is stripped of control characters before it reaches a terminal.
@@ -27,10 +27,10 @@ _FORMULA: Final = ("=", "+", "-", "@", "\t")
 """First characters of a formula in a spreadsheet; a carriage return is removed."""
 
 _WIDTH: Final = 100
-"""Characters in a line of output that is no terminal's."""
+"""Characters per line if the output is not a terminal."""
 
 _ROWS: Final = 100
-"""Rows of a table that are printed on a terminal."""
+"""Maximum rows of a table on a terminal."""
 
 RowFormat = Literal["", "json", "csv"]
 """How a command prints its rows: tables for people, one JSON array, or CSV."""
@@ -43,9 +43,16 @@ def print_json(rows: Iterable[Any]) -> None:
 
 
 def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
-    """CSV with a heading; an unknown value is empty, a list or node is JSON.
+    """Return rows as CSV with a heading.
 
-    A text that a spreadsheet would take for a formula begins with an apostrophe: names of models are theirs to choose.
+    An apostrophe precedes a text that a spreadsheet would run as a formula, because model names come from outside.
+
+    Args:
+        rows: The rows. An unknown value becomes an empty cell, a list or a node becomes JSON.
+        columns: Names of the columns; if empty, the keys of the rows.
+
+    Returns:
+        The text, with a newline after each line.
     """
     rows = list(rows)
     names = columns or list(dict.fromkeys(name for row in rows for name in row))
@@ -76,9 +83,15 @@ def print_data(rows: Iterable[Mapping[str, Any]], form: RowFormat, columns: Sequ
 def print_rows(
     rows: Sequence[Mapping[str, Any]], title: str = "", columns: Sequence[str] = (), form: RowFormat = ""
 ) -> None:
-    """Print rows as a table for people, in another form where one is given; `columns` also where there is no row.
+    """Print rows as a table, JSON or CSV.
 
-    A table fits the terminal, or `COLUMNS`, or 100 characters; on a terminal the rows after the 100th are counted.
+    A table fits the width of the terminal, else `COLUMNS`, else 100 characters.
+
+    Args:
+        rows: The rows. A terminal shows at most 100 of them.
+        title: A line above the table.
+        columns: Names of the columns, which an empty table shows too; if empty, the keys of the rows.
+        form: "json", "csv" or "" for a table.
     """
     if form:
         print_data(rows, form, columns)
@@ -118,9 +131,13 @@ def warnings_as_notes() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[str, int, int], None]]:
-    """Progress bars on stderr, silent where stderr is no terminal; yields the `Progress` callback that moves them.
+    """Show progress bars on stderr if it is a terminal; print the warnings of the block as notes.
 
-    `beside` returns the text beside the bars, a few times a second. Warnings of the block become notes.
+    Args:
+        beside: Returns the text beside the bars. It is called a few times per second.
+
+    Yields:
+        The `Progress` callback, which moves the bars.
     """
     from rich.console import Console
     from rich.progress import (

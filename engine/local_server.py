@@ -1,9 +1,9 @@
-"""A server for one person's browser: on the loopback address, for requests that carry its token.
+"""A local server for the browser of one person. It answers requests to the loopback address that carry its token.
 
     http://127.0.0.1:PORT/TOKEN/...
 
-A page of another site could reach the port through the browser, under a name of its own or from an origin of its own:
-such requests are refused, as are those of anybody who does not know the token.
+A page of another site could reach the port through the browser, with another `Host` or `Origin`. The server
+refuses such requests, and requests without the token.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ PLAIN: Final = "text/plain; charset=utf-8"
 
 _LONGEST_BODY: Final = 1 << 16
 _IDLE_S: Final = 60.0
-"""Seconds after which a connection that sends nothing is closed."""
+"""Maximum seconds that a connection may stay silent."""
 
 
 class Request(NamedTuple):
-    """A request that was let in: `path` behind the token, the query's values by name, and a POST's body."""
+    """An accepted request: the path after the token, the values of the query by name, and the body of a POST."""
 
     method: str
     path: str
@@ -36,12 +36,19 @@ class Request(NamedTuple):
     body: bytes
 
     def value(self, name: str) -> str:
-        """The value of a name of the query, "" without one."""
+        """Return the first value of a name in the query, or "" if it is missing."""
         return (self.query.get(name) or [""])[0]
 
 
 class Response(NamedTuple):
-    """An HTTP response. `lasting`: whether the browser may keep it."""
+    """An HTTP response.
+
+    Attributes:
+        body: The content.
+        kind: The content type.
+        status: The status code.
+        lasting: Whether the browser may cache it.
+    """
 
     body: bytes
     kind: str = HTML
@@ -50,7 +57,17 @@ class Response(NamedTuple):
 
 
 def listen(port: int) -> socket.socket:
-    """A socket that listens on 127.0.0.1; port 0 is a free one. Raises InputError where the port is taken."""
+    """Return a socket that listens on 127.0.0.1.
+
+    Args:
+        port: The port; 0 chooses a free one.
+
+    Returns:
+        The socket.
+
+    Raises:
+        InputError: The port is in use.
+    """
     listener = socket.socket()
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -63,30 +80,33 @@ def listen(port: int) -> socket.socket:
 
 
 def hosts_of(listener: socket.socket) -> list[str]:
-    """The values of the header `Host` under which a browser of this machine reaches a socket."""
+    """Return the values of the header `Host` that a browser on this machine sends to a socket."""
     return [f"{name}:{listener.getsockname()[1]}" for name in ("127.0.0.1", "localhost")]
 
 
 def new_token() -> str:
-    """Make a random token that fits into an address."""
+    """Return a random token that is valid in an address."""
     return secrets.token_urlsafe(32)
 
 
 def same_token(sent: bytes, token: bytes) -> bool:
-    """Compare two tokens in a time that does not depend on them."""
+    """Compare two tokens in constant time."""
     return hmac.compare_digest(sent, token)
 
 
 class LocalServer(ThreadingHTTPServer):
-    """Serves what `respond` returns, until `shutdown` or an interrupt; an AvrError becomes a response of one line.
+    """A server of the responses of one function, until `shutdown` or an interrupt.
 
-    `url`: the address to open, with the token.
+    An AvrError of the function becomes a response of one line.
+
+    Attributes:
+        url: The address to open, with the token.
     """
 
     daemon_threads = True
 
     def __init__(self, respond: Callable[[Request], Response], port: int = 0) -> None:
-        """Listen. Raises InputError where the port is taken."""
+        """Listen on a port. Raise InputError if the port is in use."""
         listener = listen(port)
         super().__init__(listener.getsockname(), _Handler, bind_and_activate=False)
         self.socket.close()
@@ -97,7 +117,7 @@ class LocalServer(ThreadingHTTPServer):
         self.url = f"http://{self.hosts[0]}/{self._token}/"
 
     def answer(self, method: str, target: str, headers: Any, body: bytes) -> Response:
-        """Check a request and have it answered."""
+        """Return the response to a request, or a refusal."""
         host, origin = headers.get_all("Host", []), headers.get_all("Origin", [])
         if len(host) != 1 or host[0] not in self.hosts or any(own != f"http://{host[0]}" for own in origin):
             return _refused("this server takes requests of its own pages only")
@@ -134,14 +154,14 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdecimal() and len(length) < 8 and int(length) <= _LONGEST_BODY):
-            # What follows would be taken for the next request.
+            # Because the unread body would be read as the next request.
             self.close_connection = True
             self._send(Response(b"a body of a stated length of at most 64 KB is needed\n", PLAIN, 413))
             return
         self._send(self.server.answer("POST", self.path, self.headers, self.rfile.read(int(length))))
 
     def _send(self, response: Response) -> None:
-        # A browser that has gone on does not wait for the rest.
+        # A browser closes the connection if its user has left the page.
         with contextlib.suppress(ConnectionError, TimeoutError):
             self.send_response(response.status)
             for name, value in {
@@ -158,4 +178,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(response.body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is logged: addresses hold the token."""
+        """Log nothing, because addresses contain the token."""

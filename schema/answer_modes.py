@@ -1,4 +1,4 @@
-"""The answer modes: one record per mode, which the rest of the program asks.
+"""Answer modes: one record per mode, with all properties that the program needs.
 
 A record says how answers of its mode are stored, written in a reply, scored, balanced, guessed and shown. The lines of
 its prompts are `agent/prompts/answer_<mode>.md`, and the reads of a plan that give it `agent_reads_<mode>.md` there.

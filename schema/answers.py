@@ -1,6 +1,6 @@
-"""Answers and evidence; `schema/answer_modes.py` says how each mode is written, scored and shown.
+"""Answers and evidence as stored; `schema/answer_modes.py` defines how each mode is written, scored and shown.
 
-The stored JSON of an answer is one of five payloads, told apart by the question's answer mode:
+The stored JSON of an answer depends on the question's answer mode:
 `{"choice": 2}` (1-based), `{"frame": 150}`, `{"start_frame": 10, "end_frame": 95}`,
 `{"frame": 150, "angle_deg": 210.0}`, `{"value": 12.5}`.
 """
@@ -27,27 +27,27 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FrameAnswer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A moment, as a frame number."""
+    """A moment as a frame number."""
 
     frame: _Frame
 
 
 class Span(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A stretch of time, both frames inclusive."""
+    """A stretch of time that includes both frames."""
 
     start_frame: _Frame
     end_frame: _Frame
 
 
 class FrameViewpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A moment and the panorama angle, in degrees, that shows the person then."""
+    """A moment, and the panorama angle in degrees of the person at that moment."""
 
     frame: _Frame
     angle_deg: float
 
 
 class Number(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Seconds, or a count of people."""
+    """A number of seconds or of people."""
 
     value: float
 
@@ -56,19 +56,22 @@ Answer = Choice | FrameAnswer | Span | FrameViewpoint | Number
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One box in one frame, in stitched pixels: (x, y, w, h)."""
+    """One box (x, y, w, h) in stitched pixels of one frame."""
 
     frame: _Frame
     box: tuple[float, float, float, float]
 
 
 def encode_answer(answer: Answer) -> str:
-    """The stored JSON of an answer."""
+    """Return the stored JSON of an answer."""
     return msgspec.json.encode(answer).decode()
 
 
 def frames_iou(a: Span, b: Span) -> float:
-    """Intersection over union of two spans as sets of inclusive frames; a reversed span is empty and gives 0."""
+    """Return the intersection over union of two spans as sets of frames, [0, 1].
+
+    A reversed span is empty and gives 0.
+    """
     if a.end_frame < a.start_frame or b.end_frame < b.start_frame:
         return 0.0
     both = min(a.end_frame, b.end_frame) - max(a.start_frame, b.start_frame) + 1

@@ -195,8 +195,8 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
 
     episode: set on `begin`, with its plan on `plan`, and with its verdict on `final_answer`. entity: a new entity.
     changed: an entity with a new kind or node. freed: keys of entities that lose their node to this entity. replaced:
-    writes whose edge stops being `current` at this step; this write may be one of them. A new edge has `current` true
-    and `until` `ALWAYS`.
+    writes with an edge that stops being `current` at this step; this write may be one of them. A new edge has
+    `current` true and `until` `ALWAYS`.
     """
 
     episode: EpisodeRow | None = None
@@ -244,7 +244,7 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Asks": ("Episode", "Slot", ()),
     "Wrote": ("Episode", "Write", ()),
     "Ranks": ("Episode", "Hypothesis", ()),
-    # who and whom are the names of the entities at both ends.
+    # `who` and `whom` are the names of the entities at both ends.
     "Sighted": ("Entity", "Observation", _columns(SightingRow, *_CURRENT, "who STRING")),
     "Has": ("Entity", "Observation", _columns(AttributeRow, *_CURRENT, "who STRING")),
     "Related": ("Entity", "Entity", _columns(RelationRow, *_CURRENT, "who STRING", "whom STRING")),

@@ -70,7 +70,7 @@ def store_tables() -> list[CatalogTable]:
 
 
 def named(tables: Iterable[CatalogTable], names: Iterable[str]) -> list[CatalogTable]:
-    """Return the tables whose name or part is among `names`, or all if `names` is empty.
+    """Return the tables with a name or part among `names`, or all if `names` is empty.
 
     Raises:
         InputError: a name is neither a table nor a part.

@@ -143,7 +143,7 @@ class Observe(Protocol):
     """The function that returns one crop of a panorama."""
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
-        """Return the crop at a frame whose centre is at a panorama angle.
+        """Return the crop of a frame, centred at a panorama angle in degrees.
 
         Raises:
             ObserveError: the request is not allowed.

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from environment import DEEP, examples
+from environment import examples
 from hypothesis import settings
 
 # Tables are as wide as a terminal says; the tests and the tour expect those of no terminal.
@@ -63,36 +63,6 @@ def own_processes(one_process, monkeypatch):
 
     monkeypatch.setattr(workers, "run_alone", one_process[0])
     monkeypatch.setattr(guard, "run_child", one_process[1])
-
-
-@pytest.fixture(scope="session", autouse=True)
-def known_plans():
-    """A statement's plan is looked at in the first graph of the process, and taken as known in the others.
-
-    Looking at a plan takes as long as the answer from a small graph. `every_plan` and `HYPOTHESIS_PROFILE=deep` look at
-    all of them, as do the commands that tests run as processes.
-    """
-    from jrdb_avr.queries.graph.handle import Graph
-
-    plans, look = {}, Graph._plan
-
-    def remembered(graph, text, values):
-        if text not in plans:
-            plans[text] = look(graph, text, values)
-        return plans[text]
-
-    with pytest.MonkeyPatch.context() as patch:
-        if not DEEP:
-            patch.setattr(Graph, "_plan", remembered)
-        yield look
-
-
-@pytest.fixture
-def every_plan(known_plans, monkeypatch):
-    """Check the plan of every statement in each graph again: for tests of statements that the guard refuses."""
-    from jrdb_avr.queries.graph.handle import Graph
-
-    monkeypatch.setattr(Graph, "_plan", known_plans)
 
 
 @pytest.fixture(scope="session")

@@ -217,6 +217,7 @@ def test_a_template_takes_a_row_and_a_query(copy, tmp_path):
     assert checks and not any(check["faults"] for check in checks)
 
 
+@pytest.mark.slow
 def test_a_layer_takes_a_reader_a_table_and_their_names(copy, tmp_path):
     copy.add("loaders/layers/toys.py", READER)
     copy.insert("loaders/root.py", '    "pose": (', '    "toys": ("labels_toy",),\n')

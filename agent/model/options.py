@@ -124,8 +124,8 @@ class EndpointOptions:
         Returns:
             The options by name, and the `chat_template_kwargs` that are sent.
         """
-        own = {name: value for name, value in asdict(self).items() if name != "base_url"}
-        return own | {"chat_template_kwargs": self.template(convention)}
+        settings = {name: value for name, value in asdict(self).items() if name != "base_url"}
+        return settings | {"chat_template_kwargs": self.template(convention)}
 
     def request(self, model: str, convention: Convention, schema: Mapping[str, Any] | None) -> dict[str, Any]:
         """Return a request without its messages.

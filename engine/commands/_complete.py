@@ -1,6 +1,7 @@
-"""Completion in the shell: names of runs and sequences of the store that the line names, and of saved queries.
+"""Completion in the shell: names of runs, sequences and saved queries.
 
-The shell learns it by `eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"`, or zsh_source, or fish_source.
+The command line names the store of the runs and sequences. Switch completion on with
+`eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"`, or zsh_source, or fish_source.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ complete_sequence = _of_store(lambda store: sorted(store.manifest().sequences))
 
 
 def complete_query(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Names of the saved queries of the command's language."""
+    """Return the matching names of saved queries in the language of the command."""
     from jrdb_avr.queries.named import named_queries
 
     return [name for name in named_queries(str(ctx.info_name)) if name.startswith(incomplete)]

@@ -6,6 +6,7 @@ import functools
 import json
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -15,7 +16,6 @@ from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.engine.commands._complete import complete_sequence
 from jrdb_avr.engine.commands._options import FILE
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.option import Declaration, declared_options
 
 _C = TypeVar("_C", bound=Callable[..., Any])
 
@@ -41,12 +41,12 @@ class _Object(click.ParamType[dict[str, Any]]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, Any]:
         try:
-            found = json.loads(value) if isinstance(value, str) else value
+            decoded = json.loads(value) if isinstance(value, str) else value
         except (ValueError, RecursionError) as error:
             self.fail(f"{value[:80]!r} is no JSON: {error}", param, ctx)
-        if not isinstance(found, dict):
+        if not isinstance(decoded, dict):
             self.fail("it must be a JSON object", param, ctx)
-        return found
+        return decoded
 
 
 class _Header(click.ParamType[tuple[str, str]]):
@@ -69,10 +69,10 @@ class _Shard(click.ParamType[tuple[int, int]]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})", str(value))
-        if found is None or int(found[1]) > int(found[2]):
+        match = re.fullmatch(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})", str(value))
+        if match is None or int(match[1]) > int(match[2]):
             self.fail("it must be I/N, with I from 1 to N", param, ctx)
-        return int(found[1]), int(found[2])
+        return int(match[1]), int(match[2])
 
 
 class _Ids(click.ParamType[tuple[str, ...]]):
@@ -107,7 +107,7 @@ _KINDS: Final[dict[str, click.ParamType[Any]]] = {
     "headers": _Header(),
     "shard": _Shard(),
 }
-"""Type of a value by option, for options whose type does not follow from their field."""
+"""Type of a value by option, if the field of the option does not imply the type."""
 
 _REPEATED: Final = ("headers", "marker", "families", "templates", "sequences")
 """Options that may be repeated."""
@@ -123,8 +123,7 @@ def field_options(kind: Any, *names: str) -> Callable[[_C], _C]:
     Returns:
         A decorator. The command gets a value per field, of which `build` makes the options.
     """
-    declared = declared_options(kind)
-    options = [_click_option(name, *declared[name]) for name in names or declared]
+    options = [_click_option(declared) for declared in _declared(kind) if declared.name in names or not names]
     return lambda function: functools.reduce(lambda inner, add: add(inner), reversed(options), function)
 
 
@@ -141,52 +140,55 @@ def build(kind: Any, values: Mapping[str, Any]) -> Any:
     Raises:
         UsageError: The class refuses a value.
     """
-    found = {name: values[name] for name in declared_options(kind) if name in values}
-    if "headers" in found:
-        found["headers"] = dict(found["headers"])
+    arguments = {declared.name: values[declared.name] for declared in _declared(kind) if declared.name in values}
+    if "headers" in arguments:
+        arguments["headers"] = dict(arguments["headers"])
     try:
-        return kind(**found)
+        return kind(**arguments)
     except InputError as error:
         raise click.UsageError(str(error)) from None
 
 
-def _click_option(name: str, declared: Declaration, annotation: str, default: Any) -> Callable[[_C], _C]:
-    flag, text = f"--{declared.flag}", declared.text
-    if annotation == "bool":
-        return click.option(flag, name, is_flag=True, help=text)
-    if name in _REPEATED:
-        complete = complete_sequence if name == "sequences" else None
-        kind = _KINDS.get(name)
-        return click.option(
-            flag, name, type=kind, multiple=True, metavar=declared.metavar, shell_complete=complete, help=text
-        )
+def _declared(kind: Any) -> list[Field[Any]]:
+    return [field for field in fields(kind) if "flag" in field.metadata]
+
+
+def _click_option(declared: Field[Any]) -> Callable[[_C], _C]:
+    name, about = declared.name, declared.metadata
+    default = {} if declared.default is MISSING else declared.default
+    repeated = name in _REPEATED
     return click.option(
-        flag,
+        f"--{about['flag'] or name.replace('_', '-')}",
         name,
-        type=_kind(name, declared, annotation.removesuffix(" | None")),
-        default=default,
-        show_default=default not in (None, {}, ()),
-        metavar=declared.metavar,
-        help=text,
+        type=_kind(declared),
+        is_flag=declared.type == "bool",
+        multiple=repeated,
+        default=None if repeated else default,
+        show_default=declared.type != "bool" and default not in (None, {}, ()),
+        metavar=about["metavar"],
+        shell_complete=complete_sequence if name == "sequences" else None,
+        help=about["text"],
     )
 
 
-def _kind(name: str, declared: Declaration, annotation: str) -> click.ParamType[Any]:
+def _kind(declared: Field[Any]) -> click.ParamType[Any]:
     """Return the type of a value of the command line."""
-    if name in _KINDS:
-        return _KINDS[name]
-    if declared.choices:
-        return click.Choice(declared.choices)
+    about, annotation = declared.metadata, str(declared.type).removesuffix(" | None")
+    limits = about["minimum"], about["maximum"]
+    if declared.name in _KINDS:
+        return _KINDS[declared.name]
+    if about["choices"]:
+        return click.Choice(about["choices"])
     if annotation == "int":
-        return click.IntRange(declared.minimum, declared.maximum)
+        return click.INT if limits == (None, None) else click.IntRange(*limits)
     if annotation == "float":
-        return click.FloatRange(declared.minimum, declared.maximum)
-    return FILE if annotation == "Path" else click.STRING
+        return click.FloatRange(*limits)
+    return {"Path": FILE, "bool": click.BOOL}.get(annotation, click.STRING)
 
 
 # -- the server of a model --------------------------------------------------------------------------------------------
 
-_REQUEST: Final = tuple(name for name in declared_options(EndpointOptions) if name not in ("price", "max_cost"))
+_REQUEST: Final = tuple(field.name for field in _declared(EndpointOptions) if field.name not in ("price", "max_cost"))
 
 
 def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:

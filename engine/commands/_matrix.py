@@ -55,12 +55,12 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise InputError(f"{path} holds no run: write [[run]] and below it method = and model =", file=str(path))
     runs = []
-    for number, table in enumerate(tables, 1):
+    for index, table in enumerate(tables, 1):
         try:
             runs += [_run(ctx, shared, values) for values in _crossed(ctx, table)]
         except (click.UsageError, InputError) as error:
             message = error.format_message() if isinstance(error, click.UsageError) else str(error)
-            raise click.UsageError(f"{path}, run {number}: {message}") from None
+            raise click.UsageError(f"{path}, run {index}: {message}") from None
     return runs
 
 
@@ -75,13 +75,13 @@ def _crossed(ctx: click.Context, table: Mapping[str, Any]) -> Iterator[dict[str,
 
 
 def _run(ctx: click.Context, shared: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    found = {}
+    set_values = {}
     for key, value in values.items():
         parameter = _parameter(ctx, key)
-        # The types of options read texts, as of a command line.
+        # Because the types of options parse strings, like those on a command line.
         plain = value if isinstance(value, bool | dict | list) else str(value)
-        found[str(parameter.name)] = parameter.process_value(ctx, plain)
-    merged = {**shared, **found}
+        set_values[str(parameter.name)] = parameter.process_value(ctx, plain)
+    merged = {**shared, **set_values}
     # Here, so that the error names the run.
     build(EndpointOptions, merged)
     return merged

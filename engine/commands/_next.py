@@ -1,4 +1,4 @@
-"""What to do next, as the commands to type: depends on how far the store is, if there is one."""
+"""The next steps for each store, as commands to type."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def next_steps(folder: Path) -> list[str]:
     if not stores:
         where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."
         load = f"jrdb-avr load ROOT --store {shlex.quote(named or 'store')}"
-        steps = (("jrdb-avr demo", "everything once on a synthetic world, in a minute"), (load, "your copy of JRDB"))
+        steps = (("jrdb-avr demo", "every step on a synthetic world, in a minute"), (load, "your copy of JRDB"))
         return [
             where,
             *(f"  {command:<{len(load)}}  {what}" for command, what in steps),
@@ -33,7 +33,7 @@ def next_steps(folder: Path) -> list[str]:
 
 
 def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:
-    """Lines about one store."""
+    """Return the lines about one store."""
     runs = [path.parent for path in sorted(store.glob("runs/*/run.json"))]
     open_runs = [run.name for run in runs if not (run / "predictions.parquet").exists()]
     option = "" if named else f" --store {shlex.quote(str(store.relative_to(folder)))}"

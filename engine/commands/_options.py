@@ -39,12 +39,12 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         "--store",
         "-s",
         required=required,
-        # Before the others: completion of their values looks into it.
+        # Because completion of the other values reads the store.
         is_eager=True,
         type=FOLDER,
         envvar=STORE_VARIABLE,
         callback=open_store,
-        help=f"Folder of the store; without it the one that {STORE_VARIABLE} names.",
+        help=f"Folder of the store; by default the one that {STORE_VARIABLE} names.",
     )
 
 
@@ -85,7 +85,7 @@ def executor_option(function: _C) -> Callable[..., Any]:
         "--executor",
         metavar="ray[://HOST:PORT]",
         callback=check,
-        help="Use a Ray cluster, whose machines see the same folders, in place of local processes.",
+        help="Use a Ray cluster in place of local processes. All its machines need the same folders.",
     )
     return workers_option(executor(command))
 
@@ -95,7 +95,7 @@ iou_option = click.option(
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=0.5,
     show_default=True,
-    help="Least IoU with the true box at which evidence scores.",
+    help="Minimum IoU with the true box for correct evidence.",
 )
 
 port_option = click.option(
@@ -109,9 +109,9 @@ def page_option(default: str) -> Callable[[_C], _C]:
 
 
 def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[_C], _C]:
-    """Add an option that may be repeated, as a list of (name, value)."""
+    """Add a repeatable option; the command gets a list of (name, value)."""
 
-    def split(ctx: click.Context, own: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
+    def split(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
         for text in texts:
             if "=" not in text:
                 raise click.UsageError(f"{flag} {text}: write {metavar}")

@@ -1,9 +1,9 @@
-"""`jrdb-avr calibrate`: how does this model write boxes?"""
+"""`jrdb-avr calibrate`: find the box format of a model."""
 
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,21 +15,18 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLE: Final = """\b
-Example:
-  jrdb-avr calibrate --store S --model M --base-url http://localhost:8000/v1
-"""
-
-
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @store_option()
 @endpoint_options
 @form_option
 def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
-    """Find out in which order and scale a model writes boxes, from 50 drawn rectangles without questions.
+    """Find the order and scale in which a model writes boxes, from 50 drawn rectangles.
 
     The store keeps the result for later runs of the model with the same response format and thinking. If no reading of
     the boxes is clearly the best, nothing is stored and the exit code is 1.
+
+    Example:
+      jrdb-avr calibrate --store S --model M --base-url http://localhost:8000/v1
     """
     import msgspec
 
@@ -41,7 +38,7 @@ def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
     from jrdb_avr.queries.display import step_counter
 
     if not store.question_path("questions").exists():
-        # A machine without labels has questions and no manifest; a folder with neither is a mistyped one.
+        # Because a public store has questions and no manifest; a folder without both cannot be a store.
         store.manifest()
     with serving(model, endpoint.base_url) as url, progress_bar() as progress:
         client = Client(url, model, endpoint, convention=convention_of(model))

@@ -1,4 +1,4 @@
-"""`jrdb-avr demo`: everything once on a synthetic world; each step is a command that a user could type."""
+"""`jrdb-avr demo`: run every step once on a synthetic world. Each step is a command that a user could type."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ class Size:
     help="New folder for the world, the store and the run.",
 )
 def command(out: Path) -> None:
-    """Make a synthetic world, load it, generate questions, let the simulated model answer them, score and report.
+    """Run every step on a synthetic world: sample, load, generate, validate, observe, evaluate, score and report.
 
-    Every step is printed as the command that you would type. Takes about twenty seconds.
+    The simulated model answers the questions. Each step is printed as a command. The demo takes about twenty seconds.
     """
     run_demo(out, Size(), click.echo)
 
 
 def steps(folder: Path, size: Size) -> list[list[str]]:
-    """The arguments of the commands, in order."""
+    """Return the arguments of the commands, in order."""
     root, store, look = folder / "sample", ["--store", f"{folder / 'store'}"], folder / "look.png"
     world = f"--sequences {size.sequences} --frames {size.frames} --people {size.people}"
     return [
@@ -64,7 +64,7 @@ def steps(folder: Path, size: Size) -> list[list[str]]:
 
 
 def run_demo(folder: Path, size: Size, say: Callable[[str], None]) -> None:
-    """Run every step in a process apart. Raise InputError if the folder is in use or a step fails."""
+    """Run each step in its own process. Raise InputError if the folder is not empty or a step fails."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} exists and is not empty: remove it, or name another with --out", file=str(folder))
     begin = time.monotonic()

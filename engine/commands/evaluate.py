@@ -28,19 +28,6 @@ if TYPE_CHECKING:
 LOG_EVERY_S: Final = 30.0
 """Seconds between two lines of live scores if there is no terminal."""
 
-_EXAMPLE: Final = """\b
-Examples:
-  jrdb-avr evaluate --store S --method react --model marker
-  jrdb-avr evaluate --store S --method agent --model M --base-url http://localhost:8000/v1
-  jrdb-avr evaluate --store S --method agent --model marker --resume
-  jrdb-avr evaluate --store S --matrix runs.toml --limit 100
-
-A machine without answers and labels needs a public store (export --public):
-
-\b
-  jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
-"""
-
 
 class _Evaluation(NamedTuple):
     method: str
@@ -48,14 +35,14 @@ class _Evaluation(NamedTuple):
     options: EvaluateOptions
 
 
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @store_option()
 @click.option(
     "--method",
     metavar="METHOD",
-    help=f"The method: {', '.join(METHODS)}; or a method of your own, as FILE.py:NAME or MODULE:NAME.",
+    help=f"The method: {', '.join(METHODS)}; or a custom method, FILE.py:NAME or MODULE:NAME.",
 )
-@model_option(", 'none' for a method of your own without a model", required=False)
+@model_option(", 'none' is for a custom method without a model", required=False)
 @field_options(EndpointOptions)
 @field_options(MethodOptions)
 @field_options(QuestionSelection)
@@ -63,18 +50,18 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--scores/--no-scores",
     default=None,
-    help="Show the scores so far, computed by a process apart; by default only on a terminal.",
+    help="Show scores during the run, computed by a separate process; by default only on a terminal.",
 )
 @click.option(
     "--epochs",
     type=click.IntRange(1, 1000),
     metavar="N",
-    help="Ask each question N times, in runs RUN-1 to RUN-N; 'report --table epochs' has pass@k and the majority.",
+    help="Ask each question N times, in runs RUN-1 to RUN-N. 'report --table epochs' prints pass@k and the majority.",
 )
 @click.option(
     "--matrix",
     type=FILE,
-    help="TOML file of several runs: tables [[run]] with options by their names; a list makes a run per value.",
+    help="TOML file of several runs: a table [[run]] each, with options by name; a list makes one run per value.",
 )
 @form_option
 def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -> None:
@@ -82,6 +69,16 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
 
     The environment variable OPENAI_API_KEY holds the key of the model. The server is checked first, as by 'preflight'.
     A run can be stopped at any time and resumed. The exit code is 1 if a question ended in an error.
+
+    Examples:
+      jrdb-avr evaluate --store S --method react --model marker
+      jrdb-avr evaluate --store S --method agent --model M --base-url http://localhost:8000/v1
+      jrdb-avr evaluate --store S --method agent --model marker --resume
+      jrdb-avr evaluate --store S --matrix runs.toml --limit 100
+
+    A machine without answers and labels needs a public store (export --public):
+
+      jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
     from jrdb_avr.agent.simulated.knobs import profile_of
     from jrdb_avr.engine.report.formats import filled

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,15 +14,8 @@ from jrdb_avr.schema.card import CREATOR, HOME
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
-_EXAMPLE: Final = """\b
-Examples:
-  jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
-  jrdb-avr export --store S --public folder --opaque
-  jrdb-avr export --store S react-marker --jsonl predictions.jsonl
-"""
 
-
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @store_option()
 @run_argument("run", required=False)
 @click.option("--jsonl", type=FILE, help="Write the predictions of RUN, a line each; 'score --jsonl' reads them.")
@@ -48,6 +41,11 @@ def export(
 
     --hf writes two folders: a public one with questions, opaque names of sequences, a card and Croissant metadata, and
     a private one with answers and evidence. Neither has pictures.
+
+    Examples:
+      jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
+      jrdb-avr export --store S --public folder --opaque
+      jrdb-avr export --store S react-marker --jsonl predictions.jsonl
     """
     if jsonl is hf is public is None:
         raise click.UsageError("say what to write: --public, --hf or --jsonl")
@@ -77,14 +75,7 @@ def export(
     note(f"wrote {jsonl}: {len(predictions)} predictions")
 
 
-_SUBMIT_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr submit react-marker bundle --store S
-  jrdb-avr score --store S --bundle bundle         on a machine with the answers
-"""
-
-
-@click.command(epilog=_SUBMIT_EXAMPLES)
+@click.command()
 @store_option()
 @run_argument("run")
 @click.argument("folder", metavar="DIR", type=FOLDER)
@@ -93,6 +84,10 @@ def submit(store: Store, run: str, folder: Path) -> None:
 
     The bundle holds predictions, the manifest with the settings, and hashes. It needs no answers, and leaves out the
     address of the model's server.
+
+    Examples:
+      jrdb-avr submit react-marker bundle --store S
+      jrdb-avr score --store S --bundle bundle         on a machine with the answers
     """
     from jrdb_avr.engine.report.bundle import write_bundle
 

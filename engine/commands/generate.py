@@ -1,4 +1,4 @@
-"""`jrdb-avr generate` and `jrdb-avr stats`: make the questions of a store, and count them."""
+"""`jrdb-avr generate` and `jrdb-avr stats`: generate the questions of a store, and count them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _blind_option = click.option(
     type=click.Choice(["simple", "learned"]),
     default="simple",
     show_default=True,
-    help="Guessers of the blind check; 'learned' adds one that learns from the text (pip install 'jrdb-avr[learned]').",
+    help="Guessers of the blind check; 'learned' adds one trained on the text (pip install 'jrdb-avr[learned]').",
 )
 
 
@@ -31,34 +31,34 @@ _blind_option = click.option(
     type=click.Choice(["all", "paper", "train"]),
     default="all",
     show_default=True,
-    help="How many questions of each family: all that balance leaves, or the paper's numbers; or a training set, with "
-    "no caps per person and no limits on answers.",
+    help="all: every question that balance permits; paper: the paper's numbers per family; train: a training set "
+    "without caps per person or answer.",
 )
-@click.option("--n", type=click.IntRange(1), help="With --profile train: at most so many questions.")
+@click.option("--n", type=click.IntRange(1), help="With --profile train: maximum number of questions.")
 @click.option(
     "--disjoint-from",
     type=FOLDER,
     metavar="STORE",
-    help="With --profile train: no question needs a person of STORE's questions at the same time.",
+    help="With --profile train: exclude the people of STORE's questions at the times of these questions.",
 )
 @executor_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Decides between equally good selections.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Choice between equally good selections.")
+@click.option("--candidates", type=FILE, help="Parquet file to write with all proven candidates, before selection.")
+@click.option("--require-occlusion", is_flag=True, help="Skip sequences without occlusion attributes.")
 @click.option(
-    "--candidates", type=FILE, help="Also write every proven candidate before selection to this Parquet file."
+    "--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see inspect --import)."
 )
-@click.option("--require-occlusion", is_flag=True, help="Skip sequences whose boxes have no occlusion attributes.")
-@click.option("--exclude-rejected", is_flag=True, help="Leave out what a reviewer rejected (see inspect --import).")
-@pairs_option("--rule", "overrides", "Override a rule; may be repeated. Caps that --profile train lifts stay lifted.")
+@pairs_option("--rule", "overrides", "Override a rule. May be repeated. --profile train ignores its caps.")
 @_blind_option
 @form_option
 def generate(
     store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], blind: str, form: RowFormat, **options: Any
 ) -> None:
-    """Search every sequence of STORE for questions, keep those whose proofs hold, and write them to STORE/questions.
+    """Find questions in all sequences of STORE, prove them, and write them to STORE/questions.
 
-    Prints per template the candidates, how many each rule refused, the questions, why there are few, and what a blind
-    guesser scores; with --profile paper also how many of each family were reached. The result is the same for any
-    number of workers. --profile train makes a training set: give it a store of its own.
+    Prints the candidates per template, the refusals per rule, the questions, and the score of a blind guesser. If a
+    template has few questions, prints the reason. With --profile paper, also prints the number reached per family. The
+    result does not depend on the number of workers. A training set needs a separate store.
     """
     from jrdb_avr.engine.generate import run
     from jrdb_avr.engine.generate.diagnostics import fillings
@@ -72,7 +72,7 @@ def generate(
     if form:
         print_data(made.rows(), form)
     else:
-        # A column per template: there are more rules than fit on a line.
+        # One column per template, because there are more rules than fit on a line.
         names = [name for name in made.templates[0] if name not in ("family", "template")]
         crossed = [{"": name, **{row["template"]: row[name] for row in made.templates}} for name in names]
         print_rows(crossed, title="Candidates, refusals by rule, and questions")
@@ -95,10 +95,10 @@ def generate(
     "--latex", "as_latex", is_flag=True, help="Print the paper's table of generators, for the package booktabs."
 )
 def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
-    """Count the questions of STORE by family, template, sequence, answer; score guessers that see no image.
+    """Count the questions of STORE by family, template, sequence and answer; score guessers that see no image.
 
-    Says for each template what became of its candidates and, where there are few questions, why. With --json each row
-    object names its table under "table".
+    Prints the refused candidates of each template, and the reason if a template has few questions. With --json the key
+    "table" of each row names its table.
     """
     if form and as_latex:
         raise click.UsageError(f"choose one of --{form} and --latex")
@@ -122,7 +122,7 @@ def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
 
 
 def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[dict[str, Any]]:
-    """A row per rule and a column per template: a row for each pair would be a long table."""
+    """Return one row per rule and one column per template, because one row per pair would be a long table."""
     templates = dict.fromkeys(sorted({row["template"] for row in rows}), 0)
     crossed = {rule: {"": rule, **templates} for rule in rules}
     for row in rows:
@@ -132,11 +132,11 @@ def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[di
 
 
 _REASONS: Final = ("why", "skipped", "reason")
-"""Columns of explanations, which are too long for a cell and are printed as lines below their table."""
+"""Columns of explanations. They are too long for a cell, so they are printed as lines below the table."""
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print rows with three decimals at most, and the reasons among them as lines."""
+    """Print rows with at most three decimals, then the reasons as lines."""
     rounded = [
         {name: round(cell, 3) if isinstance(cell, float) else cell for name, cell in row.items()} for row in rows
     ]
@@ -147,7 +147,7 @@ def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
 
 
 def _print_reasons(rows: Iterable[Mapping[str, Any]]) -> None:
-    """Print why a template has few questions, and why a blind guesser is above its aim."""
+    """Print the reasons for few questions and for blind scores above their aim."""
     for row in rows:
         if row.get("why"):
             click.echo(f"{row['template']}: {row['why']}")

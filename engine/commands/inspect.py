@@ -1,9 +1,9 @@
-"""`jrdb-avr inspect`: questions as a page for a person to judge, and what people decided."""
+"""`jrdb-avr inspect`: write a page for the review of questions, and store the decisions of reviewers."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,29 +14,26 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr inspect --sample 20 --store S --out inspect.html
-  jrdb-avr inspect --import decisions.json --reviewer ada --store S
-"""
-
-
-@click.command(epilog=_EXAMPLES)
+@click.command()
 @click.argument("questions", nargs=-1, metavar="[QUESTION]...")
 @store_option()
-@click.option("--sample", type=click.IntRange(1, 1000), help="Instead of QUESTIONs: so many, drawn at random.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the random draw.")
+@click.option("--sample", type=click.IntRange(1, 1000), help="Number of random questions, instead of QUESTIONs.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random draw.")
 @page_option("inspect.html")
-@click.option("--import", "decisions", type=FILE, help="Store a page's decisions.")
-@click.option("--reviewer", help="Who decided; with --import.")
+@click.option("--import", "decisions", type=FILE, help="Store the decisions in this file, which the page saved.")
+@click.option("--reviewer", help="Name of the reviewer; with --import.")
 @form_option
 def command(
     questions: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, form: RowFormat, **review: Any
 ) -> None:
-    """Write a page that shows questions with their answers, plans, proofs and views, or store what was decided on it.
+    """Write a page of questions with answers, plans, proofs and views, or store the decisions made on it.
 
-    On the page: a accepts, r rejects, u undoes, j and k go on and back, comma and dot a second earlier and later. With
-    --import, prints how far every two reviewers agree (Cohen's kappa).
+    Keys on the page: a accepts, r rejects, u undoes; j and k go to the next and previous question; comma and dot go one
+    second back and forward. With --import, prints the agreement of each two reviewers (Cohen's kappa).
+
+    Examples:
+      jrdb-avr inspect --sample 20 --store S --out inspect.html
+      jrdb-avr inspect --import decisions.json --reviewer ada --store S
     """
     decisions, reviewer = review["decisions"], review["reviewer"]
     if (decisions is None) != (reviewer is None):

@@ -1,9 +1,9 @@
-"""`jrdb-avr observe`: write a crop, or the whole panorama, as PNG."""
+"""`jrdb-avr observe`: write a crop or a whole panorama as PNG."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,30 +15,27 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLE: Final = """180 is straight ahead, 90 the robot's left, 0 behind, 270 its right.
-
-\b
-Example:
-  jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png
-"""
-
-
 @click.command(
     # Because an ANGLE may be negative, such as -90.
     context_settings={"ignore_unknown_options": True},
-    epilog=_EXAMPLE,
 )
 @click.argument("sequence", shell_complete=complete_sequence)
 @click.argument("frame", type=int)
 @click.argument("angle", type=float, required=False)
 @store_option()
 @click.option("--out", required=True, type=FILE, help="PNG file to write.")
-@click.option("--panorama", is_flag=True, help="The whole strip instead of a crop; needs no ANGLE.")
+@click.option("--panorama", is_flag=True, help="Write the whole panorama; takes no ANGLE.")
 @click.option("--boxes", is_flag=True, help="Draw the annotated boxes with track, pose and group, and skeletons.")
 def command(
     sequence: str, frame: int, angle: float | None, store: Store, out: Path, panorama: bool, boxes: bool
 ) -> None:
-    """Look at FRAME of SEQUENCE in direction ANGLE (degrees): a 480 x 480 crop as PNG."""
+    """Write the 480 x 480 crop of FRAME of SEQUENCE in direction ANGLE (degrees) as PNG.
+
+    180 is straight ahead, 90 is left of the robot, 0 behind and 270 right.
+
+    Example:
+      jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png
+    """
     if panorama == (angle is not None):
         raise click.UsageError("give either an ANGLE or --panorama")
 
@@ -66,10 +63,10 @@ def command(
 
 
 def _annotated(store: Store, sequence: str, frame: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Sightings and poses of a frame."""
+    """Return sightings and poses of a frame."""
     import pyarrow.compute as pc
 
     tables = store.interval("sightings", sequence), store.annotation("poses", sequence)
     people, poses = (table.filter(pc.equal(table["frame"], frame)).to_pylist() for table in tables)
-    # The widest first, so that small boxes are drawn over large ones.
+    # Wide boxes first, so that small boxes are drawn over them.
     return sorted(people, key=lambda row: (-row["w"], row["track"])), poses

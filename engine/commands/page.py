@@ -11,6 +11,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
+import textwrap
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -24,8 +25,8 @@ _HOW: Final[dict[str, Any]] = {"terminal_width": 100, "max_content_width": 100, 
 
 
 def commands_page() -> str:
-    """The page of the commands in Markdown: each with its help, those inside a group after it."""
-    parts = ["# Commands\n", "What `--help` of each command prints. This page is made by them: see the foot of it.\n"]
+    """Return the page of the commands in Markdown, each with its help; subcommands follow their group."""
+    parts = ["# Commands\n", "The output of `--help` of each command.\n"]
     top = click.Context(group, info_name=NAME, **_HOW)
     for name in COMMANDS:
         for path, text in _helps(group, name, top):
@@ -41,17 +42,17 @@ def _helps(parent: click.Group, name: str, above: click.Context) -> Iterator[tup
     lines = [line.rstrip() for line in command.get_help(context).splitlines()]
     yield context.command_path, "\n".join(lines).strip()
     if isinstance(command, click.Group):
-        for own in command.list_commands(context):
-            yield from _helps(command, own, context)
+        for subcommand in command.list_commands(context):
+            yield from _helps(command, subcommand, context)
 
 
 def api_page() -> str:
-    """The page of the Python API in Markdown: the public names of `jrdb_avr` with signatures and docstrings."""
+    """Return the page of the Python API in Markdown: the public names with signatures and docstrings."""
     values = {name: getattr(jrdb_avr, name) for name in jrdb_avr.__all__}
     functions = {name: value for name, value in values.items() if inspect.isfunction(value)}
     errors = {name: value for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
     classes = {name: value for name, value in values.items() if isinstance(value, type) and name not in errors}
-    parts = ["# Python API\n", "What `import jrdb_avr` offers; names load on first use.\n"]
+    parts = ["# Python API\n", "The public names of `import jrdb_avr`; each loads on first use.\n"]
     for title, members in (("Functions", functions), ("Classes", classes), ("Errors and warnings", errors)):
         parts.append(f"## {title}\n")
         for name, value in members.items():
@@ -64,10 +65,10 @@ def _signature(name: str, value: Any) -> str:
     if isinstance(value, type) and (issubclass(value, Exception) or getattr(value, "_is_protocol", False)):
         return ""
     signature = inspect.signature(value)
-    parameters = [_short(own) for own in signature.parameters.values()]
-    # Annotations are texts, which print with quotes.
-    lines = [re.sub(r": '([^']*)'", r": \1", f"    {own},\n") for own in parameters]
-    star = next((i for i, own in enumerate(signature.parameters.values()) if own.kind is own.KEYWORD_ONLY), None)
+    parameters = [_short(parameter) for parameter in signature.parameters.values()]
+    # Annotations are strings, which print with quotes.
+    lines = [re.sub(r": '([^']*)'", r": \1", f"    {parameter},\n") for parameter in parameters]
+    star = next((i for i, parameter in enumerate(parameters) if parameter.kind is parameter.KEYWORD_ONLY), None)
     if star is not None:
         lines.insert(star, "    *,\n")
     end = f" -> {signature.return_annotation}" if inspect.isfunction(value) else ""
@@ -84,7 +85,7 @@ def _short(parameter: inspect.Parameter) -> inspect.Parameter:
 
 
 class _Text(str):
-    """A text whose representation is itself."""
+    """A string that prints without quotes in a signature."""
 
     __slots__ = ()
 
@@ -102,13 +103,14 @@ def _doc(value: Any) -> str:
         items = re.sub(r"(?m)^(?=\S)", "- ", re.sub(r"(?m)^(\w+): ", r"`\1`: ", items)).replace("\n    ", "\n  ")
         blocks[at] = f"**{title}**\n\n{items}\n\n"
     for at in range(0, len(blocks), 2):
-        code = re.sub(r"(?m)((?:^ {4}.*\n?)+)", r"```python\n\1\n```", blocks[at])
-        blocks[at] = code.replace("\n\n```\n", "\n```\n")
+        blocks[at] = re.sub(
+            r"(?m)((?:^ {4}.*\n?)+)", lambda code: f"```python\n{textwrap.dedent(code[1]).rstrip()}\n```\n", blocks[at]
+        )
     return "".join(blocks).rstrip() + "\n" * (len(blocks) > 1)
 
 
 def _members(value: Any) -> str:
-    """A list of a class's public methods and properties, each with the first line of its docstring."""
+    """Return a list of the public methods and properties of a class, each with the first line of its docstring."""
     if not isinstance(value, type):
         return ""
     lines = [

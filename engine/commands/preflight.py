@@ -1,9 +1,9 @@
-"""`jrdb-avr preflight`: can a run use this server?"""
+"""`jrdb-avr preflight`: check the server of a model before a run."""
 
 from __future__ import annotations
 
 import sys
-from typing import Any, Final
+from typing import Any
 
 import click
 
@@ -11,13 +11,8 @@ from jrdb_avr.engine.commands._declared import endpoint_options
 from jrdb_avr.engine.commands._options import form_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows
 
-_EXAMPLE: Final = """\b
-Example:
-  jrdb-avr preflight --model Qwen3-VL-8B --base-url http://localhost:8000/v1
-"""
 
-
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @endpoint_options
 @form_option
 def command(model: str, endpoint: Any, form: RowFormat) -> None:
@@ -25,6 +20,9 @@ def command(model: str, endpoint: Any, form: RowFormat) -> None:
 
     'evaluate' makes the same checks before a run, warns of failed checks and records them. The exit code is 1 if a
     check fails that a run needs.
+
+    Example:
+      jrdb-avr preflight --model Qwen3-VL-8B --base-url http://localhost:8000/v1
     """
     from jrdb_avr.agent.model.client import Client
     from jrdb_avr.agent.model.conventions import convention_of

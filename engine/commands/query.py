@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Language = Literal["cypher", "sql"]
 
 _LONGEST: Final = 1 << 20
-"""Bytes of a statement in a file."""
+"""Maximum bytes of a statement in a file."""
 
 
 def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -48,34 +48,34 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-_CYPHER_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr cypher --list
-  jrdb-avr cypher who_is_where --store S --param sequence=NAME --param frame=15
-  jrdb-avr cypher 'MATCH (p:Person) RETURN count(*) AS people' --store S --json
-"""
-
-_SQL_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr sql 'SHOW TABLES' --store S
-  jrdb-avr sql question_counts --store S
-  jrdb-avr sql 'SELECT run_id, avg(answer_score) FROM scores GROUP BY 1' --store S
-"""
-
-
-@click.command(epilog=_CYPHER_EXAMPLES)
+@click.command()
 @_query_options
 def cypher(**options: Any) -> None:
-    """Query the graph: QUERY is one reading Cypher statement, the name of a saved query (see --list), FILE.cypher, or -
-    for standard input."""
+    """Query the graph with Cypher.
+
+    QUERY is one reading statement, the name of a saved query (see --list), FILE.cypher, or - for standard input.
+
+    Examples:
+      jrdb-avr cypher --list
+      jrdb-avr cypher who_is_where --store S --param sequence=NAME --param frame=15
+      jrdb-avr cypher 'MATCH (p:Person) RETURN count(*) AS people' --store S --json
+    """
     _run("cypher", **options)
 
 
-@click.command(epilog=_SQL_EXAMPLES)
+@click.command()
 @_query_options
 def sql(**options: Any) -> None:
-    """Ask the Parquet tables: QUERY is one SELECT over the store's views, the name of a saved query (see --list),
-    FILE.sql, or - for standard input."""
+    """Query the Parquet tables with SQL.
+
+    QUERY is one SELECT over the views of the store, the name of a saved query (see --list), FILE.sql, or - for standard
+    input.
+
+    Examples:
+      jrdb-avr sql 'SHOW TABLES' --store S
+      jrdb-avr sql question_counts --store S
+      jrdb-avr sql 'SELECT run_id, avg(answer_score) FROM scores GROUP BY 1' --store S
+    """
     _run("sql", **options)
 
 
@@ -117,7 +117,7 @@ def _run(
 
 
 def _statement(language: Language, query: str) -> str:
-    """The query itself, or the text of the file or standard input that it names. Raises InputError for a broken one."""
+    """Return the query, or the text of the file or input that it names. Raise InputError if that cannot be read."""
     if query != "-" and not re.fullmatch(rf"\S+\.{language}", query):
         return query
     try:
@@ -130,7 +130,7 @@ def _statement(language: Language, query: str) -> str:
 
 
 def _unique_names(table: Any) -> Any:
-    """The table with repeated column names numbered: a row object holds each name once."""
+    """Number repeated column names, because a row object holds each name once."""
     names: list[str] = []
     for name in table.column_names:
         numbered = (f"{name}_{number}" for number in itertools.count(2))

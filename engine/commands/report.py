@@ -14,13 +14,6 @@ from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, war
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
-_EXAMPLE: Final = """\b
-Examples:
-  jrdb-avr report --store S                             all runs
-  jrdb-avr report --store S --table template --table pairs
-  jrdb-avr report --store S --paper --latex             beside the paper's rows
-  jrdb-avr report --store S --leaderboard B1 B2 --html leaderboard.html
-"""
 
 # Bootstrap multiplies small matrices: with threads of its own, linear algebra takes twice the time of processors.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,25 +23,25 @@ _MACRO: Final = "_macro_"
 _runs_argument = run_argument("runs", nargs=-1, metavar="[RUN]...")
 
 
-_SCORE_EXAMPLE: Final = """\b
-Examples:
-  jrdb-avr score --store S react-marker           (without a RUN: all runs)
-  jrdb-avr score --store S --jsonl mine.jsonl     predictions made elsewhere, as the run 'mine'
-  jrdb-avr score --store S --bundle bundle        what 'submit' wrote
-"""
-
-
-@click.command(epilog=_SCORE_EXAMPLE)
+@click.command()
 @_runs_argument
 @store_option()
-@click.option("--jsonl", type=FILE, help="Take predictions in as a run first, named RUN or like the file; score it.")
-@click.option("--bundle", type=FOLDER, help="Score a bundle; nothing is written.")
+@click.option(
+    "--jsonl", type=FILE, help="Import predictions as a run first, named RUN or after the file, and score it."
+)
+@click.option("--bundle", type=FOLDER, help="Score a bundle without writing files.")
 @iou_option
 @form_option
 def score(
     runs: tuple[str, ...], store: Store, iou: float, form: RowFormat, jsonl: Path | None, bundle: Path | None
 ) -> None:
-    """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question."""
+    """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question.
+
+    Examples:
+      jrdb-avr score --store S react-marker           (all runs if no RUN is given)
+      jrdb-avr score --store S --jsonl mine.jsonl     predictions made elsewhere, as the run 'mine'
+      jrdb-avr score --store S --bundle bundle        what 'submit' wrote
+    """
     from jrdb_avr.engine.report import comparison
 
     if (jsonl and len(runs) > 1) or (bundle and (runs or jsonl)):
@@ -71,7 +64,7 @@ def score(
         note(f"next: jrdb-avr report --store {store.path} && jrdb-avr view --store {store.path} --answers")
 
 
-@click.command(epilog=_EXAMPLE)
+@click.command()
 @_runs_argument
 @store_option()
 @click.option(
@@ -82,18 +75,24 @@ def score(
     help="main; family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence (breakdowns); "
     "ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost; all. May be repeated.  [default: main]",
 )
-@click.option("--paper", is_flag=True, help="Add the paper's figures as rows, labelled 'paper'.")
+@click.option("--paper", is_flag=True, help="Add rows with the paper's figures, labelled 'paper'.")
 @iou_option
 @form_option
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
-@click.option("--html", type=FILE, help="Write everything as one page.")
-@click.option("--leaderboard", is_flag=True, help="Rank bundles, the folders given in place of runs, by question set.")
+@click.option("--html", type=FILE, help="HTML page to write, with all tables.")
+@click.option("--leaderboard", is_flag=True, help="Rank bundles; give their folders in place of runs.")
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
-    """Compare runs: answer, evidence, combined, hallucination and invalid in percent of the n questions.
+    """Compare runs: answer, evidence, combined, hallucination and invalid, in percent of the n questions.
 
-    Intervals are 95 %, from 10,000 seeded draws of whole sequences. Macro averages are over the seven families and the
-    paper's five groups.
+    Intervals of 95 % come from a bootstrap over sequences with 10,000 seeded draws. Macro averages are means over the
+    seven families and over the paper's five groups.
+
+    Examples:
+      jrdb-avr report --store S                             all runs
+      jrdb-avr report --store S --table template --table pairs
+      jrdb-avr report --store S --paper --latex             beside the paper's rows
+      jrdb-avr report --store S --leaderboard B1 B2 --html leaderboard.html
     """
     form, as_markdown, as_latex = options["form"], options["as_markdown"], options["as_latex"]
     if bool(form) + as_markdown + as_latex + (html is not None) > 1:
@@ -180,7 +179,7 @@ def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
     from jrdb_avr.engine.report.formats import filled, with_intervals
 
     cells = with_intervals(rows)
-    # The id of a run names method and model; rows of the paper have none.
+    # Because the id of a run names method and model; rows of the paper have no id.
     known = () if any(row.get("run") == "" for row in cells) else ("method", "model")
     empty = (own for own in ("label", "setting") if not any(row.get(own) for row in cells))
     left_out = {"iou", *known, *empty}

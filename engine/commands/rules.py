@@ -1,4 +1,4 @@
-"""`jrdb-avr rules`: the thresholds of the benchmark, which --rule overrides."""
+"""`jrdb-avr rules`: list the thresholds of the benchmark, which --rule overrides."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jrdb_avr.engine.console import RowFormat, print_rows
 
 @click.group(cls=NamingGroup, epilog="Example: jrdb-avr rules list")
 def command() -> None:
-    """The rules of the benchmark: every threshold that a fact, a proof or a selection depends on."""
+    """Show the rules of the benchmark, the thresholds of facts, proofs and selection."""
 
 
 @command.command(name="list", epilog="Example: jrdb-avr rules list --csv")
@@ -19,7 +19,7 @@ def command() -> None:
 def rules_list(form: RowFormat) -> None:
     """List the rules with their values and meanings.
 
-    'load --rule NAME=VALUE' overrides those that begin with load, 'generate --rule NAME=VALUE' the others.
+    'load --rule NAME=VALUE' overrides the rules of load, 'generate --rule NAME=VALUE' the others.
     """
     from jrdb_avr.schema.rules import rule_rows
 

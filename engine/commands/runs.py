@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,16 +15,14 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr runs list --store S
-  jrdb-avr runs diff react-a react-b --store S
-"""
-
-
-@click.group(cls=NamingGroup, epilog=_EXAMPLES)
+@click.group(cls=NamingGroup)
 def command() -> None:
-    """List, show, compare, merge or remove the runs of a store."""
+    """List, show, compare, merge or remove the runs of a store.
+
+    Examples:
+      jrdb-avr runs list --store S
+      jrdb-avr runs diff react-a react-b --store S
+    """
 
 
 @command.command(
@@ -35,7 +33,7 @@ def command() -> None:
 @store_option()
 @form_option
 def runs_list(store: Store, form: RowFormat) -> None:
-    """List the runs: method, model, how many questions ended how, and whether the run is complete."""
+    """List the runs with method, model, number of questions by status, and whether each run is complete."""
     from jrdb_avr.engine.run.overview import list_runs
 
     rows = list_runs(store)
@@ -52,15 +50,15 @@ def runs_list(store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def show(run: str, store: Store, form: RowFormat) -> None:
-    """Show a run: its questions and how they were selected, its settings, and why answers are missing."""
+    """Show a run: its questions and their selection, its settings, and the reasons of missing answers."""
     from jrdb_avr.engine.run.overview import show_run
 
-    found = show_run(store, run)
+    facts = show_run(store, run)
     if form:
-        print_data([found], form)
+        print_data([facts], form)
         return
-    note(f"in {found.pop('folder')}")
-    rows = [{"what": name, "value": value} for name, own in found.items() for name, value in _lines(name, own)]
+    note(f"in {facts.pop('folder')}")
+    rows = [{"what": name, "value": value} for name, item in facts.items() for name, value in _lines(name, item)]
     # Without the prefix, because names of settings are long.
     rows = [{**row, "what": row["what"].removeprefix("settings.")} for row in rows if row["value"] not in (None, "")]
     print_rows(rows)
@@ -69,24 +67,24 @@ def show(run: str, store: Store, form: RowFormat) -> None:
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
     """A value by its name, the entries of a mapping or list each on a line."""
     if isinstance(value, dict):
-        return [line for key, own in value.items() for line in _lines(f"{name}.{key}", own)]
+        return [line for key, item in value.items() for line in _lines(f"{name}.{key}", item)]
     if isinstance(value, list) and name.startswith("commonest"):
-        return [(name, own) for own in value]
+        return [(name, item) for item in value]
     return [(name, value)]
 
 
 @command.command(
     name="merge",
-    short_help="Make one run of all shards of a run.",
+    short_help="Merge all shards of a run into one run.",
     epilog="Example: jrdb-avr runs merge react-M-1of2 react-M-2of2 --run-id react-M --store S",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @click.option("--run-id", required=True, help="Name of the new run.")
 def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
-    """Make one run of all shards of a run (evaluate --shard), after their folders are copied into STORE/runs.
+    """Merge all shards of a run (evaluate --shard) into one run, after their folders are copied into STORE/runs.
 
-    The shards must agree in questions, method, model and settings. They stay as they are.
+    The shards must agree in questions, method, model and settings. They stay unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs
 
@@ -100,9 +98,9 @@ def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
-@click.option("--yes", is_flag=True, help="Do not ask.")
+@click.option("--yes", is_flag=True, help="Delete without asking.")
 def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
-    """Delete runs: their folders, and what the store's graph holds of their world models."""
+    """Delete runs: their folders, and their world models in the store's graph."""
     from jrdb_avr.engine.run.overview import remove_run
 
     if not yes:
@@ -126,27 +124,27 @@ def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
     type=click.Choice(["answer", "evidence", "combined"]),
     default="combined",
     show_default=True,
-    help="The score whose differing questions are listed.",
+    help="Score by which differing questions are listed.",
 )
 @iou_option
 @form_option
 def diff(first: str, second: str, store: Store, score: str, iou: float, form: RowFormat) -> None:
-    """Compare two runs on the questions that both have: scores, the difference with its interval, who scores which.
+    """Compare two runs on their common questions: scores, their difference with its interval, and counts of wins.
 
-    Scores are percent of those questions, the difference the second's less the first's in points; p is of the exact
-    McNemar test. --json and --csv print the questions that only one of them scores.
+    Scores are percent of the common questions. The difference is the second score minus the first, in points, and p is
+    from the exact McNemar test. --json and --csv print the questions that only one of the runs scores.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals
     from jrdb_avr.engine.report.tables import TOO_FEW
 
-    found = diff(store, first, second, iou=iou)
-    questions = found.questions(score)
+    compared = diff(store, first, second, iou=iou)
+    questions = compared.questions(score)
     if form:
         print_data(questions, form)
         return
-    few = any(own["interval"] == TOO_FEW for own in found.rows)
-    rows = [{name: own[name] for name in own if name != "interval"} for own in with_intervals(found.scores())]
+    few = any(row["interval"] == TOO_FEW for row in compared.rows)
+    rows = [{name: row[name] for name in row if name != "interval"} for row in with_intervals(compared.scores())]
     print_rows(rows, title=f"first: {first}, second: {second}" + (f"; {TOO_FEW}" if few else ""))
     if questions:
         # What is right says already who alone scores.
@@ -156,5 +154,5 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     else:
         note(f"no question is scored by one of them alone: {score}")
     note(f"next: jrdb-avr view --store {store.path} --answers")
-    if found.synthetic:
+    if compared.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")

@@ -1,4 +1,4 @@
-"""`sample`: write a synthetic JRDB root."""
+"""`jrdb-avr sample`: write a synthetic JRDB root."""
 
 from __future__ import annotations
 
@@ -25,15 +25,16 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     type=click.Choice(("keyframes", "changes", "all")),
     default="changes",
     show_default=True,
-    help="Frames with a panorama; 'changes': keyframes, and once per second both frames round a moment of change.",
+    help="Frames with a panorama; 'changes': keyframes, and once per second the frames before and after a change.",
 )
-@click.option("--full-scale", is_flag=True, help="27 sequences sized like the JRDB test split, without images.")
+@click.option(
+    "--full-scale", is_flag=True, help="Write 27 sequences of the size of the JRDB test split, without images."
+)
 @workers_option
 @form_option
 def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
     """Write a synthetic JRDB root: label files and panoramas of marked people.
 
-    \b
     Examples:
       jrdb-avr sample ./sample
       jrdb-avr sample ./big --full-scale

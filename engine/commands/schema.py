@@ -1,32 +1,28 @@
-"""`jrdb-avr schema`: the tables of the graph and of the store, and how they hang together."""
+"""`jrdb-avr schema`: print the tables of the graph and of the store, and their relations."""
 
 from __future__ import annotations
-
-from typing import Final
 
 import click
 
 from jrdb_avr.engine.commands._options import form_option
 from jrdb_avr.engine.console import RowFormat, print_rows
 
-_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr schema graph scene
-  jrdb-avr schema tables predictions
-  jrdb-avr schema graph --mermaid
-"""
 
-
-@click.command(epilog=_EXAMPLES)
+@click.command()
 @click.argument("what", metavar="graph|tables", type=click.Choice(["graph", "tables"]))
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--mermaid", is_flag=True, help="Print a diagram in Mermaid.")
 @form_option
 def command(what: str, names: tuple[str, ...], mermaid: bool, form: RowFormat) -> None:
-    """Print the tables of the graph, for 'cypher', or of the store, for 'sql'; of those with a NAME their columns.
+    """Print the tables of the graph, for 'cypher', or of the store, for 'sql'; with NAMEs, print their columns.
 
-    NAMEs are tables, or parts: scene, keyframes and beliefs of the graph; annotations, intervals, questions and runs of
-    the store. Needs no store.
+    NAMEs are tables or parts. The graph has the parts scene, keyframes and beliefs; the store has annotations,
+    intervals, questions and runs. The command needs no store.
+
+    Examples:
+      jrdb-avr schema graph scene
+      jrdb-avr schema tables predictions
+      jrdb-avr schema graph --mermaid
     """
     from jrdb_avr.schema import catalog
 

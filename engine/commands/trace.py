@@ -1,4 +1,4 @@
-"""`jrdb-avr trace`: what a run did with one question, as a page."""
+"""`jrdb-avr trace`: write a page of a run's steps for one question."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 @store_option()
 @page_option("trace.html")
 def command(run: str, question: str, store: Store, out: Path) -> None:
-    """Write a page that shows how RUN came to its answer to QUESTION (an id), step by step, beside the truth.
+    """Write a page of the steps of RUN for QUESTION (an id), with the true answer.
 
-    Each look is drawn on the panorama; of an agent, the world model as it grew, with the writes that were refused.
+    The page shows each observation on the panorama. For an agent, it also shows the world model after each step, with
+    the refused writes.
     """
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page

@@ -1,4 +1,4 @@
-"""`jrdb-avr validate`: are the question files sound?"""
+"""`jrdb-avr validate`: check the question files."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")
 @store_option()
-@click.option("--replay", is_flag=True, help="Also run every proof again, and every plan as Cypher on the graph.")
+@click.option("--replay", is_flag=True, help="Also repeat all proofs, and run each plan as Cypher on the graph.")
 @executor_option
-@pairs_option("--rule", "overrides", "As in the call of generate.")
+@pairs_option("--rule", "overrides", "Rule that 'generate' was called with. May be repeated.")
 @form_option
 def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple[str, str]], form: RowFormat) -> None:
-    """Check the questions of STORE: files, ids, choices, answers, texts, evidence; derive answers and proofs again.
+    """Check the questions of STORE: files, ids, choices, answers, texts and evidence; derive answers and proofs again.
 
-    The second derivation reads the annotation tables and nothing that generation made. With --replay all proofs of
-    all questions are run again from the stored plans, and each plan, compiled to Cypher, has to find the stored people
-    and answer in the graph; whatever comes out otherwise than stored is named with its question and proof. Exit code 1
-    on any fault.
+    The second derivation reads the annotation tables only. With --replay, all proofs are repeated from the stored
+    plans. Each plan is also compiled to Cypher and must find the stored people and answer in the graph. Each difference
+    is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override
@@ -38,7 +37,7 @@ def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple
     if form:
         print_data(found.rows(), form)
     else:
-        # Faults follow below, one to a line.
+        # Because the faults follow, one per line.
         print_rows([{name: row[name] for name in row if name != "first fault"} for row in found.rows()])
     for name, faults in found.faults.items():
         for fault in faults[:20]:

@@ -1,4 +1,4 @@
-"""`jrdb-avr view`: look at questions and runs in the browser."""
+"""`jrdb-avr view`: show questions and runs in the browser."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr view --store S --answers")
 @store_option()
-@click.option("--answers", is_flag=True, help="Also show true answers, targets, scores and causes: private files.")
-@click.option("--images", type=FOLDER, help="Folder with a folder of panoramas per sequence; the store's if left out.")
+@click.option("--answers", is_flag=True, help="Also show true answers, targets, scores and causes, from private files.")
+@click.option("--images", type=FOLDER, help="Folder of panoramas by sequence; by default as the store names it.")
 @port_option
 @iou_option
 def command(store: Store, answers: bool, images: Path | None, port: int, iou: float) -> None:
-    """Serve a page over a store on this machine: runs side by side, each question with its frames, pairs of runs.
+    """Serve pages of a store on this machine: runs side by side, questions with their frames, and pairs of runs.
 
-    Prints the address to open, which holds a token; ends with Ctrl-C. Runs are read at the start.
+    Prints the address to open, which contains a token. Ctrl-C ends the server. Runs are read once, at the start.
     """
     from jrdb_avr.engine.local_server import LocalServer
     from jrdb_avr.engine.pages.view import Viewer

@@ -1,9 +1,9 @@
-"""`jrdb-avr world`: what runs' agents believed, brought into the store's graph or taken out of it."""
+"""`jrdb-avr world`: add the world models of runs to the graph of the store, or drop them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,31 +18,28 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-_EXAMPLES: Final = """\b
-Examples:
-  jrdb-avr world merge agent-marker --store S
-  jrdb-avr world drop agent-marker --store S
-"""
-
-
-@click.group(cls=NamingGroup, epilog=_EXAMPLES)
+@click.group(cls=NamingGroup)
 def command() -> None:
-    """Bring the world models of runs, what their agents believed, into the store's graph, or drop them.
+    """Add the world models of runs, the beliefs of their agents, to the graph of the store, or drop them.
 
-    The record is runs/RUN/world.parquet. A run writes its world model into the graph itself, unless --world-db names
-    another; 'load' and 'load --rebuild' bring every run's back. Query it with 'cypher' (see its --list).
+    The record is runs/RUN/world.parquet. A run itself writes its world model to the graph unless --world-db names
+    another file. 'load' and 'load --rebuild' add all of them again. Query them with 'cypher' (see its --list).
+
+    Examples:
+      jrdb-avr world merge agent-marker --store S
+      jrdb-avr world drop agent-marker --store S
     """
 
 
 @command.command(
-    short_help="Bring runs' world models into the store's graph.",
+    short_help="Add world models of runs to the graph of the store.",
     epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @form_option
 def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Bring the world models of finished runs into the store's graph, in place of what it holds of them."""
+    """Add the world models of finished runs to the graph of the store, replacing earlier versions."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
 
@@ -61,7 +58,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Take runs' world models out of the store's graph. Their records stay, and the next load brings them back."""
+    """Drop the world models of runs from the graph of the store. Their records stay; the next load adds them again."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.schema.errors import StoreError
@@ -92,7 +89,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
     if record is not None and record.num_rows:
         return record
     if not store.run_path(run_id).exists():
-        # The manifest first, because a folder without a store lacks more than a run.
+        # The manifest first, because a missing store needs another message.
         store.manifest()
     method = read_run_manifest(store, run_id).method
     if method not in WORLD_METHODS:
@@ -112,7 +109,7 @@ def _graph_path(store: Store) -> Path:
 
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:
-    """What a graph holds of a run."""
+    """Return the counts of a run's episodes and writes in a graph."""
     from jrdb_avr.queries.beliefs.record import writes_held
 
     held = writes_held(graph, run_id)

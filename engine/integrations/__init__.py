@@ -1,1 +1,1 @@
-"""The benchmark in other frameworks: one module each, imported only with its own extra installed."""
+"""The benchmark in other frameworks. A module that needs a framework is imported only with its extra installed."""

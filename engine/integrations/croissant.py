@@ -14,7 +14,7 @@ from jrdb_avr.schema.card import CITE, HOME, RAI, SAMPLE, SUMMARY, SYNTHETIC, TI
 from jrdb_avr.schema.tables import ABOUT, CANARY, QUESTIONS, column
 
 KEYS: Final = {"questions": "question_id", "sequences": "sequence"}
-"""The published tables, and the column that tells their rows apart."""
+"""Key column of each published table."""
 
 _CONTEXT: Final[dict[str, Any]] = {
     "@language": "en",
@@ -43,7 +43,7 @@ _TYPES: Final = {pa.string(): "sc:Text", pa.int32(): "sc:Integer", pa.float64():
 
 
 class Release(NamedTuple):
-    """What the publisher says of a question set: its version, the day, and who publishes it where."""
+    """A published question set: version, day, publisher and address."""
 
     version: str
     published: datetime.date
@@ -52,7 +52,17 @@ class Release(NamedTuple):
 
 
 def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source], release: Release) -> dict[str, Any]:
-    """The metadata of the tables in a folder; `files`: each table's path in it."""
+    """Describe the tables of a folder.
+
+    Args:
+        folder: The folder.
+        files: Path of each table in the folder.
+        sources: Sources of the data.
+        release: The release.
+
+    Returns:
+        The metadata as JSON-LD.
+    """
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
@@ -85,7 +95,7 @@ def _file(folder: Path, table: str, path: str) -> dict[str, Any]:
         "description": ABOUT[table],
         "contentUrl": path,
         "contentSize": f"{(folder / path).stat().st_size} B",
-        # Not the registered type of Parquet: mlcroissant accepts that and then cannot load the file.
+        # mlcroissant accepts the registered type of Parquet, but then fails to load the file.
         "encodingFormat": "application/x-parquet",
         "sha256": file_hash(folder / path),
     }
@@ -104,7 +114,7 @@ def _records(table: str) -> dict[str, Any]:
 
 def _field(table: str, field: pa.Field) -> dict[str, Any]:
     is_list = pa.types.is_list(field.type)
-    found = {
+    described = {
         "@type": "cr:Field",
         "@id": f"{table}/{field.name}",
         "name": field.name,
@@ -113,7 +123,7 @@ def _field(table: str, field: pa.Field) -> dict[str, Any]:
         "source": {"fileObject": {"@id": f"{table}-file"}, "extract": {"column": field.name}},
     }
     if is_list:
-        found |= {"isArray": True, "arrayShape": "-1"}
+        described |= {"isArray": True, "arrayShape": "-1"}
     if (table, field.name) == ("questions", "sequence"):
-        found["references"] = {"field": {"@id": "sequences/sequence"}}
-    return found
+        described["references"] = {"field": {"@id": "sequences/sequence"}}
+    return described

@@ -1,12 +1,12 @@
-"""Questions as a Gymnasium environment: an episode is a question, a step a look or the answer.
+"""Questions as a Gymnasium environment. An episode is a question, and a step is a look or the answer.
 
     import gymnasium
     env = gymnasium.make("jrdb_avr.engine.integrations.gymnasium:JRDBAVR-v0", store="store")
 
-All numbers of an action lie in [0, 1]: `frame` among the legal frames, `angle` of 360 degrees, `box` x1 y1 x2 y2 in the
-newest picture, and `numbers` by the question's mode: the choice among the choices, a frame or two of the sequence's, a
-frame and an angle, or a value of at most `LARGEST`. `act` 0 looks, 1 answers. A move that is refused shows in `info`
-and is spent. The reward is 0, or with `reward` the score of the prediction at the end. Needs the extra `gym`.
+All numbers of an action are in [0, 1]. `frame` selects a legal frame and `angle` a direction of 360 degrees. `box` is
+x1, y1, x2, y2 in the newest picture. `numbers` depends on the answer mode: a choice, one or two frames of the sequence,
+a frame and an angle, or a value up to `LARGEST`. `act` 0 looks and 1 answers. A refused move costs a move, and `info`
+has the reason. The reward is 0, or with `reward` the score of the prediction at the end. Needs the extra `gym`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jrdb_avr.schema.method import Image, Observation
 from jrdb_avr.schema.panorama import CROP
 
 LARGEST: Final = 1000
-"""Seconds or people that a number of 1 stands for."""
+"""Seconds or people that the number 1 represents."""
 
 LOOK, ANSWER = 0, 1
 """Values of `act`."""
@@ -41,11 +41,11 @@ def _unit(*shape: int) -> spaces.Box:
 
 
 class QuestionEnv(gymnasium.Env):
-    """Plays questions of a store.
+    """Environment over the questions of a store.
 
-    Observation: `image`, the newest crop, 480 x 480 x 3 uint8 RGB, black before the first look; `look`, its frame and
-    angle; `left`, shares of the looks and moves that remain. `info` holds `question_id`, `prompt`, `answer_mode`,
-    `refused` (why the last move was not carried out, else ""), and at the end `prediction`.
+    Observations have `image` (the newest crop, 480 x 480 x 3 uint8 RGB, black before the first look), `look` (its frame
+    and angle) and `left` (shares of looks and moves left). `info` has `question_id`, `prompt`, `answer_mode`, `refused`
+    (the reason of a refused move, else an empty text), and at the end `prediction`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
@@ -62,10 +62,21 @@ class QuestionEnv(gymnasium.Env):
         reward: Reward | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """Open the questions that `Bench.open` selects; `reset` draws one, or takes options={"question_id": ...}.
+        """Open the questions that `Bench.open` selects.
 
-        `reward`: which score to give at the end; it needs the store's answers. Raises StoreError or InputError where
-        something does not fit.
+        Args:
+            store: The store, or its folder.
+            questions: Ids of questions; None means all.
+            limit: Maximum number of questions.
+            images: Folder of panoramas, if not the store's.
+            opaque: Whether sequences have opaque names.
+            budget: Maximum number of looks per question.
+            reward: Score to return at the end; it needs the store's answers.
+            render_mode: As in Gymnasium.
+
+        Raises:
+            StoreError: If the store has no questions or panoramas.
+            InputError: If an option does not fit.
         """
         self.bench = Bench.open(store, questions=questions, limit=limit, images=images, opaque=opaque)
         self.budget = budget
@@ -79,32 +90,53 @@ class QuestionEnv(gymnasium.Env):
             {"act": spaces.Discrete(2), "frame": _unit(), "angle": _unit(), "numbers": _unit(2), "box": _unit(4)}
         )
         self._episode: Episode | None = None
-        self._seen: Observation | None = None
+        self._observed: Observation | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin a question. Raises InputError for an unknown id."""
+        """Begin a question.
+
+        Args:
+            seed: Seed of the draw.
+            options: `question_id` selects a question; without it, one is drawn.
+
+        Returns:
+            Observation and info.
+
+        Raises:
+            InputError: If the question is unknown.
+        """
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(len(self.bench.questions)))
         question_id = (options or {}).get("question_id", self.bench.questions[drawn].question_id)
         self._episode = self.bench.episode(question_id, budget=self.budget)
-        self._seen = None
+        self._observed = None
         return self._observation(), self._info("")
 
     def step(self, action: dict[str, Any]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Make a move. `terminated`: an answer was taken; `truncated`: the moves are spent."""
+        """Make a move.
+
+        Args:
+            action: An element of the action space.
+
+        Returns:
+            Observation, reward, `terminated` (an answer was accepted), `truncated` (no moves are left), and info.
+
+        Raises:
+            InputError: If the action is not in the action space.
+        """
         episode = self._playing()
         if action not in self.action_space:
             raise InputError("the action is not in the action space", field="action")
         refused = ""
         try:
             if action["act"] == LOOK:
-                frame = episode.frames[_place(action["frame"], len(episode.frames))]
-                self._seen = episode.observe(frame, _angle(action["angle"]))
+                frame = episode.frames[_index(action["frame"], len(episode.frames))]
+                self._observed = episode.observe(frame, _angle(action["angle"]))
             else:
-                frame_id = self._seen.frame_id if self._seen is not None else ""
-                box = {"frame_id": frame_id, "bbox": [_place(side, 1001) for side in action["box"]]}
+                frame_id = self._observed.frame_id if self._observed is not None else ""
+                box = {"frame_id": frame_id, "bbox": [_index(side, 1001) for side in action["box"]]}
                 episode.submit(self._answer(action["numbers"]), [box])
         except RefusedError as error:
             refused = str(error)
@@ -116,12 +148,12 @@ class QuestionEnv(gymnasium.Env):
         return self._observation(), reward, episode.answered, episode.over and not episode.answered, info
 
     def render(self) -> Image:
-        """The newest picture."""
+        """Return the newest picture (480, 480, 3)."""
         image: Image = self._observation()["image"]
         return image
 
     def close(self) -> None:
-        """End the judge, if there is one."""
+        """Stop the judge."""
         if self._judge is not None:
             self._judge.close()
 
@@ -133,27 +165,31 @@ class QuestionEnv(gymnasium.Env):
         return self._episode
 
     def _answer(self, numbers: Any) -> object:
-        """The numbers as the contract writes an answer of the question's mode."""
+        """Write numbers as an answer of the question's mode."""
         episode = self._playing()
         last = self.bench.sequences[episode.question.sequence].frame_count
         mode = MODES[episode.question.answer_mode]
         if mode.is_choice:
-            return 1 + _place(numbers[0], len(episode.question.choices))
+            return 1 + _index(numbers[0], len(episode.question.choices))
         write: dict[str, Callable[[Any], object]] = {
-            "frame": lambda number: f"{_place(number, last):06d}",
+            "frame": lambda share: f"{_index(share, last):06d}",
             "angle": _angle,
-            "decimal": lambda number: f"{LARGEST * float(number):.6f}",
+            "decimal": lambda share: f"{LARGEST * float(share):.6f}",
         }
-        return {part.key: write[part.kind](number) for part, number in zip(mode.parts, numbers, strict=False)}
+        return {part.key: write[part.kind](share) for part, share in zip(mode.parts, numbers, strict=False)}
 
     def _observation(self) -> dict[str, Any]:
-        episode, seen = self._playing(), self._seen
+        episode, observed = self._playing(), self._observed
         looks, moves = episode.left
         share = np.array([looks / max(self.budget, 1), moves / most_moves(self.budget)])
-        if seen is None:
+        if observed is None:
             return {"image": np.zeros((CROP, CROP, 3), np.uint8), "look": np.zeros(2), "left": share}
-        place = episode.frames.index(seen.frame_index) / max(len(episode.frames) - 1, 1)
-        return {"image": np.array(seen.image), "look": np.array([place, seen.angle_deg / 360]), "left": share}
+        position = episode.frames.index(observed.frame_index) / max(len(episode.frames) - 1, 1)
+        return {
+            "image": np.array(observed.image),
+            "look": np.array([position, observed.angle_deg / 360]),
+            "left": share,
+        }
 
     def _info(self, refused: str) -> dict[str, Any]:
         episode = self._playing()
@@ -166,13 +202,13 @@ class QuestionEnv(gymnasium.Env):
         }
 
 
-def _place(share: Any, count: int) -> int:
-    """Which of so many places, from 0, a number in [0, 1] stands for."""
+def _index(share: Any, count: int) -> int:
+    """Index below `count` that a number in [0, 1] represents."""
     return round(float(share) * (count - 1))
 
 
 def _angle(share: Any) -> float:
-    """The angle in degrees that a number in [0, 1] stands for; rounded, so that whole degrees come back."""
+    """Angle in degrees that a number in [0, 1] represents, rounded so that whole degrees stay whole."""
     return round(float(share) * 360, 9)
 
 

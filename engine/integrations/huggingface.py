@@ -6,8 +6,8 @@
     DIR/private/README.md
     DIR/private/data/answers.parquet, evidence.parquet, names.parquet
 
-They are two folders because every file of a published one can be fetched, whatever its configs name. Sequences have
-their opaque names in the public folder, and `names` says which they are. No picture is in either.
+Two folders are needed because every file of a published folder can be downloaded. Sequences have opaque names in the
+public folder, and `names` maps them to recordings. Neither folder has pictures.
 """
 
 from __future__ import annotations
@@ -49,9 +49,21 @@ def export_folders(
     url: str = card.HOME,
     published: datetime.date | None = None,
 ) -> tuple[Path, Path]:
-    """Write a store's questions as a public and a private folder; returns both. `published`: today without it.
+    """Write a store's questions as a public and a private folder.
 
-    Raises StoreError where the store has no questions, InputError where the folder holds something.
+    Args:
+        store: The store, or its folder.
+        folder: A new or empty folder for both.
+        creator: Publisher of the questions.
+        url: Address of the publication.
+        published: Day of the publication; today if None.
+
+    Returns:
+        The public and the private folder.
+
+    Raises:
+        StoreError: If the store has no questions, or a training set.
+        InputError: If the folder is not empty.
     """
     store, folder = Store.of(store), Path(folder)
     store.refuse_training()
@@ -73,13 +85,13 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     (private / "data").mkdir(parents=True)
     for name in _PRIVATE:
         shutil.copyfile(store.question_path(name), private / _path(name))
-    known = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)
-    write_table(private / _path("names"), known.sort_by("sequence"), _NAMES, metadata)
+    mapping = pa.table({"sequence": list(names.values()), "name": list(names)}, _NAMES)
+    write_table(private / _path("names"), mapping.sort_by("sequence"), _NAMES, metadata)
     shared = {"title": card.TITLE, "release": release, "canary": CANARY, "n": len(questions)}
     about = _columns(_PRIVATE) | {"names": _ABOUT_NAMES}
     write_bytes(private / "README.md", _render("private_card.md", head=_front(_configs(about)), tables=about, **shared))
 
-    # Rows in the order of the ids and of the opaque names: that of the real names would tell which is which.
+    # Sort by ids and opaque names, because the order of real names would reveal them.
     tables = {
         "questions": rename_sequences(questions, names).sort_by("question_id"),
         "sequences": rename_sequences(sequences, names).sort_by("sequence"),
@@ -112,10 +124,10 @@ def _path(table: str) -> str:
 
 
 def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
-    """The sources of the sequences' layers; the sample world is one of its own."""
-    known = store.manifest().sequences
+    """Sources of the sequences' layers; the sample world is a source."""
+    entries = store.manifest().sequences
     real = [name for name in sequences if not card.is_of_sample(name)]
-    layers = {layer for name in real for layer in known[name].layers}
+    layers = {layer for name in real for layer in entries[name].layers}
     return card.sources_of(layers) + ([card.SAMPLE] if any(map(card.is_of_sample, sequences)) else [])
 
 
@@ -123,7 +135,7 @@ def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
 
 
 def _head(n: int, sources: list[card.Source]) -> dict[str, Any]:
-    """The front matter of the public card, without its configs."""
+    """Front matter of the public card, without its configs."""
     return {
         "pretty_name": card.TITLE,
         "license": card.licence_of(sources),
@@ -135,7 +147,7 @@ def _head(n: int, sources: list[card.Source]) -> dict[str, Any]:
 
 
 def _configs(tables: Iterable[str]) -> dict[str, Any]:
-    """The part of the front matter from which `load_dataset` finds the files; the first table is the default."""
+    """Part of the front matter that names the files for `load_dataset`; the first table is the default."""
     configs: list[dict[str, Any]] = [
         {"config_name": name, "data_files": [{"split": "test", "path": _path(name)}]} for name in tables
     ]
@@ -153,7 +165,7 @@ def _counts(column: pa.ChunkedArray) -> list[tuple[str, int]]:
 
 
 def _columns(tables: Iterable[str]) -> dict[str, tuple[str, list[tuple[str, str]]]]:
-    """What each table holds, and a sentence per column."""
+    """Description and columns of each table."""
     return {
         table: (ABOUT[table], [(name, card.sentence(column(table, name)[1])) for name in QUESTIONS[table].names])
         for table in tables
@@ -164,6 +176,6 @@ def _render(name: str, **values: Any) -> bytes:
     import jinja2
 
     text = files(__package__).joinpath(name).read_text("utf-8")
-    # Markdown, nothing of which a browser runs as it stands.
+    # Markdown is not HTML, so that escaping would spoil it.
     template = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True, keep_trailing_newline=True)  # noqa: S701
     return template.from_string(text).render(values).encode()

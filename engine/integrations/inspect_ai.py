@@ -1,12 +1,14 @@
-"""Questions as tasks of Inspect: `inspect eval jrdb_avr/react -T store=STORE --model ...`
+"""Questions as tasks of Inspect.
 
-    jrdb_avr/react    ReAct with this benchmark's prompts; another method by `--solver jrdb_avr/method -S name=NAME`
+    inspect eval jrdb_avr/react -T store=STORE --model ...
+
+    jrdb_avr/react    ReAct with this benchmark's prompts; `--solver jrdb_avr/method -S name=NAME` runs another method
     jrdb_avr/tools    Inspect's own agent with the tools `observe` and `submit_answer`
     jrdb_avr/judged   the scorer: answer, evidence, combined and hallucination
 
-The target of every sample is empty, as solvers and logs see it: the scorer sends the prediction to the `Judge`, a
-process of its own, and gets four digits back. On a machine without answers: `inspect eval --no-score`, and where they
-are `inspect score LOG --scorer jrdb_avr/judged -S store=STORE`. Needs the extra `inspect`.
+Samples have an empty target, so that solvers and logs see no answer. The scorer sends predictions to the `Judge`, a
+separate process, and receives four digits. On a machine without answers, run `inspect eval --no-score`. On the machine
+with the answers, run `inspect score LOG --scorer jrdb_avr/judged -S store=STORE`. Needs the extra `inspect`.
 """
 
 from __future__ import annotations
@@ -53,15 +55,15 @@ from jrdb_avr.schema.errors import AvrError, InputError, RefusedError, StoreErro
 from jrdb_avr.schema.method import Observation, Prediction, Question
 
 PREDICTION: Final = "jrdb_avr:prediction"
-"""Key of a sample's store: its row of `predictions` so far."""
+"""Key in a sample's store of its current row of `predictions`."""
 
 _GO_ON: Final = "Your last turn called no tool, and cost a turn. Call observe, or submit_answer."
 _AT_ONCE: Final = 64
-"""Methods that play at the same time, each in a thread of its own."""
+"""Maximum number of methods that run at the same time, each in its own thread."""
 
 _SCORES: Final = ("answer", "evidence", "combined")
 _STOPPED: Final = {"max_tokens": "length", "model_length": "length", "tool_calls": "stop", "unknown": ""}
-"""Inspect's reasons to stop in the words of chat completions, where they differ."""
+"""Reasons to stop of chat completions for Inspect's reasons, if they differ."""
 
 
 # -- tasks ------------------------------------------------------------------------------------------------------------
@@ -69,13 +71,33 @@ _STOPPED: Final = {"max_tokens": "length", "model_length": "length", "tool_calls
 
 @task
 def react(store: str, limit: int | None = None, images: str | None = None, opaque: bool = False) -> Task:
-    """ReAct with this benchmark's own prompts over the evaluated model."""
+    """Return the task of ReAct with this benchmark's prompts.
+
+    Args:
+        store: The store's folder.
+        limit: Maximum number of questions.
+        images: Folder of panoramas, if not the store's.
+        opaque: Whether sequences have opaque names.
+
+    Returns:
+        The task.
+    """
     return _task(store, method("react", store, images, opaque), limit, images, opaque)
 
 
 @task
 def tools(store: str, limit: int | None = None, images: str | None = None, opaque: bool = False) -> Task:
-    """Inspect's own agent loop with the tools `observe` and `submit_answer`."""
+    """Return the task of Inspect's own agent with the tools `observe` and `submit_answer`.
+
+    Args:
+        store: The store's folder.
+        limit: Maximum number of questions.
+        images: Folder of panoramas, if not the store's.
+        opaque: Whether sequences have opaque names.
+
+    Returns:
+        The task.
+    """
     return _task(store, tool_agent(store, images, opaque), limit, images, opaque)
 
 
@@ -94,7 +116,7 @@ def _sample(bench: Bench, question: Question) -> Sample:
 
 @cache
 def _bench(store: str, images: str | None, opaque: bool) -> Bench:
-    """Shared by the samples of a process: it holds decoded panoramas."""
+    """Bench that the samples of a process share, because it holds decoded panoramas."""
     return Bench.open(Path(store), images=images, opaque=opaque)
 
 
@@ -103,12 +125,25 @@ def _bench(store: str, images: str | None, opaque: bool) -> Bench:
 
 @solver
 def method(name: str, store: str, images: str | None = None, opaque: bool = False) -> Solver:
-    """A method of this benchmark, by the name that `evaluate --method` takes; not one with a world model."""
+    """Return a method of this benchmark as a solver.
+
+    Args:
+        name: A name of `evaluate --method`, except methods with a world model.
+        store: The store's folder.
+        images: Folder of panoramas, if not the store's.
+        opaque: Whether sequences have opaque names.
+
+    Returns:
+        The solver.
+
+    Raises:
+        InputError: If the method is unknown or has a world model.
+    """
     if name not in METHODS or name in WORLD_METHODS:
-        known = ", ".join(own for own in METHODS if own not in WORLD_METHODS)
-        raise InputError(f"{name!r} is none of {known}", field="name")
+        names = ", ".join(method_name for method_name in METHODS if method_name not in WORLD_METHODS)
+        raise InputError(f"{name!r} is not one of {names}", field="name")
     bench = _bench(store, images, opaque)
-    # Of its own: a method that waits must not keep Inspect from a thread.
+    # A separate limit, so that waiting methods take no thread from Inspect.
     threads = anyio.CapacityLimiter(_AT_ONCE)
 
     async def solve(state: TaskState, generate: Generate) -> TaskState:
@@ -124,7 +159,16 @@ def method(name: str, store: str, images: str | None = None, opaque: bool = Fals
 
 @solver
 def tool_agent(store: str, images: str | None = None, opaque: bool = False) -> Solver:
-    """Inspect's `react` with the tools of an episode, until its question is over."""
+    """Return Inspect's `react` with the tools of an episode as a solver.
+
+    Args:
+        store: The store's folder.
+        images: Folder of panoramas, if not the store's.
+        opaque: Whether sequences have opaque names.
+
+    Returns:
+        The solver, which ends with the episode.
+    """
     bench = _bench(store, images, opaque)
 
     async def solve(state: TaskState, generate: Generate) -> TaskState:
@@ -149,13 +193,16 @@ def tool_agent(store: str, images: str | None = None, opaque: bool = False) -> S
 
 
 def _tools(state: TaskState, episode: Episode) -> list[ToolDef]:
-    """The tools of an episode, under the schema of its own answer."""
+    """Tools of an episode, with the schema of its answer."""
 
     async def observe(frame_id: Any, angle_deg: Any) -> list[Content]:
-        seen = _move(state, episode, {"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
-        assert seen is not None, "a look that is not refused returns what it shows"
+        observation = _move(state, episode, {"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
+        assert observation is not None, "a look that is not refused returns what it shows"
         left = f"Looks left: {episode.left.looks}, turns left: {episode.left.moves}"
-        return [ContentText(text=f"{metadata_line(seen)}\n{left}"), ContentImage(image=picture_of(seen).uri)]
+        return [
+            ContentText(text=f"{metadata_line(observation)}\n{left}"),
+            ContentImage(image=picture_of(observation).uri),
+        ]
 
     async def submit_answer(answer: Any, evidence_bboxes: Any) -> str:
         _move(state, episode, {"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
@@ -175,10 +222,7 @@ def _parameters(properties: Mapping[str, Any]) -> ToolParams:
 
 
 def _move(state: TaskState, episode: Episode, move: Mapping[str, Any]) -> Observation | None:
-    """Make a move; the prediction is stored after it, as a limit may end the sample at any time.
-
-    Raises ToolError with the reason of a refusal.
-    """
+    """Make a move and store the prediction, because a limit may end the sample. Raises ToolError if refused."""
     try:
         return episode.move(move)
     except AvrError as error:
@@ -199,7 +243,7 @@ class _InspectChat:
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
         sent = [_message(message) for message in messages]
-        # Without the schema a server decodes otherwise.
+        # A server decodes differently without the schema.
         form = None if schema is None else ResponseSchema(name="reply", json_schema=JSONSchema(**schema), strict=True)
         config = GenerateConfig(response_schema=form)
         output = anyio.from_thread.run(lambda: self._model.generate(sent, config=config))
@@ -230,7 +274,7 @@ def hallucination() -> Metric:
     """Return Inspect's metric of hallucination: the share of right answers with a wrong box; 0 if none is right."""
 
     def compute(scores: list[SampleScore]) -> float:
-        right = [own.score.value for own in scores if own.score.value["answer"]]
+        right = [sample.score.value for sample in scores if sample.score.value["answer"]]
         return sum(1 - value["combined"] for value in right) / len(right) if right else 0.0
 
     return compute
@@ -240,7 +284,14 @@ def hallucination() -> Metric:
     metrics=[{name: [mean(), stderr(cluster="sequence")] for name in _SCORES}, hallucination()],
 )
 def judged(store: str) -> Scorer:
-    """Scores of the stored prediction, from the store's answers; a sample without a prediction scores 0."""
+    """Return the scorer of stored predictions by the store's answers.
+
+    Args:
+        store: The store's folder.
+
+    Returns:
+        The scorer. A sample without a prediction scores 0.
+    """
     judges: list[Judge] = []
     lock = anyio.Lock()
 
@@ -251,7 +302,7 @@ def judged(store: str) -> Scorer:
             try:
                 return judges[0].score_row(row)
             except StoreError as error:
-                # Its process was ended by something else: a second one may fare better.
+                # Another program may have ended the judge: start it once more.
                 judges.pop().close()
                 ended = error
         raise ended
@@ -261,8 +312,8 @@ def judged(store: str) -> Scorer:
         if row is None:
             return Score(value=dict.fromkeys(_SCORES, 0), explanation="no prediction")
         async with lock:
-            found = await anyio.to_thread.run_sync(judge, row)
-        value = {name: getattr(found, name) for name in _SCORES}
+            scores = await anyio.to_thread.run_sync(judge, row)
+        value = {name: getattr(scores, name) for name in _SCORES}
         return Score(value=value, answer=row["answer"], explanation=row["reason"] or row["status"])
 
     return score

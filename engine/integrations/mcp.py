@@ -1,8 +1,8 @@
 """Questions for any agent that speaks MCP: the tools `next_question`, `observe` and `submit_answer`.
 
-What the agent plays becomes a run of the store. There are no sessions: a question is named by an opaque token, which
-travels in each call. Only the public half of the store is read; the tools return a question's text, its legal frames,
-crops with where and when they were taken, and why a move was refused. Needs the extra `mcp`.
+The agent's moves become a run of the store. Sessions do not exist: each call carries the opaque token of its question.
+Only the public half of the store is read. The tools return a question's text, its legal frames, crops with their frame
+and angle, and the reasons of refused moves. Needs the extra `mcp`.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.tables import PRIVATE
 
 METHOD: Final = "mcp"
-"""The method of such a run; which agent played, `model` says."""
+"""Method of such a run. The run's model names the agent."""
 
 MOST_OPEN: Final = 64
-"""Questions that may be begun and not finished."""
+"""Maximum number of unfinished questions."""
 
 _HOW: Final = (
     "Answer questions about a video. Call next_question for a question, observe to look at the video, and "
     "submit_answer with your answer and the box that proves it; then next_question again, until none is left."
 )
 
-# Types that say what is expected and take anything: a malformed move costs a move, and the episode says why.
+# These types document the arguments but accept anything: the episode counts and explains malformed moves.
 _FrameId = Annotated[Any, WithJsonSchema(FRAME_ID_SCHEMA)]
 _Angle = Annotated[Any, WithJsonSchema({"type": "number"})]
 _Answer = Annotated[Any, WithJsonSchema({"description": "as the question's answer_schema has it"})]
@@ -54,14 +54,14 @@ _Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
 
 @dataclass
 class _Open:
-    """A question that was handed out."""
+    """A question that an agent has begun."""
 
     play: Play
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Desk:
-    """The state behind the MCP tools: gives out unanswered questions, carries out moves, records predictions."""
+    """State behind the MCP tools: hands out questions, carries out moves, and records predictions."""
 
     def __init__(self, bench: Bench, run: Run) -> None:
         self._bench, self._run = bench, run
@@ -70,10 +70,10 @@ class Desk:
         self._lock = threading.Lock()
 
     def server(self) -> MCPServer:
-        """The MCP server of this desk."""
+        """Return the MCP server of these tools."""
         server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
         server.add_tool(self.next_question)
-        # A list that holds a picture has no structured form.
+        # MCP has no structured form for a list with a picture.
         server.add_tool(self.observe, description=LOOK, structured_output=False)
         server.add_tool(self.submit_answer, description=SUBMIT)
         return server
@@ -93,25 +93,22 @@ class Desk:
 
     def observe(self, episode: str, frame_id: _FrameId, angle_deg: _Angle) -> list[Any]:
         """Observe a frame; returns two lines (frame and angle; looks and turns left) and the picture as JPEG."""
-        with self._playing(episode) as own:
-            seen = own.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
-            left = own.left
-        assert seen is not None, "a look that is not refused returns what it shows"
-        where = f"{metadata_line(seen)}\nLooks left: {left.looks}, turns left: {left.moves}"
-        return [where, Image(data=picture_of(seen).data, format="jpeg")]
+        with self._playing(episode) as moves:
+            observation = moves.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
+            left = moves.left
+        assert observation is not None, "a look that is not refused returns what it shows"
+        where = f"{metadata_line(observation)}\nLooks left: {left.looks}, turns left: {left.moves}"
+        return [where, Image(data=picture_of(observation).data, format="jpeg")]
 
     def submit_answer(self, episode: str, answer: _Answer, evidence_bboxes: _Boxes) -> str:
         """Submit the final answer; returns a line that says it was accepted."""
-        with self._playing(episode) as own:
-            own.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
+        with self._playing(episode) as moves:
+            moves.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence_bboxes})
         return "taken; call next_question for another question"
 
     @contextlib.contextmanager
     def _playing(self, token: str) -> Iterator[Episode]:
-        """The episode of a token, for one move; one that is over afterwards is recorded.
-
-        Raises ToolError with the reason of any refusal: of other errors an agent would not be told.
-        """
+        """Hold an episode for one move, and record it if it ends. Raises ToolError with the reason of a refusal."""
         held = self._open.get(token)
         if held is None:
             raise ToolError("no such episode is being played: next_question begins one")
@@ -132,7 +129,7 @@ class Desk:
     def _finish(self, token: str, play: Play) -> None:
         with self._lock:
             if token in self._open:
-                # What cannot be written stays open, so that the next move of the question tries again.
+                # If writing fails, the question stays open and its next move tries again.
                 play.record(self._run)
                 del self._open[token]
 
@@ -153,18 +150,31 @@ def serve(
     opaque: bool = False,
     ready: Callable[[str, str], None] = lambda url, token: None,
 ) -> str:
-    """Serve a store's questions until the agent or the user ends it, and write the tables; returns the run's id.
+    """Serve a store's questions over MCP until the agent or the user stops, and write the tables of the run.
 
-    Over standard input and output, or with a `port` over HTTP on 127.0.0.1 (0: a free one); `ready` gets the address
-    and the token that requests carry. `trusted`: serve over standard input and output also where the store holds
-    answers or labels, which the agent, a program of the same user, could read.
+    Args:
+        store: The store, or its folder.
+        port: Port of an HTTP server on 127.0.0.1 (0: a free port); None uses standard input and output.
+        trusted: Whether to use standard input and output although the agent could read answers or labels of the store.
+        model: Name of the agent.
+        run_id: Id of the run; made from method and model if None.
+        limit: Maximum number of questions.
+        resume: Whether to continue the run.
+        images: Folder of panoramas, if not the store's.
+        opaque: Whether sequences have opaque names.
+        ready: Receives the address and the token of requests.
 
-    Raises InputError for a store that is refused, StoreError or InputError where something else does not fit.
+    Returns:
+        The run's id.
+
+    Raises:
+        InputError: If the agent could read answers, or an option does not fit.
+        StoreError: If the store has no questions or panoramas.
     """
     store = Store.of(store)
-    if port is None and not trusted and (held := private_parts(store, images)):
+    if port is None and not trusted and (private := private_parts(store, images)):
         raise InputError(
-            f"{store.path} holds {held[0]}, which an agent over stdio could read: serve a store without, or over "
+            f"{store.path} holds {private[0]}, which an agent over stdio could read: serve a store without, or over "
             "--http to an agent that has no access to these files, or add --i-trust-the-agent",
             field="store",
         )
@@ -180,19 +190,27 @@ def serve(
 
 
 def private_parts(store: Store, images: str | Path | None) -> list[str]:
-    """What an agent must not read: files and folders of the store, and annotations beside the panoramas."""
+    """Find files and folders that an agent must not read.
+
+    Args:
+        store: The store.
+        images: Folder of panoramas, if not the store's.
+
+    Returns:
+        Paths in the store, and folders of annotations beside the panoramas.
+    """
     labels = (store.graph_path, store.path / "annotations", store.path / "intervals")
-    places = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
-    held = [str(place.relative_to(store.path)) for place in places if place.exists()]
+    paths = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
+    held = [str(path.relative_to(store.path)) for path in paths if path.exists()]
     folder = find_images(store, images)
-    return held if folder is None else held + [str(place) for place in root_of_images(folder).glob("labels*")]
+    return held if folder is None else held + [str(path) for path in root_of_images(folder).glob("labels*")]
 
 
 def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None]) -> None:
     token = new_token()
     with listen(port) as listener:
         hosts = hosts_of(listener)
-        # A page in the user's browser could reach the port, under a name of its own or from an origin of its own.
+        # Allow no other host names and origins, because pages in the user's browser can reach the port.
         security = TransportSecuritySettings(allowed_hosts=hosts, allowed_origins=[f"http://{host}" for host in hosts])
         app = server.streamable_http_app(stateless_http=True, json_response=True, transport_security=security)
         config = uvicorn.Config(_with_token(app, token), log_level="warning", access_log=False)
@@ -201,7 +219,7 @@ def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None])
 
 
 def _with_token(app: Any, token: str) -> Any:
-    """The ASGI application for requests that carry the token; others are answered 401."""
+    """ASGI application that answers 401 to requests without the token."""
     expected = f"Bearer {token}".encode()
 
     async def checked(scope: Any, receive: Any, send: Any) -> None:

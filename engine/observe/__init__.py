@@ -1,0 +1,1 @@
+"""Observation of panoramas: crops, and drawings of annotations on them."""

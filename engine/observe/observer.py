@@ -1,8 +1,7 @@
 """Crops of the stitched panorama by sequence, frame and angle.
 
-An `Observer` reads public data only, the image folder and the sequences' frames, and returns pixels and where they were
-taken. A caller's text never becomes a path: the sequence is looked up by name and the frame in its list before any file
-is read.
+An `Observer` reads only public data: the image folder and the frames of sequences. A caller's text never becomes a
+path, because sequence and frame are looked up before any file is read.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
 CACHED_PANORAMAS: Final = 16
-"""Decoded panoramas in memory by default, 5.4 MB each."""
+"""Default maximum number of decoded panoramas in memory, 5.4 MB each."""
 
 CACHED_FILES: Final = 128
-"""Panorama files in memory, about half a megabyte each."""
+"""Maximum number of panorama files in memory, about half a megabyte each."""
 
 _TILE: Final = 235
-"""Columns of a tile; sixteen of them are the panorama."""
+"""Columns of a tile; sixteen tiles form a panorama."""
 
 _START = b"\xff\xd8"
 _END = b"\xff\xd9"
@@ -40,11 +39,11 @@ _SIZE_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 class Observer:
-    """Serves observations of `sequences`, whose panoramas lie in `image_root/<sequence>/<six digits>.jpg`.
+    """Source of observations. Safe for several threads.
 
-    `folders`: sequence -> name of its folder where that is another; no message then says where the folder is.
-    May be called from several threads. Memory stays bounded: at most `cached` decoded panoramas and `CACHED_FILES`
-    files stay in memory; the least recently used is dropped first.
+    Panoramas are read from `image_root/<sequence>/<six digits>.jpg`. Memory is bounded: the least recently used of
+    `cached` decoded panoramas and of `CACHED_FILES` files is dropped first. Names in `folders` replace the folder names
+    of sequences, and messages then do not show the paths.
     """
 
     def __init__(
@@ -60,23 +59,38 @@ class Observer:
         self._sequences = {safe_sequence(info.sequence): info for info in sequences}
         self._frames = {name: frozenset(info.frames) for name, info in self._sequences.items()}
         self._lock = threading.Lock()
-        # Making a strip reads nothing yet, so that the lock is held briefly.
+        # Creating a strip reads nothing, so that the lock is held only briefly.
         self._strips = functools.lru_cache(max(1, cached))(lambda *key: _Strip(functools.partial(self._decode, *key)))
         self._files = functools.lru_cache(CACHED_FILES)(self._checked_file)
 
     @classmethod
     def of(cls, store: Store | str | Path) -> Observer:
-        """An observer of a store's loaded sequences."""
+        """Make an observer of a store's loaded sequences.
+
+        Args:
+            store: The store, or its folder.
+
+        Returns:
+            The observer.
+        """
         store = Store.of(store)
         manifest = store.manifest()
         return cls(manifest.image_root, [read_loaded_sequence(store, name) for name in sorted(manifest.sequences)])
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
-        """The 480 x 480 RGB crop centred on an angle in degrees: 180 ahead, 90 the robot's left, 0 behind, 270 right.
+        """Return a crop centred on an angle.
 
-        Any finite angle is wrapped. The image is the caller's own and read-only. Raises ObserveError, which names what
-        is allowed, for an unknown sequence, a frame without an image, an angle that is not a number, or a broken image
-        file.
+        Args:
+            sequence: Name of the sequence.
+            frame_index: A frame with an image.
+            angle_deg: Any finite angle in degrees: 180 ahead, 90 to the robot's left, 0 behind, 270 to its right.
+
+        Returns:
+            The observation with a read-only RGB image (480, 480, 3), which does not keep the panorama in memory.
+
+        Raises:
+            ObserveError: If sequence, frame or angle is invalid, or the image is missing or broken.
+                It names valid values.
         """
         frame = self._check(sequence, frame_index)
         angle = _angle(angle_deg)
@@ -93,11 +107,33 @@ class Observer:
         )
 
     def panorama(self, sequence: str, frame_index: int) -> Image:
-        """The whole panorama, 480 x 3760 x 3 RGB, read-only. Raises ObserveError as a call does."""
+        """Return a whole panorama.
+
+        Args:
+            sequence: Name of the sequence.
+            frame_index: A frame with an image.
+
+        Returns:
+            A read-only RGB image (480, 3760, 3).
+
+        Raises:
+            ObserveError: As a call.
+        """
         return self._strip(sequence, self._check(sequence, frame_index)).whole()
 
     def stored(self, sequence: str, frame_index: int) -> Panorama:
-        """The whole panorama as the bytes of its file, which hold a complete picture. Raises ObserveError."""
+        """Return a whole panorama as the bytes of its file.
+
+        Args:
+            sequence: Name of the sequence.
+            frame_index: A frame with an image.
+
+        Returns:
+            The panorama; its JPEG has been checked.
+
+        Raises:
+            ObserveError: As a call.
+        """
         frame = self._check(sequence, frame_index)
         return Panorama(
             sequence, frame, f"{frame:06d}", frame / self._sequences[sequence].fps, self._files(sequence, frame)
@@ -119,7 +155,7 @@ class Observer:
         return frame
 
     def _strip(self, sequence: str, frame: int) -> _Strip:
-        # Without the lock, two threads could make two strips of one panorama, and decode it twice.
+        # Without the lock, two threads could decode the same panorama twice.
         with self._lock:
             return self._strips(sequence, frame)
 
@@ -132,14 +168,14 @@ class Observer:
         return data
 
     def _read(self, sequence: str, frame: int) -> tuple[bytes, str]:
-        """The bytes of a panorama's file, and its name for messages."""
+        """Bytes of a panorama's file, and its name for messages."""
         if self._root is None:
             raise ObserveError("there are no images: load a root that holds images/image_stitched")
         folder, file = self._folders.get(sequence, sequence), f"{frame:06d}.jpg"
         name = f"{sequence}/{file}" if sequence in self._folders else f"{self._root}/{folder}/{file}"
         path = Path(self._root, folder, file)
         try:
-            # Reading a pipe or a device might never end.
+            # Reading a pipe or a device might not end.
             data = path.read_bytes() if path.is_file() or not path.exists() else b""
         except OSError as error:
             raise ObserveError(f"cannot read {name}: {os.strerror(error.errno or 0)}") from None
@@ -147,11 +183,10 @@ class Observer:
 
 
 class _Strip:
-    """A panorama that is decoded on first use and returns crops as copies: no crop keeps a panorama in memory.
+    """A panorama that is decoded on first use. Crops are copies, so that no crop keeps a panorama in memory.
 
-    The first crop is cut from the rows as decoded. On the second use the panorama is laid out in tiles, each
-    contiguous: a crop of rows jumps 11 KB for every row of 1.4 KB, which the processor cannot fetch ahead (6,000
-    crops/s over many panoramas, against 10,000 from tiles).
+    The first crop is cut from the decoded rows. The second use copies the panorama into contiguous tiles, because the
+    rows of a crop are 11 kB apart in a panorama (6,000 crops/s over many panoramas, against 10,000 from tiles).
     """
 
     def __init__(self, decode: Callable[[], Image]) -> None:
@@ -160,33 +195,33 @@ class _Strip:
         self._tiles: Image | None = None
 
     def crop(self, left: int) -> Image:
-        """Columns [left, left + 480), across the seam if necessary; read-only."""
+        """Return columns [left, left + 480), across the seam if necessary, read-only."""
         tiles = self._laid_out()
-        # Rows of bytes copy faster than rows of pixels.
+        # Copying rows of bytes is faster than copying rows of pixels.
         width = 3 * tiles.shape[2]
         crop = np.empty((HEIGHT, CROP, 3), np.uint8)
         rows = crop.reshape(HEIGHT, 3 * CROP)
-        number, first = divmod(3 * left, width)
+        tile_index, first = divmod(3 * left, width)
         done = 0
         while done < 3 * CROP:
             count = min(width - first, 3 * CROP - done)
-            tile = tiles[number % len(tiles)].reshape(HEIGHT, width)
+            tile = tiles[tile_index % len(tiles)].reshape(HEIGHT, width)
             rows[:, done : done + count] = tile[:, first : first + count]
-            done, number, first = done + count, number + 1, 0
+            done, tile_index, first = done + count, tile_index + 1, 0
         crop.flags.writeable = False
         return crop
 
     def whole(self) -> Image:
-        """The panorama, read-only."""
+        """Return the panorama, read-only."""
         tiles = self._laid_out()
         image: Image = tiles[0] if len(tiles) == 1 else np.hstack(list(tiles))
         image.flags.writeable = False
         return image
 
     def _laid_out(self) -> Image:
-        """The tiles in the order of their columns, (count, 480, width, 3); a single one on the first use.
+        """Tiles in the order of their columns (count, 480, width, 3), a single one on the first use.
 
-        A failure is not remembered: the file may be there on the next use.
+        A failure is not cached, because the file may exist on the next use.
         """
         with self._lock:
             if self._tiles is None:
@@ -198,13 +233,21 @@ class _Strip:
 
 
 def decode_panorama(data: bytes, name: str) -> Image:
-    """A stitched panorama's JPEG as a read-only 480 x 3760 x 3 RGB array; `name` is for messages.
+    """Decode a stitched panorama.
 
-    Raises ObserveError for what is no whole JPEG, or one of another size (which is not decoded).
+    Args:
+        data: Bytes of a JPEG file.
+        name: Name of the file for messages.
+
+    Returns:
+        A read-only RGB array (480, 3760, 3).
+
+    Raises:
+        ObserveError: If the file is incomplete or has another size; the latter is not decoded.
     """
     import cv2
 
-    # The decoder would fill a file that is cut short with grey and say nothing.
+    # The decoder silently fills a truncated file with grey.
     if not data.startswith(_START) or _END not in data[-64:]:
         raise ObserveError(f"{name} is no whole JPEG: replace the file")
     size = _jpeg_size(data)
@@ -221,7 +264,7 @@ def decode_panorama(data: bytes, name: str) -> Image:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height from the frame header, or None where there is none before the image data."""
+    """Width and height from the frame header, or None if the image data begins without one."""
     at = 2
     while at + 9 <= len(data):
         if data[at] != 0xFF:
@@ -239,14 +282,14 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _angle(angle_deg: float) -> float:
-    """The angle in [0, 360). Raises ObserveError for what is no finite number."""
+    """The angle in [0, 360). Raises ObserveError if it is not a finite number."""
     try:
         angle = math.nan if isinstance(angle_deg, str | bytes | bool) else float(angle_deg)
     except (TypeError, ValueError, OverflowError):
         angle = math.nan
     if not math.isfinite(angle):
         raise ObserveError(f"angle {_short(angle_deg)} is no finite number of degrees (180 is ahead, 90 left)")
-    # The second modulo catches a tiny negative angle, whose first rounds to 360.
+    # The first modulo rounds a tiny negative angle to 360; the second corrects it.
     return angle % 360.0 % 360.0
 
 
@@ -255,16 +298,16 @@ def _short(value: object) -> str:
     try:
         return str(value)[:100]
     except ValueError:
-        # Python writes no integer of more than 4,300 digits.
+        # Python refuses to write integers with more than 4,300 digits.
         return "of thousands of digits"
 
 
 def _some(names: list[str]) -> str:
-    """Names in a message, the first thirty of many."""
+    """Up to thirty names in a message."""
     first = ", ".join(names[:30]) or "none"
     return first if len(names) <= 30 else f"{first} and {len(names) - 30} more"
 
 
-def _near(frames: tuple[int, ...], wanted: int) -> str:
-    nearest = min(frames, key=lambda frame: (abs(frame - wanted), frame))
+def _near(frames: tuple[int, ...], target: int) -> str:
+    nearest = min(frames, key=lambda frame: (abs(frame - target), frame))
     return f"{len(frames)} from {frames[0]} to {frames[-1]}, the nearest is {nearest}"

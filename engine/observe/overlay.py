@@ -1,4 +1,4 @@
-"""Annotated boxes and skeletons drawn on panoramas and crops, for a person to look at."""
+"""Annotated boxes and skeletons drawn on panoramas and crops."""
 
 from __future__ import annotations
 
@@ -16,9 +16,16 @@ from jrdb_avr.schema.panorama import WIDTH
 def draw_people(
     image: Image, sightings: Sequence[dict[str, Any]], poses: Iterable[dict[str, Any]] = (), left: float = 0.0
 ) -> Image:
-    """A copy of a panorama, or of the crop whose left column is `left`, with boxes, their words and skeletons.
+    """Draw people on a copy of a picture. A person on the seam is drawn on both sides.
 
-    A person on the seam is drawn on both sides. A pose is a row of the annotation table `poses`: `track`, `keypoints`.
+    Args:
+        image: A panorama, or a crop (height, width, 3).
+        sightings: Rows with boxes in stitched pixels.
+        poses: Rows of the table `poses`.
+        left: Left column of the crop in the panorama.
+
+    Returns:
+        The copy with boxes, labels and skeletons.
     """
     image = np.array(image)
     for row in sightings:
@@ -28,8 +35,15 @@ def draw_people(
     return image
 
 
-def words(row: dict[str, Any]) -> str:
-    """The label of a box: track, pose, group; a '?' after the track where the person is not clearly visible."""
+def label_of(row: dict[str, Any]) -> str:
+    """Return the label of a box.
+
+    Args:
+        row: A sighting with pose and group.
+
+    Returns:
+        Track, pose and group. A '?' follows the track of a person without a clear view.
+    """
     parts = [f"{row['track']}" + ("" if row["clear"] else "?")]
     if row["pose"]:
         parts.append(row["pose"])
@@ -45,10 +59,10 @@ def _draw_box(image: Image, x: float, row: dict[str, Any]) -> None:
     right, bottom = round(x + row["w"]) - 1, round(row["y"] + row["h"]) - 1
     if right < 0 or left >= image.shape[1]:
         return
-    color = _color(_number(row))
+    color = _color(_color_key(row))
     cv2.rectangle(image, (left, top), (right, bottom), color, 1 if row["clear"] is False else 2)
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.4
-    text = words(row)
+    text = label_of(row)
     (width, height), _ = cv2.getTextSize(text, font, scale, 1)
     base = max(top - 3, height + 2)
     cv2.rectangle(image, (left, base - height - 2), (left + width + 2, base + 3), color, cv2.FILLED)
@@ -58,35 +72,35 @@ def _draw_box(image: Image, x: float, row: dict[str, Any]) -> None:
 def _draw_skeletons(
     image: Image, left: float, sightings: Iterable[dict[str, Any]], poses: Iterable[dict[str, Any]]
 ) -> None:
-    """Draw lines and points, thin lines and rings for occluded points; points that are not visible have no place."""
+    """Draw lines and points; occluded points as thin lines and rings, invisible points not at all."""
     import cv2
 
-    number = {row["track"]: _number(row) for row in sightings}
+    keys = {row["track"]: _color_key(row) for row in sightings}
     for pose in poses:
         points = np.reshape(pose["keypoints"], (17, 3))
         code = points[:, 2]
         if not code.any():
             continue
-        # Round the seam all points lie near the first that has a place.
+        # Move all points near the first visible one, because a person may cross the seam.
         first = points[code > 0][0, 0]
         columns = first + (points[:, 0] - first + WIDTH / 2) % WIDTH - WIDTH / 2 - left
-        color = _color(number.get(pose["track"], pose["track"]))
+        color = _color(keys.get(pose["track"], pose["track"]))
         for shift in (-WIDTH, 0, WIDTH):
-            places = [(round(x + shift), round(y)) for x, y in zip(columns, points[:, 1], strict=True)]
+            corners = [(round(x + shift), round(y)) for x, y in zip(columns, points[:, 1], strict=True)]
             for i, j in SKELETON:
                 if code[i] and code[j]:
-                    cv2.line(image, places[i], places[j], color, 2 if code[i] == code[j] == 2 else 1, cv2.LINE_AA)
-            for place, seen in zip(places, code, strict=True):
-                if seen:
-                    cv2.circle(image, place, 2, color, cv2.FILLED if seen == 2 else 1, cv2.LINE_AA)
+                    cv2.line(image, corners[i], corners[j], color, 2 if code[i] == code[j] == 2 else 1, cv2.LINE_AA)
+            for point, visibility in zip(corners, code, strict=True):
+                if visibility:
+                    cv2.circle(image, point, 2, color, cv2.FILLED if visibility == 2 else 1, cv2.LINE_AA)
 
 
-def _number(row: dict[str, Any]) -> int:
-    """The number that a person's color stands for: the group, else the track."""
+def _color_key(row: dict[str, Any]) -> int:
+    """Number that selects a person's color: the group, else the track."""
     return int(row["track"] if row["cluster"] is None else row["cluster"])
 
 
-def _color(number: int) -> tuple[int, int, int]:
+def _color(key: int) -> tuple[int, int, int]:
     # The golden angle keeps the hues of neighbouring numbers far apart.
-    red, green, blue = colorsys.hsv_to_rgb(number * 0.381966 % 1.0, 0.6, 1.0)
+    red, green, blue = colorsys.hsv_to_rgb(key * 0.381966 % 1.0, 0.6, 1.0)
     return round(red * 255), round(green * 255), round(blue * 255)

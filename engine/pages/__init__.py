@@ -1,5 +1,5 @@
-"""Pages to look at: one self-contained HTML file each, no network, light and dark, good on paper.
+"""HTML pages: one self-contained file each, without network access, for light and dark screens and for paper.
 
-`page` renders a template with the style and scripts inside; `charts` works out where marks stand; a module per page
-gathers what it shows. Everything that comes from data or models is escaped by the template engine.
+`page` renders templates with their styles and scripts inside. `svg` lays out diagrams. Each other module gathers the
+content of one page. The template engine escapes all data and all texts of models.
 """

@@ -13,8 +13,15 @@ from jrdb_avr.engine.report.tables import TOO_FEW
 
 
 def leaderboard_page(board: Leaderboard) -> str:
-    """The page's HTML. Everything in a bundle comes from its submitter, and is shown as text."""
-    sets = [[replace(own, row=without_rough([own.row])[0]) for own in entries] for entries in board.sets]
+    """Render the leaderboard page. Everything in a bundle is untrusted and is shown as text.
+
+    Args:
+        board: The leaderboard.
+
+    Returns:
+        The HTML.
+    """
+    sets = [[replace(entry, row=without_rough([entry.row])[0]) for entry in entries] for entries in board.sets]
     return render(
         "leaderboard.html",
         board=replace(board, sets=sets),

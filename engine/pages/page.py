@@ -1,4 +1,4 @@
-"""Rendering of a template of this folder as one file, pictures as data URIs, and answers in words."""
+"""Rendering of templates as single files: pictures as data URIs, and answers in words."""
 
 from __future__ import annotations
 
@@ -26,23 +26,47 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 _QUALITY: Final = 70
-"""Quality of pictures in a page, so that it stays small enough to send: half of what a JPEG as good would be."""
+"""WebP quality of pictures. A file has half the size of a JPEG of the same quality."""
 
 _TEXT_DIRECTION: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 
 
 def render(name: str, **values: Any) -> str:
-    """A template of this folder, filled in: style and scripts are inside, and nothing is fetched."""
+    """Render a template of this folder, with its style and scripts inside.
+
+    Args:
+        name: File name of the template.
+        **values: Values of its variables.
+
+    Returns:
+        The HTML, which loads nothing.
+    """
     return environment().get_template(name).render(values)
 
 
 def write_page(path: Path, html: str) -> None:
-    """Write a page, atomically. Raises StoreError where the disk refuses."""
+    """Write a page atomically.
+
+    Args:
+        path: The file.
+        html: The page.
+
+    Raises:
+        StoreError: If the file cannot be written.
+    """
     write_bytes(path, html.encode("utf-8", "replace"))
 
 
 def picture_uri(image: Image, size: tuple[int, int]) -> str:
-    """An RGB picture, scaled to a width and height, as the data URI of a WebP file."""
+    """Encode a picture as the data URI of a WebP file.
+
+    Args:
+        image: RGB picture (height, width, 3).
+        size: Width and height to scale it to, in pixels.
+
+    Returns:
+        The URI.
+    """
     import cv2
 
     if (image.shape[1], image.shape[0]) != size:
@@ -52,7 +76,15 @@ def picture_uri(image: Image, size: tuple[int, int]) -> str:
 
 
 def on_strip(box: Box, width: float) -> list[Box]:
-    """A box in the pixels of a panorama of a width, at both ends where it lies across the seam."""
+    """Scale a box to a panorama of another width.
+
+    Args:
+        box: The box in stitched pixels.
+        width: Width of the panorama in pixels.
+
+    Returns:
+        The scaled box; a box across the seam gives one at each end.
+    """
     scale = width / WIDTH
     shifts = [shift for shift in (-WIDTH, 0, WIDTH) if box.x + shift < WIDTH and box.x + shift + box.w > 0]
     return [Box((box.x + shift) * scale, box.y * scale, box.w * scale, box.h * scale) for shift in shifts]
@@ -60,7 +92,7 @@ def on_strip(box: Box, width: float) -> list[Box]:
 
 @functools.cache
 def environment() -> Environment:
-    """The Jinja environment of the pages: escapes all values, fails on unknown names."""
+    """Return the Jinja environment of the pages, which escapes all values and fails on unknown names."""
     import jinja2
     from markupsafe import Markup
 
@@ -78,8 +110,7 @@ def environment() -> Environment:
 
 
 def _plain(value: object) -> str:
-    """A value without control characters, and with marks that reverse the text after them spelled out: a reviewer must
-    read what is stored."""
+    """Value without control characters. Marks of text direction are spelled out, because they reorder text."""
     return clean(value).translate(_TEXT_DIRECTION)
 
 
@@ -88,7 +119,7 @@ def _text(name: str) -> str:
 
 
 def _json(value: object) -> Markup:
-    """A value as JSON inside a <script>: no character in it can end the element or begin a comment."""
+    """Value as JSON for a <script> element: no character can end the element or begin a comment."""
     from markupsafe import Markup
 
     text = msgspec.json.encode(value).decode()
@@ -98,9 +129,17 @@ def _json(value: object) -> Markup:
 
 
 def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, unit: str = "") -> str:
-    """A stored answer in words, "" without one; a text that is no answer of the mode as it stands.
+    """Return a stored answer in words.
 
-    `unit` follows a number, as `unit_of` names it.
+    Args:
+        mode: The question's answer mode.
+        text: The answer as JSON, or None.
+        choices: Texts of the choices.
+        fps: Frames per second.
+        unit: Unit of a number, as `unit_of` names it.
+
+    Returns:
+        The words; empty without an answer. A text that is not an answer of the mode is returned unchanged.
     """
     if (answer := read_answer(mode, text)) is None:
         return text or ""
@@ -115,7 +154,14 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
 
 
 def unit_of(plan: Plan) -> str:
-    """The unit of the number that answers a plan; "" where it has none."""
+    """Return the unit of a plan's answer.
+
+    Args:
+        plan: The plan.
+
+    Returns:
+        The unit, or an empty text if the answer is not a number with a unit.
+    """
     return {"seconds_between": "s", "count": "people"}.get(plan.answer.read, "")
 
 

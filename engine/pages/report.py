@@ -1,4 +1,4 @@
-"""The report page: tables, intervals, answer against evidence, and how runs fail."""
+"""The report page: tables, intervals, answer against evidence, and failures of runs."""
 
 from __future__ import annotations
 
@@ -24,11 +24,19 @@ _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
 
 
 def report_page(comparison: Comparison, links: Callable[..., str] | None = None) -> str:
-    """The page's HTML; `links` makes the addresses of pages that `view` serves, to which runs and pairs then lead."""
+    """Render the report page.
+
+    Args:
+        comparison: The scored runs.
+        links: Makes addresses of the pages of `view`, to which runs and pairs are linked; None without links.
+
+    Returns:
+        The HTML.
+    """
     runs = comparison.runs
     tables = {name: without_rough(rows) for name, rows in comparison.tables().items()}
     names = [run.manifest.run_id for run in runs]
-    own = [row for row in tables["main"] if row["run"]]
+    measured = [row for row in tables["main"] if row["run"]]
     families = pivot(tables["family"], "family", "run")
     perturbations: Counter[str] = Counter()
     for row in tables["wrong_choices"]:
@@ -38,9 +46,9 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
         names=names,
         comparison=comparison,
         tables=tables,
-        main=own,
+        main=measured,
         published=[row for row in tables["main"] if not row["run"]],
-        dots=scatter(own),
+        dots=scatter(measured),
         families=families,
         about={run.manifest.run_id: {"method": run.manifest.method, "model": run.manifest.model} for run in runs},
         options={
@@ -58,7 +66,7 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
         wrong=pivot(tables["wrong_choices"], "run", "perturbation"),
         perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
         apart=distinguishing_settings(runs),
-        labels={row["run"]: row["label"] for row in own},
+        labels={row["run"]: row["label"] for row in measured},
         too_few=TOO_FEW,
         least=LEAST_CLUSTERS,
         kinds=SCORES,
@@ -67,33 +75,56 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
 
 
 def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Row]]:
-    """Rows by their values in two columns, in the order of first appearance."""
-    found: dict[str, dict[str, Row]] = {}
+    """Group rows by their values in two columns, in the order of first appearance.
+
+    Args:
+        rows: The rows.
+        down: Column of the outer keys.
+        across: Column of the inner keys.
+
+    Returns:
+        The row of each pair of values.
+    """
+    groups: dict[str, dict[str, Row]] = {}
     for row in rows:
-        found.setdefault(row[down], {})[row[across]] = row
-    return found
+        groups.setdefault(row[down], {})[row[across]] = row
+    return groups
 
 
 class Crossed:
-    """A breakdown by run and value of a dimension, the fewer of the two across: each cell a row or None.
+    """A breakdown by run and value of a dimension, with the shorter of the two across.
 
-    counts: the questions of each value in most runs; cells with another `n` state it.
+    Attributes:
+        counts: Number of questions of each value in most runs. A cell with another `n` states it.
+        values_across: Whether values are columns and runs are rows.
+        across: Names of the columns.
+        rows: Name and cells of each row; a missing cell is None.
     """
 
     def __init__(self, rows: Sequence[Row], dimension: str, runs: Sequence[str]) -> None:
-        """Cross the rows of a breakdown by value and run; the paper's are a run named by their label."""
+        """Cross the rows of a breakdown. The paper's rows form a run named after their label."""
         cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
-        questions = {value: Counter(r["n"] for run, r in own.items() if run in runs) for value, own in cells.items()}
+        questions = {
+            value: Counter(r["n"] for run, r in rows_of_value.items() if run in runs)
+            for value, rows_of_value in cells.items()
+        }
         self.counts = {value: times.most_common(1)[0][0] for value, times in questions.items() if times}
         names = [*runs, *(["paper"] if any(not row["run"] for row in rows) else [])]
         self.values_across = len(names) > len(cells)
         self.across = list(cells) if self.values_across else names
         if self.values_across:
-            self.rows = [(run, [own.get(run) for own in cells.values()]) for run in names]
+            self.rows = [(run, [rows_of_value.get(run) for rows_of_value in cells.values()]) for run in names]
         else:
-            self.rows = [(value, [own.get(run) for run in names]) for value, own in cells.items()]
+            self.rows = [(value, [rows_of_value.get(run) for run in names]) for value, rows_of_value in cells.items()]
 
 
 def settings_text(settings: Row) -> str:
-    """A run's settings as JSON that people can read."""
+    """Return a run's settings as indented JSON.
+
+    Args:
+        settings: The settings.
+
+    Returns:
+        The JSON.
+    """
     return msgspec.json.format(msgspec.json.encode(settings, order="sorted"), indent=2).decode()

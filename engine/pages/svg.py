@@ -1,6 +1,6 @@
-"""Layout of diagrams: a plan as a graph, and labels of crowded dots. Templates draw them and all that is only to scale.
+"""Layout of diagrams: a plan as a graph, and labels of crowded dots.
 
-Places are in units of a view box; text is measured in characters.
+Positions are in units of a view box. Text is measured in characters.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ _NODE_CHARACTERS: Final = 23
 _NODE_HEAD: Final = 24.0
 _NODE_LINE: Final = 13.0
 _GAP: Final = 150.0
-"""Between columns of nodes; the words of an edge stand in it."""
+"""Distance between columns of nodes, which has room for the words of an edge."""
 _WIDE_GAP: Final = 230.0
 _GAP_CHARACTERS: Final = 22
 _LANE_GAP: Final = 50.0
 
 SQUARE: Final = 380.0
-"""Side of the scatter plot, with a margin of `_MARGIN` around its axes."""
+"""Side of the scatter plot, including `_MARGIN` around its axes."""
 _MARGIN: Final = 40.0
 _LETTER: Final = 6.9
 _LINE: Final = 12.0
@@ -34,12 +34,28 @@ _DIRECTIONS: Final = 16
 
 
 def wrapped(text: str, characters: int) -> tuple[str, ...]:
-    """A text in lines of at most so many characters, broken between words."""
+    """Wrap a text between words.
+
+    Args:
+        text: The text.
+        characters: Maximum characters in a line.
+
+    Returns:
+        The lines, at least one.
+    """
     return tuple(textwrap.wrap(text, characters, break_on_hyphens=False)) or ("",)
 
 
 def shortened(text: str, characters: int) -> str:
-    """A text of at most so many characters; an ellipsis marks a cut."""
+    """Cut a text.
+
+    Args:
+        text: The text.
+        characters: Maximum number of characters.
+
+    Returns:
+        The text; an ellipsis marks a cut.
+    """
     return text if len(text) <= characters else text[: characters - 1].rstrip() + "\N{HORIZONTAL ELLIPSIS}"
 
 
@@ -53,7 +69,7 @@ class PlanNode(NamedTuple):
 
 
 class PlanEdge(NamedTuple):
-    """A relation between the middles of two sides, and its words for the middle."""
+    """A relation between the middles of two nodes' sides, and its words."""
 
     x1: float
     y1: float
@@ -63,9 +79,15 @@ class PlanEdge(NamedTuple):
 
 
 class PlanGraph:
-    """A plan as drawn from left to right: nodes of one size, in columns by their distance from the root.
+    """Layout of a plan from left to right: equally large nodes in columns by their distance from the root.
 
-    top: room for words above.
+    Attributes:
+        nodes: The people.
+        edges: The relations.
+        node_height: Height of each node.
+        top: Height of the words above the nodes.
+        width: Width of the drawing.
+        height: Height of the drawing without `top`.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -79,35 +101,35 @@ class PlanGraph:
             columns.setdefault(distance[node.id], []).append(node.id)
         several = len(plan.times) > 1
         lines = {node.id: _node_lines(node.conditions, several) for node in plan.nodes}
-        tall = self.node_height = _NODE_HEAD + _NODE_LINE * max(len(own) for own in lines.values()) + 4
-        lanes, lane_height = max(len(own) for own in columns.values()), tall + _LANE_GAP
-        # Edges between nodes in several lanes are slanted, and the words of a slanted line stand in it.
+        tall = self.node_height = _NODE_HEAD + _NODE_LINE * max(len(members) for members in lines.values()) + 4
+        lanes, lane_height = max(len(members) for members in columns.values()), tall + _LANE_GAP
+        # Edges between several lanes are slanted and need a wider gap for their words.
         stride = NODE_WIDTH + (_GAP if lanes == 1 else _WIDE_GAP)
-        places = {
-            role: (1 + column * stride, (lane + (lanes - len(own)) / 2) * lane_height)
-            for column, own in columns.items()
-            for lane, role in enumerate(own)
+        corners = {
+            role: (1 + column * stride, (lane + (lanes - len(members)) / 2) * lane_height)
+            for column, members in columns.items()
+            for lane, role in enumerate(members)
         }
-        self.nodes = [PlanNode(role, x, y, lines[role]) for role, (x, y) in places.items()]
+        self.nodes = [PlanNode(role, x, y, lines[role]) for role, (x, y) in corners.items()]
         self.edges = []
         for edge in plan.edges:
-            (x1, y1), (x2, y2) = places[edge.source], places[edge.target]
-            words = wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)
-            self.edges.append(PlanEdge(x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2, words))
+            (x1, y1), (x2, y2) = corners[edge.source], corners[edge.target]
+            lines_of_edge = wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)
+            self.edges.append(PlanEdge(x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2, lines_of_edge))
         self.top = max([0.0, *(_NODE_LINE * len(edge.words) + 10 - tall / 2 for edge in self.edges)])
         self.width = max(columns) * stride + NODE_WIDTH + 3
         self.height = lanes * lane_height - _LANE_GAP
 
 
 def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:
-    """Every condition, whole: a reviewer must not judge by half of one."""
-    # A word that lists several objects may be broken at its slashes.
+    """All conditions in full, because reviewers judge by them."""
+    # Lines of a list of objects may break at its slashes.
     texts = [_timed(_condition(condition).replace("/", " / "), condition.at, several) for condition in conditions]
     return tuple(line for text in texts for line in wrapped(text, _NODE_CHARACTERS)) or ("anybody",)
 
 
 def _timed(text: str, at: str | None, several: bool) -> str:
-    """A condition, with its time where the plan has several."""
+    """A condition, with its time if the plan has several times."""
     return f"{text}, {at}" if several and at else text
 
 
@@ -124,9 +146,9 @@ def _condition(condition: Condition) -> str:
 
 
 class Dot(NamedTuple):
-    """A run in the scatter plot with its row, its number in the legend, and the middle of that number beside it.
+    """A run in the scatter plot: its row, its number in the legend, and the middle of the number beside it.
 
-    leads: the number stands so far off that a line leads to it.
+    `leads` is true if a line must lead to a distant number.
     """
 
     x: float
@@ -139,38 +161,44 @@ class Dot(NamedTuple):
 
 
 def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
-    """Answer (to the right) against evidence (upwards) of rows that have both, with numbers that cover nothing."""
+    """Lay out a scatter plot of answer (to the right) and evidence (upwards).
+
+    Args:
+        rows: Rows of the main table; rows without both shares are left out.
+
+    Returns:
+        A dot per row, with a number that covers no other mark.
+    """
     scale = (SQUARE - 2 * _MARGIN) / 100
-    places = [
-        (_MARGIN + scale * row["answer"], SQUARE - _MARGIN - scale * row["evidence"], number, row)
-        for number, row in enumerate(rows, 1)
+    points = [
+        (_MARGIN + scale * row["answer"], SQUARE - _MARGIN - scale * row["evidence"], rank, row)
+        for rank, row in enumerate(rows, 1)
         if row.get("answer") is not None and row.get("evidence") is not None
     ]
-    taken = [_Area(x - _DOT, y - _DOT, x + _DOT, y + _DOT) for x, y, *_ in places]
+    taken = [_Area(x - _DOT, y - _DOT, x + _DOT, y + _DOT) for x, y, *_ in points]
     dots = []
-    for x, y, number, row in places:
-        area, leads = _free_area(x, y, _LETTER * len(str(number)), taken)
+    for x, y, rank, row in points:
+        area, leads = _free_area(x, y, _LETTER * len(str(rank)), taken)
         taken.append(area)
-        dots.append(Dot(x, y, number, row, (area.left + area.right) / 2, (area.top + area.bottom) / 2, leads))
+        dots.append(Dot(x, y, rank, row, (area.left + area.right) / 2, (area.top + area.bottom) / 2, leads))
     return dots
 
 
 class _Area(NamedTuple):
-    """A rectangle that something covers."""
+    """A rectangle that a mark covers."""
 
     left: float
     top: float
     right: float
     bottom: float
 
-    def meets(self, other: _Area) -> bool:
-        return (
-            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
-        )
+    def meets(self, area: _Area) -> bool:
+        """Return whether two rectangles overlap."""
+        return self.left < area.right and area.left < self.right and self.top < area.bottom and area.top < self.bottom
 
 
 def _free_area(x: float, y: float, width: float, taken: Sequence[_Area]) -> tuple[_Area, bool]:
-    """The nearest area for a text about a dot that meets nothing, and whether a line must lead to it."""
+    """Find the nearest free area for a text about a dot, and whether a line must lead to it."""
     for ring in range(_RINGS):
         far = _DOT + 1 + _STEP * ring
         for direction in range(_DIRECTIONS):
@@ -178,7 +206,7 @@ def _free_area(x: float, y: float, width: float, taken: Sequence[_Area]) -> tupl
             middle = x + math.cos(turn) * (far + width / 2), y - math.sin(turn) * (far + _LINE / 2)
             area = _Area(middle[0] - width / 2, middle[1] - _LINE / 2, middle[0] + width / 2, middle[1] + _LINE / 2)
             inside = area.left > _MARGIN and area.right < SQUARE and area.top > 0 and area.bottom < SQUARE - _MARGIN
-            if inside and not any(area.meets(other) for other in taken):
+            if inside and not any(area.meets(covered) for covered in taken):
                 return area, ring > 1
-    # More runs than the square has room for.
+    # The square is full.
     return _Area(x + _DOT, y - _LINE / 2, x + _DOT + width, y + _LINE / 2), False

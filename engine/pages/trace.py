@@ -1,4 +1,4 @@
-"""The trace page: how a run came to its answer to one question, step by step, beside the truth."""
+"""The trace page: the steps of a run to its answer to one question, beside the truth."""
 
 from __future__ import annotations
 
@@ -23,45 +23,53 @@ from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_cro
 from jrdb_avr.schema.plan import parse_plan
 
 ROLES: Final = 6
-"""Colours of people in `roles.css`."""
+"""Number of colours of people in `roles.css`."""
 
 _STRIP: Final = (1128, 144)
 _SMALL: Final = (240, 240)
 _PICTURES: Final = 200
-"""Looks with a picture; the page names the others without one, so that it stays a file that can be opened."""
+"""Maximum number of looks with a picture, so that a browser can open the page."""
 
 _LONGEST: Final = 20_000
-"""Characters of a text in the page; a longer one is cut in the middle, with a note."""
+"""Maximum characters of a text; a longer text is cut in the middle."""
 
 _NAMED: Final = 16
-"""Entities whose names stand on the map."""
+"""Maximum number of entities with names on the map."""
 
 _FAR: Final = 450
-"""Frames beyond the looks within which the map includes the run's answer."""
+"""Maximum distance in frames between the looks and an answer that the map includes."""
 
 Names = Mapping[str, tuple[str, int]]
-"""Key of each entity -> its name and colour, in the order in which the entities were made."""
+"""Name and colour of each entity by its key, in the order of creation."""
 
 
 def trace_page(trace: Trace, observer: Observer) -> str:
-    """The page's HTML."""
+    """Render the trace page.
+
+    Args:
+        trace: Record of the run's work on the question.
+        observer: Source of pictures.
+
+    Returns:
+        The HTML.
+    """
     sequence = str(trace.question["sequence"])
     strip = functools.cache(lambda frame: picture_uri(observer.panorama(sequence, frame), _STRIP))
     made = [write.fact.entity for write in trace.writes if write.fact.entity is not None]
-    names = {entity.id: (entity.name, number % ROLES) for number, entity in enumerate(made)}
+    names = {entity.id: (entity.name, index % ROLES) for index, entity in enumerate(made)}
     evidence = evidence_box(trace)
     unit = unit_of(parse_plan(trace.answer["plan"]))
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
     answers = [row["answer"] for row in (trace.answer, trace.prediction)]
-    true, own = (readable(mode, text, choices, trace.fps, unit) for text in answers)
+    true, predicted = (readable(mode, text, choices, trace.fps, unit) for text in answers)
     true_choice, own_choice = (_choice(read_answer(mode, text)) for text in answers)
     return render(
         "trace.html",
         trace=trace,
         question=trace.question,
         prediction=trace.prediction,
-        choices=[(text, place == true_choice, place == own_choice) for place, text in enumerate(choices, 1)],
-        given=own,
+        choices=[(text, index == true_choice, index == own_choice) for index, text in enumerate(choices, 1)],
+        given=predicted,
         right=true,
         map=_map(trace, evidence),
         marks=_marks(trace, names),
@@ -78,7 +86,14 @@ def trace_page(trace: Trace, observer: Observer) -> str:
 
 
 def evidence_box(trace: Transcript) -> tuple[int, Box] | None:
-    """The frame and box of the run's evidence; None where there is none that can be drawn."""
+    """Return the frame and box of a run's evidence.
+
+    Args:
+        trace: Record of the run's work on the question.
+
+    Returns:
+        Frame and box in stitched pixels, or None without a finite box.
+    """
     frame, sides = trace.prediction["evidence_frame"], [trace.prediction[f"evidence_{key}"] for key in "xywh"]
     if frame is None or any(side is None or not math.isfinite(side) for side in sides):
         return None
@@ -93,66 +108,66 @@ def _choice(answer: Answer | None) -> int | None:
 
 
 def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
-    """The frames that the map spans, those it names, the frames of both answers, and the target's way."""
+    """Frames of the map, its ticks, the frames of both answers, and the target's path."""
     mode = trace.question["answer_mode"]
-    true, own = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
+    true, predicted = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
     frames = [look.frame for look in trace.looks] + ([] if evidence is None else [evidence[0]]) + true
-    # A run may answer with any frame; one far outside what it looked at would press the rest together.
+    # A distant answer would compress the rest of the map.
     low, high = min(frames, default=0) - _FAR, max(frames, default=0) + _FAR
-    own = [frame for frame in own if low <= frame <= high]
-    first, last = min(frames + own, default=0), max(frames + own, default=0)
-    # Some room for the target's way before and after.
+    predicted = [frame for frame in predicted if low <= frame <= high]
+    first, last = min(frames + predicted, default=0), max(frames + predicted, default=0)
+    # Room for the target's path before and after.
     room = max(15, (last - first) // 12)
     return {
         "low": first - room,
         "high": last + room,
         "ticks": sorted({first, (first + last) // 2, last}),
-        "answers": [("true", frame) for frame in true] + [("given", frame) for frame in own],
-        "way": _way(trace, first - room, last + room),
+        "answers": [("true", frame) for frame in true] + [("given", frame) for frame in predicted],
+        "way": _path(trace, first - room, last + room),
     }
 
 
 def _frames(mode: str, text: str | None) -> list[int]:
-    """The frames that an answer names; none where it names none or is unreadable."""
+    """Frames of an answer; empty if it has none or cannot be read."""
     answer = read_answer(mode, text)
     return [] if answer is None else frames_of_answer(answer)
 
 
-def _way(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
-    """The target's (column, frame) in stretches, which end where it is not in view or crosses the seam."""
-    way: list[list[tuple[float, int]]] = []
+def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
+    """The target's (column, frame) in segments, which end if the target is out of view or crosses the seam."""
+    path: list[list[tuple[float, int]]] = []
     for frame, (x, _, w, _) in sorted(trace.target.items()):
         if not low <= frame <= high:
             continue
         column = (x + w / 2) % WIDTH
-        if not way or frame - way[-1][-1][1] > 15 or abs(column - way[-1][-1][0]) >= WIDTH / 2:
-            way.append([])
-        way[-1].append((column, frame))
-    return way
+        if not path or frame - path[-1][-1][1] > 15 or abs(column - path[-1][-1][0]) >= WIDTH / 2:
+            path.append([])
+        path[-1].append((column, frame))
+    return path
 
 
 def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
-    """Entities that were seen in a column, and relations, which lead on to an `end`, between those seen in one frame.
+    """Entities by column and frame, and relations between entities of one frame.
 
-    Each with its step, the entity's colour (`role`), frame and text; `label`: a name, at `label_y` from the mark.
+    Each mark has its step, colour (`role`), frame and text. `label` is a name, at `label_y` from the mark. Relations
+    have an `end`.
     """
     marks: list[dict[str, Any]] = []
     columns: dict[tuple[str, int], float] = {}
     labelled: set[str] = set()
     levels: dict[int, list[list[tuple[float, float]]]] = {}
     for write in trace.writes:
-        if (seen := write.fact.sighted) is not None and seen.source in names:
-            name, role = names[seen.source]
-            column = columns[seen.source, seen.frame] = (seen.box.x + seen.box.w / 2) % WIDTH
-            mark = {"step": write.step, "role": role, "frame": seen.frame, "column": column, "end": None}
-            # The name stands at the first sighting, while there are few, in the first line below without names of about
-            # the same time; relations lead on above.
-            label = name[:12] if seen.source not in labelled and len(names) <= _NAMED else ""
+        if (sighting := write.fact.sighted) is not None and sighting.source in names:
+            name, role = names[sighting.source]
+            column = columns[sighting.source, sighting.frame] = (sighting.box.x + sighting.box.w / 2) % WIDTH
+            mark = {"step": write.step, "role": role, "frame": sighting.frame, "column": column, "end": None}
+            # Few entities have names, at their first sighting, on the first free line below the mark.
+            label = name[:12] if sighting.source not in labelled and len(names) <= _NAMED else ""
             left = column * _MAP_WIDTH / WIDTH
-            beside = levels.setdefault(seen.frame // 15, [])
+            beside = levels.setdefault(sighting.frame // 15, [])
             line = _level(beside, (left, left + 12 + _LETTER * len(label))) if label else 0
-            marks.append(mark | {"text": f"{name}, frame {seen.frame}", "label": label, "label_y": 17 + 12 * line})
-            labelled.add(seen.source)
+            marks.append(mark | {"text": f"{name}, frame {sighting.frame}", "label": label, "label_y": 17 + 12 * line})
+            labelled.add(sighting.source)
         if (tie := write.fact.related) is not None:
             start, end = (columns.get((key, tie.first)) for key in (tie.source, tie.target))
             if start is not None and end is not None:
@@ -174,7 +189,7 @@ class Statement(NamedTuple):
 
 @dataclass
 class Card:
-    """An entity: what always holds of it, and what was seen of it by frame."""
+    """An entity: statements that always hold, and statements by frame."""
 
     name: str
     role: int
@@ -184,17 +199,22 @@ class Card:
     frames: dict[int, list[Statement]] = field(default_factory=dict)
 
 
-def told(statements: list[Statement], new: Statement) -> None:
-    """Add a statement; one that is read again while it is believed goes on."""
-    for place, old in enumerate(statements):
+def add_statement(statements: list[Statement], new: Statement) -> None:
+    """Add a statement; a repeated reading extends the statement that still holds.
+
+    Args:
+        statements: Statements about one entity, extended in place.
+        new: The statement.
+    """
+    for index, old in enumerate(statements):
         if old.text == new.text and new.step <= old.until:
-            statements[place] = old._replace(until=max(old.until, new.until))
+            statements[index] = old._replace(until=max(old.until, new.until))
             return
     statements.append(new)
 
 
 def _cards(trace: Trace, names: Names) -> list[Card]:
-    """Each entity with what was written of it."""
+    """Each entity with the statements about it."""
     cards: dict[str, Card] = {}
     for write in trace.writes:
         step, until, fact = write.step, write.until, write.fact
@@ -208,13 +228,13 @@ def _cards(trace: Trace, names: Names) -> list[Card]:
         if (now := fact.changed) is not None and now.id in cards:
             text = f"is the plan's {now.node}" if now.node else f"is a {now.kind}"
             cards[now.id].always.append(Statement(step, ALWAYS, text))
-        if (seen := fact.sighted) is not None and seen.source in cards:
-            place = Statement(step, until, f"at {seen.angle:.0f}\N{DEGREE SIGN}")
-            told(cards[seen.source].frames.setdefault(seen.frame, []), place)
+        if (sighting := fact.sighted) is not None and sighting.source in cards:
+            position = Statement(step, until, f"at {sighting.angle:.0f}\N{DEGREE SIGN}")
+            add_statement(cards[sighting.source].frames.setdefault(sighting.frame, []), position)
         if (has := fact.has) is not None and has.source in cards:
             card, text = cards[has.source], f"{has.name}: {has.value}"
             statements = card.frames.setdefault(has.first, []) if has.first == has.last else card.always
-            told(statements, Statement(step, until, text))
+            add_statement(statements, Statement(step, until, text))
     return list(cards.values())
 
 
@@ -223,52 +243,52 @@ _STRIDE: Final = 190.0
 _ARC: Final = 32.0
 _LETTER: Final = 6.4
 _MAP_WIDTH: Final = 934.0
-"""Of the map, as the template draws it."""
+"""Width of the map in the template."""
 _WORDS: Final = 60
 _MOST_NODES: Final = 40
-"""Of a drawing; where a hostile run wrote more, relations are a list."""
+"""Maximum number of drawn entities; the page lists more relations as text."""
 
 
 def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
-    """The related entities in a row (`knots`) and their relations above as arcs of a height (`ties`), from `left` on.
+    """Related entities in a row (`knots`) and their relations as arcs above (`ties`), from `left`.
 
-    None where there are no relations, or too many people for a drawing.
+    None if no relations exist, or too many entities for a drawing.
     """
     made = {write.fact.entity.id: write.step for write in trace.writes if write.fact.entity is not None}
     related = [(write, tie) for write in trace.writes if (tie := write.fact.related) is not None]
     joined = dict.fromkeys(key for _, tie in related for key in (tie.source, tie.target) if key in made)
     if not joined or len(joined) > _MOST_NODES:
         return None
-    place = {key: number * _STRIDE + 1 for number, key in enumerate(joined)}
+    positions = {key: index * _STRIDE + 1 for index, key in enumerate(joined)}
     several = len({tie.first for _, tie in related}) > 1
     levels: list[list[tuple[float, float]]] = []
     ties: list[dict[str, Any]] = []
     for write, tie in related:
-        if tie.source not in place or tie.target not in place:
+        if tie.source not in positions or tie.target not in positions:
             continue
-        shift = _NODE[0] * (0.62 if place[tie.target] > place[tie.source] else 0.38)
-        x1, x2 = place[tie.source] + shift, place[tie.target] + _NODE[0] - shift
+        shift = _NODE[0] * (0.62 if positions[tie.target] > positions[tie.source] else 0.38)
+        x1, x2 = positions[tie.source] + shift, positions[tie.target] + _NODE[0] - shift
         title = f"{tie.name}, frame {tie.first}"
-        # The frame is part of the text where relations differ in it.
+        # Relations of different frames show their frames.
         text = shortened(title if several else tie.name, _WORDS)
         half = max(abs(x1 - x2), _LETTER * len(text)) / 2 + 6
         rise = _ARC * (1 + _level(levels, ((x1 + x2) / 2 - half, (x1 + x2) / 2 + half)))
         tie_words = {"text": text, "title": title, "step": write.step, "until": write.until}
         ties.append({"x1": x1, "x2": x2, "rise": rise, **tie_words})
-    knots = [{"x": x, "name": names[key][0], "role": names[key][1], "step": made[key]} for key, x in place.items()]
-    # Words may reach beyond the people at the ends.
+    knots = [{"x": x, "name": names[key][0], "role": names[key][1], "step": made[key]} for key, x in positions.items()]
+    # Words may be wider than the row of entities.
     ends = [end for level in levels for extent in level for end in extent]
-    left, right = min(0.0, *ends), max((len(place) - 1) * _STRIDE + _NODE[0] + 2, *ends)
+    left, right = min(0.0, *ends), max((len(positions) - 1) * _STRIDE + _NODE[0] + 2, *ends)
     height = max((tie["rise"] for tie in ties), default=0.0) + 18 + _NODE[1] + 2
     return {"left": left, "size": (right - left, height), "node": _NODE, "knots": knots, "ties": ties}
 
 
 def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
-    """Take the lowest level that is free over an extent; its number."""
-    for number, taken in enumerate(levels):
+    """Reserve the lowest level that is free over an extent, and return its index."""
+    for index, taken in enumerate(levels):
         if all(extent[1] < low or high < extent[0] for low, high in taken):
             taken.append(extent)
-            return number
+            return index
     levels.append([extent])
     return len(levels) - 1
 
@@ -288,7 +308,7 @@ class _Reply(msgspec.Struct):
 
 
 def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> list[dict[str, Any]]:
-    """The steps, each with the writes that were refused in it, and with its look."""
+    """The steps, each with its refused writes and its look."""
     views = {look.step: _view(trace, look, observer, strip) for look in trace.looks[:_PICTURES]}
     for look in trace.looks[_PICTURES:]:
         views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks have pictures"}
@@ -305,13 +325,13 @@ def _step(step: StoredRow) -> dict[str, Any]:
     of_model = step["kind"] == "model"
     request = _messages(step["request"]) if of_model else _plain(step["request"])
     response = _reply(step["response"]) if of_model else _plain(step["response"])
-    # A short call and its result stand side by side.
+    # Show a short call and its result side by side.
     short = not of_model and max(len(request), len(response)) <= 160 and "\n" not in request + response
     return {**step, "request": request, "response": response, "short": short}
 
 
 def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """A look with the panorama and, of a crop, the crop as pictures; `missing`: why there are none."""
+    """A look with its panorama and crop as pictures; `missing` is the reason for missing pictures."""
     view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
     try:
         if look.angle is not None:
@@ -323,10 +343,10 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
 
 
 def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """The box of the evidence and the target's box in that frame, on the strip and in the crop around the former."""
+    """The evidence and the target's box in that frame, on the strip and in a crop around the evidence."""
     target = Box(*trace.target[frame]) if frame in trace.target else None
     angle = float(center_angle(box.x, box.w))
-    found: dict[str, Any] = {
+    view: dict[str, Any] = {
         "frame": frame,
         "angle": angle,
         "iou": None if target is None else iou(box, target),
@@ -334,24 +354,26 @@ def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callab
     }
     boxes = {"given": box} if target is None else {"target": target, "given": box}
     try:
-        seen = observer(str(trace.question["sequence"]), frame, angle)
-        return found | {
-            "uri": picture_uri(seen.image, (CROP, CROP)),
-            "boxes": [(name, to_crop(own, seen.left)) for name, own in boxes.items()],
+        observation = observer(str(trace.question["sequence"]), frame, angle)
+        return view | {
+            "uri": picture_uri(observation.image, (CROP, CROP)),
+            "boxes": [(name, to_crop(corners, observation.left)) for name, corners in boxes.items()],
             "strip": strip(frame),
-            "on_strip": [(name, part) for name, own in boxes.items() for part in on_strip(own, _STRIP[0])],
+            "on_strip": [(name, part) for name, corners in boxes.items() for part in on_strip(corners, _STRIP[0])],
         }
     except ObserveError as error:
-        return found | {"missing": str(error)}
+        return view | {"missing": str(error)}
 
 
 # -- texts of models, which may be anything ----------------------------------------------------------------------------
 
 
 def _messages(text: str) -> str:
-    """The messages sent to a model as text, images by name."""
+    """The messages to a model as text, with names for images."""
     messages = _decoded(text, list[_Message])
-    return _cut(text if messages is text else "\n\n".join(f"[{own.role}]\n{own.content}" for own in messages))
+    return _cut(
+        text if messages is text else "\n\n".join(f"[{message.role}]\n{message.content}" for message in messages)
+    )
 
 
 def _reply(text: str) -> str:
@@ -364,13 +386,13 @@ def _reply(text: str) -> str:
 
 
 def _plain(text: str | None) -> str:
-    """A long JSON text indented, with the JSON objects in its strings; any other text as it is."""
+    """A long JSON text, indented, with JSON objects in its strings; other texts unchanged."""
     if not text or len(text) <= 100:
         return text or ""
     value = _decoded(text)
     if isinstance(value, dict):
-        inner = {name: isinstance(own, str) and own.startswith("{") for name, own in value.items()}
-        value = {name: _decoded(own) if inner[name] else own for name, own in value.items()}
+        inner = {name: isinstance(item, str) and item.startswith("{") for name, item in value.items()}
+        value = {name: _decoded(item) if inner[name] else item for name, item in value.items()}
     try:
         return _cut(text if value is text else msgspec.json.format(msgspec.json.encode(value), indent=1).decode())
     except (UnicodeError, RecursionError):
@@ -378,7 +400,7 @@ def _plain(text: str | None) -> str:
 
 
 def _decoded(text: str, kind: Any = Any) -> Any:
-    """The value of a JSON text of a type; the text itself where it is not."""
+    """The value of a JSON text, or the text itself if it has another type."""
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeError, RecursionError):

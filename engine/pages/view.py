@@ -1,7 +1,6 @@
-"""The pages of `view`: runs side by side, a question with its frames, and two runs against each other.
+"""The pages of `view`: runs side by side, a question with its frames, and a comparison of two runs.
 
-Without scores only public files are read: no page then holds a true answer, the target's boxes, or whether anything is
-right.
+Without scores only public files are read. Pages then contain no true answer, no boxes of the target, and no outcome.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
 
 SCORE_OUTCOMES: Final = ("both right", "answer only", "box only", "both wrong")
-"""The outcomes of a question."""
+"""Outcomes of a scored question."""
 
 _PER_PAGE: Final = 100
 _PUBLIC: Final = ("family", "template", "sequence")
@@ -36,7 +35,14 @@ _PRIVATE: Final = ("outcome", "cause")
 
 @dataclass(frozen=True)
 class ViewedRun:
-    """A run as the pages show it. `outcomes` and `causes` by question, empty where there are no scores."""
+    """A run as the pages show it.
+
+    Attributes:
+        manifest: The run's manifest.
+        predictions: Rows of `predictions` by question.
+        scores: 0 or 1 for answer, evidence and combined by question; empty without scores.
+        causes: Why the box does not score, by question; empty without scores.
+    """
 
     manifest: RunManifest
     predictions: Mapping[str, StoredRow]
@@ -49,39 +55,43 @@ class ViewedRun:
         return self.manifest.run_id
 
     def outcome(self, question_id: str) -> str:
-        """One of `SCORE_OUTCOMES`; "" where it is not known or the run does not have the question."""
+        """Return one of `SCORE_OUTCOMES`, or an empty text without a score of the question."""
         if question_id not in self.scores:
             return ""
         answer, evidence, _ = self.scores[question_id]
         return SCORE_OUTCOMES[2 * (not answer) + (not evidence)]
 
     def mean(self, column: str) -> float | None:
-        """The mean of a column of `predictions` over the run's questions; None without predictions."""
+        """Return the mean of a column of `predictions`, or None without predictions."""
         values = [row[column] or 0 for row in self.predictions.values()]
         return sum(values) / len(values) if values else None
 
     def count(self, status: str) -> int:
-        """How many questions ended so."""
+        """Return the number of questions with a status."""
         return sum(row["status"] == status for row in self.predictions.values())
 
     def share(self, score: int) -> float | None:
-        """A score, by its place in `SCORES`, in percent; None without scores."""
-        return 100 * sum(own[score] for own in self.scores.values()) / len(self.scores) if self.scores else None
+        """Return the share of a score in percent, by its index in `SCORES`; None without scores."""
+        return 100 * sum(scores[score] for scores in self.scores.values()) / len(self.scores) if self.scores else None
 
 
 class Viewer:
-    """Answers the requests of `view` from a store and its pictures; `comparison` brings scores, None without them."""
+    """Answers the requests of `view` from a store and its pictures. `comparison` has the scores; None hides them."""
 
     def __init__(self, store: Store, image_root: str | None, comparison: Comparison | None) -> None:
-        """Read questions and runs. Raises StoreError where a public file is missing."""
+        """Read questions and runs.
+
+        Raises:
+            StoreError: If a public file is missing.
+        """
         self.store, self.comparison = store, comparison
         self.questions = read_question_rows(store)
         self.sequences = read_sequences(store)
         self.pictured = image_root is not None
         self._observer = Observer(image_root, self.sequences.values())
         self._by_id = {question.question_id: question for question in self.questions}
-        found = scored_runs(comparison) if comparison is not None else public_runs(store)
-        self.runs = {run.name: run for run in found}
+        runs = scored_runs(comparison) if comparison is not None else public_runs(store)
+        self.runs = {run.name: run for run in runs}
         self._pages: dict[str, Callable[[Request], Response]] = {
             "": self._overview,
             "question": self._question,
@@ -92,7 +102,17 @@ class Viewer:
             self._pages |= {"report": self._report, "trace": self._trace}
 
     def respond(self, request: Request) -> Response:
-        """Answer a request with a page or a picture. Raises AvrError where there is no such page, run or question."""
+        """Answer a request.
+
+        Args:
+            request: The request.
+
+        Returns:
+            A page or a picture.
+
+        Raises:
+            AvrError: If the page, run or question is unknown.
+        """
         if request.method != "GET" or request.path not in self._pages:
             raise InputError("there is no such page", field="path")
         return self._pages[request.path](request)
@@ -106,11 +126,11 @@ class Viewer:
         chosen = [self.runs[name] for name in dict.fromkeys(request.query.get("run", ())) if name in self.runs]
         runs = chosen or list(self.runs.values())
         names = _PUBLIC if self.comparison is None else _PUBLIC + _PRIVATE
-        wanted = {name: value for name in names if (value := request.value(name))}
-        found = [own for own in self.questions if _fits(own, wanted, runs)]
-        last = max(0, (len(found) - 1) // _PER_PAGE)
+        filters = {name: value for name in names if (value := request.value(name))}
+        matching = [question for question in self.questions if _fits(question, filters, runs)]
+        last = max(0, (len(matching) - 1) // _PER_PAGE)
         page = min(int(text) if (text := request.value("page")).isdecimal() and len(text) < 7 else 0, last)
-        options = {name: sorted({str(getattr(own, name)) for own in self.questions}) for name in _PUBLIC}
+        options = {name: sorted({str(getattr(question, name)) for question in self.questions}) for name in _PUBLIC}
         if self.comparison is not None:
             options["outcome"] = list(SCORE_OUTCOMES)
             options["cause"] = sorted({cause for run in self.runs.values() for cause in run.causes.values()})
@@ -119,30 +139,30 @@ class Viewer:
             runs=runs,
             apart={} if self.comparison is None else distinguishing_settings(self.comparison.runs),
             options=options,
-            wanted=wanted,
-            found=len(found),
-            questions=found[page * _PER_PAGE : (page + 1) * _PER_PAGE],
+            selected=filters,
+            matching=len(matching),
+            questions=matching[page * _PER_PAGE : (page + 1) * _PER_PAGE],
             page=page,
             last=last,
-            filters=[("run", run.name) for run in chosen] + list(wanted.items()),
+            parameters=[("run", run.name) for run in chosen] + list(filters.items()),
             kinds=SCORES,
         )
 
     def _question(self, request: Request) -> Response:
-        question = self._known(request.value("id"))
+        question = self._find_question(request.value("id"))
         having = [run for run in self.runs.values() if question.question_id in run.manifest.question_ids]
-        wanted = request.value("run")
-        chosen = next((run for run in having if run.name == wanted), having[0] if having and not wanted else None)
+        run_id = request.value("run")
+        chosen = next((run for run in having if run.name == run_id), having[0] if having and not run_id else None)
         transcript: Transcript | None = None
-        missing = "" if chosen or not wanted else f"run {wanted[:80]} does not have this question"
+        missing = "" if chosen or not run_id else f"run {run_id[:80]} does not have this question"
         if chosen is not None:
             read = Transcript if self.comparison is None else Trace
             try:
                 transcript = read(self.store, chosen.name, question.question_id)
             except (StoreError, InputError) as error:
                 missing = str(error)
-        place = self.questions.index(question)
-        near = [self.questions[at] if 0 <= at < len(self.questions) else None for at in (place - 1, place + 1)]
+        index = self.questions.index(question)
+        near = [self.questions[at] if 0 <= at < len(self.questions) else None for at in (index - 1, index + 1)]
         info = self.sequences[question.sequence]
         page = question_page(question, info, having, chosen, transcript, missing, near, self.pictured, address)
         return Response(page.encode("utf-8", "replace"))
@@ -154,7 +174,7 @@ class Viewer:
         first, second = (self.runs[name] for name in names)
         score = request.value("score") if request.value("score") in SCORES else "combined"
         both = set(first.manifest.question_ids) & set(second.manifest.question_ids)
-        shared = [own for own in self.questions if own.question_id in both]
+        shared = [question for question in self.questions if question.question_id in both]
         groups: dict[str, list[QuestionRow]] = {}
         if self.comparison is None:
             groups = {"different answers": [], "the same answer": []}
@@ -164,10 +184,10 @@ class Viewer:
         else:
             titles = {(1, 0): "only the first", (0, 1): "only the second", (1, 1): "both", (0, 0): "neither"}
             groups = {title: [] for title in titles.values()}
-            place = SCORES.index(score)
+            column = SCORES.index(score)
             for question in shared:
-                mine, yours = (run.scores[question.question_id][place] for run in (first, second))
-                groups[titles[mine, yours]].append(question)
+                first_score, second_score = (run.scores[question.question_id][column] for run in (first, second))
+                groups[titles[first_score, second_score]].append(question)
         return self._html(
             "view_compare.html", first=first, second=second, groups=groups, n=len(shared), kinds=SCORES, score=score
         )
@@ -177,7 +197,7 @@ class Viewer:
         return Response(report_page(self.comparison, links=address).encode("utf-8", "replace"))
 
     def _trace(self, request: Request) -> Response:
-        trace = Trace(self.store, request.value("run"), self._known(request.value("id")).question_id)
+        trace = Trace(self.store, request.value("run"), self._find_question(request.value("id")).question_id)
         return Response(trace_page(trace, self._observer).encode("utf-8", "replace"))
 
     def _panorama(self, request: Request) -> Response:
@@ -187,26 +207,42 @@ class Viewer:
         picture = self._observer.stored(request.value("sequence"), int(frame))
         return Response(picture.jpeg, "image/jpeg", lasting=True)
 
-    def _known(self, question_id: str) -> QuestionRow:
+    def _find_question(self, question_id: str) -> QuestionRow:
         if question_id not in self._by_id:
             raise InputError(f"no question {question_id[:40]!r}", field="question_id")
         return self._by_id[question_id]
 
     def answer_of(self, run: ViewedRun, question: QuestionRow) -> str:
-        """A run's answer in words, "" without one."""
+        """Return a run's answer to a question in words, or an empty text without an answer."""
         row = run.predictions.get(question.question_id)
         fps = self.sequences[question.sequence].fps
         return "" if row is None else readable(question.answer_mode, row["answer"], question.choices, fps)
 
 
 def address(page: str, /, *pairs: tuple[str, str], **values: str) -> str:
-    """The relative address of a page with a query."""
+    """Make the relative address of a page.
+
+    Args:
+        page: Name of the page; empty for the overview.
+        *pairs: Further parameters, which may repeat a name.
+        **values: Parameters of the query.
+
+    Returns:
+        The address.
+    """
     return f"{page or './'}?{urllib.parse.urlencode([*pairs, *values.items()], errors='replace')}"
 
 
 def public_runs(store: Store) -> list[ViewedRun]:
-    """The finished runs of a store's questions, without scores."""
-    found = []
+    """Read the finished runs of a store's questions, without scores.
+
+    Args:
+        store: The store.
+
+    Returns:
+        The runs.
+    """
+    runs = []
     for name in run_ids(store):
         try:
             manifest = read_run_manifest(store, name)
@@ -214,12 +250,19 @@ def public_runs(store: Store) -> list[ViewedRun]:
         except StoreError:
             continue
         if manifest.questions_sha256 == questions_hash(store):
-            found.append(ViewedRun(manifest, _by_question(predictions.to_pylist()), {}, {}))
-    return found
+            runs.append(ViewedRun(manifest, _by_question(predictions.to_pylist()), {}, {}))
+    return runs
 
 
 def scored_runs(comparison: Comparison) -> list[ViewedRun]:
-    """The runs of a comparison, in its order."""
+    """Return the runs of a comparison, in its order.
+
+    Args:
+        comparison: The comparison.
+
+    Returns:
+        The runs with their scores.
+    """
     causes, columns = comparison.causes(), [f"{name}_score" for name in SCORES]
     scores: dict[str, dict[str, list[int]]] = {}
     for row in comparison.scores.to_pylist():
@@ -239,11 +282,11 @@ def _by_question(rows: Iterable[StoredRow]) -> dict[str, StoredRow]:
     return {row["question_id"]: row for row in rows}
 
 
-def _fits(question: QuestionRow, wanted: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
-    """Whether a question is of the chosen family and so on, and one of the runs has the outcome and the cause."""
-    if any(getattr(question, name) != wanted[name] for name in _PUBLIC if name in wanted):
+def _fits(question: QuestionRow, filters: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
+    """Return whether a question matches the filters; a run must have both the outcome and the cause."""
+    if any(getattr(question, name) != filters[name] for name in _PUBLIC if name in filters):
         return False
-    private = {name: wanted[name] for name in _PRIVATE if name in wanted}
+    private = {name: filters[name] for name in _PRIVATE if name in filters}
     name = question.question_id
     return not private or any(
         private.items() <= {"outcome": run.outcome(name), "cause": run.causes.get(name, "")}.items() for run in runs

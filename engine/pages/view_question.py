@@ -1,16 +1,15 @@
-"""The page of a question in `view`: its frames with looks and boxes, what each run answered, beliefs, and steps."""
+"""The page of a question in `view`: frames with looks and boxes, answers of runs, beliefs, and steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from jrdb_avr.engine.pages.page import readable, render, unit_of
 from jrdb_avr.engine.pages.trace import ROLES, evidence_box
 from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, Written
 from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.queries.questions import QuestionRow
-from jrdb_avr.queries.runs import RunManifest
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.method import SequenceInfo
@@ -18,28 +17,27 @@ from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import parse_plan
 
 _LONGEST: Final = 4_000
-"""Characters of a text of a step; the page `trace` has more."""
+"""Maximum characters of a step's text; the page `trace` has more."""
 
 _MOST: Final = 3_000
-"""Beliefs, and steps, of a page: more than any run of the built-in methods has."""
-
-
-class Answered(Protocol):
-    """A run as this page needs it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def manifest(self) -> RunManifest: ...
+"""Maximum number of beliefs, and of steps; no built-in method writes as many."""
 
 
 class Belief(NamedTuple):
-    """A statement of the world model and its evidence: the frame, and the step of the look that shows it.
+    """A statement of the world model and its evidence.
 
-    `until`: the step at which it was replaced, None while it stands. `votes`: readings for and against it.
+    Attributes:
+        person: Name of the entity.
+        role: Colour of the entity.
+        text: The statement.
+        step: Step of the write.
+        until: Step of the write that replaced it; None if it still holds.
+        frame: Frame of the evidence.
+        look: Step of the look with the evidence.
+        votes: Number of readings for and against it.
     """
 
-    who: str
+    person: str
     role: int
     text: str
     step: int
@@ -60,10 +58,21 @@ def question_page(
     pictured: bool,
     address: Callable[..., str],
 ) -> str:
-    """Render the page of one question as HTML.
+    """Render the page of one question.
 
-    `runs`: the runs that have the question; `chosen`: the one shown, with its `transcript` (a `Trace` where scores may
-    be shown), or why there is none, `missing`; `near`: the questions before and after.
+    Args:
+        question: The question.
+        info: Its sequence.
+        runs: Runs that have the question.
+        chosen: The run to show.
+        transcript: Record of the chosen run; a `Trace` if scores may be shown.
+        missing: Reason for a missing transcript.
+        near: The previous and the next question.
+        pictured: Whether the store has pictures.
+        address: Makes addresses of pages.
+
+    Returns:
+        The HTML.
     """
     trace = transcript if isinstance(transcript, Trace) else None
     true = None if trace is None else trace.answer["answer"]
@@ -71,7 +80,7 @@ def question_page(
     mode, fps = question.answer_mode, info.fps
     given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in runs}
     right = read_answer(mode, true)
-    own = None if chosen is None else read_answer(mode, _answer(chosen, question))
+    predicted = None if chosen is None else read_answer(mode, _answer(chosen, question))
     return render(
         "view_question.html",
         question=question,
@@ -81,7 +90,7 @@ def question_page(
         given=given,
         right_text=readable(mode, true, question.choices, fps, unit),
         right_choice=right.choice if isinstance(right, Choice) else None,
-        own_choice=own.choice if isinstance(own, Choice) else None,
+        own_choice=predicted.choice if isinstance(predicted, Choice) else None,
         beliefs=[] if transcript is None else beliefs(transcript.writes)[:_MOST],
         refused=[] if transcript is None else transcript.refused[:_MOST],
         steps=[] if transcript is None else [_step(step, transcript) for step in transcript.steps[:_MOST]],
@@ -101,20 +110,30 @@ def _answer(run: Any, question: QuestionRow) -> str | None:
 
 
 def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
-    """What the script draws over the panoramas: boxes in stitched pixels and spans of columns, by frame."""
-    found: dict[str, Any] = {"sequence": info.sequence, "fps": info.fps, "frames": info.frames}
-    found |= {"width": WIDTH, "height": HEIGHT, "start": info.frames[0] if info.frames else 0}
+    """Return the input of the script that draws over panoramas.
+
+    Args:
+        info: The sequence.
+        transcript: Record of the shown run.
+
+    Returns:
+        Boxes in stitched pixels and columns of looks, by frame.
+    """
+    scene_data: dict[str, Any] = {"sequence": info.sequence, "fps": info.fps, "frames": info.frames}
+    scene_data |= {"width": WIDTH, "height": HEIGHT, "start": info.frames[0] if info.frames else 0}
     boxes: list[dict[str, Any]] = []
     looks: list[dict[str, Any]] = []
     if transcript is not None:
         looks = [{"frame": look.frame, "step": look.step, "spans": look.spans} for look in transcript.looks]
         boxes += _sightings(transcript.writes)
         if isinstance(transcript, Trace):
-            boxes += [_drawn(Box(*own), frame, "target", "target") for frame, own in sorted(transcript.target.items())]
+            boxes += [
+                _drawn(Box(*sides), frame, "target", "target") for frame, sides in sorted(transcript.target.items())
+            ]
         if (given := evidence_box(transcript)) is not None:
             boxes.append(_drawn(given[1], given[0], "given", "box of the run"))
-        found["start"] = given[0] if given is not None else looks[0]["frame"] if looks else found["start"]
-    return found | {"boxes": boxes, "looks": looks}
+        scene_data["start"] = given[0] if given is not None else looks[0]["frame"] if looks else scene_data["start"]
+    return scene_data | {"boxes": boxes, "looks": looks}
 
 
 def _drawn(box: Box, frame: int, kind: str, name: str) -> dict[str, Any]:
@@ -124,30 +143,39 @@ def _drawn(box: Box, frame: int, kind: str, name: str) -> dict[str, Any]:
 def _names(writes: Sequence[Written]) -> dict[str, tuple[str, int]]:
     """Name and colour of each entity by its key."""
     made = [write.fact.entity for write in writes if write.fact.entity is not None]
-    return {entity.id: (entity.name, number % ROLES) for number, entity in enumerate(made)}
+    return {entity.id: (entity.name, index % ROLES) for index, entity in enumerate(made)}
 
 
 def _sightings(writes: Sequence[Written]) -> list[dict[str, Any]]:
-    names, found = _names(writes), []
+    names, boxes = _names(writes), []
     for write in writes:
-        if (seen := write.fact.sighted) is not None and seen.source in names:
-            name, role = names[seen.source]
-            found.append(_drawn(seen.box, seen.frame, f"role{role}", name))
-    return found
+        if (sighting := write.fact.sighted) is not None and sighting.source in names:
+            name, role = names[sighting.source]
+            boxes.append(_drawn(sighting.box, sighting.frame, f"role{role}", name))
+    return boxes
 
 
 def beliefs(writes: Sequence[Written]) -> list[Belief]:
-    """What was written to the world model, in order, each with its evidence."""
+    """Return the statements of a world model.
+
+    Args:
+        writes: Writes to the world model, in order.
+
+    Returns:
+        The statements in the same order, each with its evidence.
+    """
     names = _names(writes)
     taken = {write.fact.observation.id: write.fact.observation for write in writes if write.fact.observation}
-    found = []
+    statements = []
     for write in writes:
         fact = write.fact
         until = None if write.until == ALWAYS else write.until
         rows: list[tuple[str, str, int | None, str, tuple[int, int]]] = []
-        if (seen := fact.sighted) is not None:
-            votes = (seen.votes, seen.against)
-            rows.append((seen.source, f"at {seen.angle:.0f}\N{DEGREE SIGN}", seen.frame, seen.target, votes))
+        if (sighting := fact.sighted) is not None:
+            votes = (sighting.votes, sighting.against)
+            rows.append(
+                (sighting.source, f"at {sighting.angle:.0f}\N{DEGREE SIGN}", sighting.frame, sighting.target, votes)
+            )
         if (has := fact.has) is not None:
             frame = has.first if has.first == has.last else None
             rows.append((has.source, f"{has.name}: {has.value}", frame, has.target, (has.votes, has.against)))
@@ -157,13 +185,15 @@ def beliefs(writes: Sequence[Written]) -> list[Belief]:
         for entity, text, frame, observation, votes in rows:
             look = taken.get(observation)
             at = frame if frame is not None or look is None else look.frame
-            who, role = names.get(entity, ("?", 0))
-            found.append(Belief(who, role, text, write.step, until, at, None if look is None else look.step, votes))
-    return found
+            person, role = names.get(entity, ("?", 0))
+            statements.append(
+                Belief(person, role, text, write.step, until, at, None if look is None else look.step, votes)
+            )
+    return statements
 
 
 def _step(step: StoredRow, transcript: Transcript) -> dict[str, Any]:
-    look = next((own for own in transcript.looks if own.step == step["step"]), None)
+    look = next((candidate for candidate in transcript.looks if candidate.step == step["step"]), None)
     return {**step, "look": look, **{name: _cut(step[name] or "") for name in ("request", "response")}}
 
 

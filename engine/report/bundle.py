@@ -1,11 +1,11 @@
-"""Bundles: a run's predictions in a folder of their own, to be scored where the answers are.
+"""Bundles: the predictions of a run as a folder, to be scored by a store that has the answers.
 
     DIR/run.json            the run's manifest: questions, method, model and settings
     DIR/predictions.jsonl   the predictions, as `prediction_lines` writes them
-    DIR/SHA256SUMS          the hashes of both, as `sha256sum -c` reads them
+    DIR/SHA256SUMS          the hashes of both, in the format of `sha256sum -c`
 
-A bundle comes from anybody: these three files are read, bounded, as JSON and text, and what does not fit its hash is
-refused. The hashes show that a bundle arrived whole, not who made it.
+Bundles are untrusted. These three files are read with size limits, as JSON and text. A file that does not match its
+hash is refused. The hashes prove that a bundle is complete, not who made it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DEEPEST_SETTINGS: Final = 32
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle that is whole: its run's manifest and the table of its predictions."""
+    """A complete bundle: its folder, the manifest of its run, and the table of its predictions."""
 
     folder: Path
     run: RunManifest
@@ -45,14 +45,24 @@ class Bundle:
 
     @property
     def question_set(self) -> str:
-        """16 hex digits that are equal where two runs answered the same questions of the same file."""
+        """16 hex digits that are equal for runs on the same questions of the same file."""
         return _sha256("\n".join([self.run.questions_sha256, *sorted(self.run.question_ids)]).encode())[:16]
 
 
 def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> Bundle:
-    """Write a finished run as a bundle into a new or empty folder. The address of the model's server stays out.
+    """Write a finished run as a bundle, without the address of the model's server.
 
-    Raises StoreError where the run is missing or unfinished, InputError where the folder holds something.
+    Args:
+        store: The run's store.
+        run_id: The run's id.
+        folder: A new or empty folder.
+
+    Returns:
+        The bundle as read back.
+
+    Raises:
+        StoreError: If the run is missing or unfinished.
+        InputError: If the folder is not empty.
     """
     store, folder = Store.of(store), Path(folder)
     manifest = _without_address(read_run_manifest(store, run_id))
@@ -69,14 +79,24 @@ def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> 
 
 
 def read_bundle(folder: str | Path) -> Bundle:
-    """Read a bundle. Raises InputError where a file is missing, altered, too large or of another form."""
+    """Read a bundle.
+
+    Args:
+        folder: The bundle's folder.
+
+    Returns:
+        The bundle.
+
+    Raises:
+        InputError: If a file is missing, altered, too large, or has another format.
+    """
     folder = Path(folder)
     data = {name: read_regular(folder / name, largest) for name, largest in _LARGEST.items()}
     sums = read_regular(folder / _SUMS, 1 << 12).splitlines()
-    for name, own in data.items():
-        if f"{_sha256(own)}  {name}".encode() not in sums:
+    for name, content in data.items():
+        if f"{_sha256(content)}  {name}".encode() not in sums:
             raise InputError(
-                f"{folder / name} is not what {_SUMS} says, it was altered: ask for the bundle again",
+                f"{folder / name} does not match its hash in {_SUMS}: ask for the bundle again",
                 file=str(folder / name),
             )
     run = _manifest(data[_MANIFEST], folder / _MANIFEST)
@@ -84,9 +104,20 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 
 def bundle_submission(store: Store, bundle: Bundle) -> Submission:
-    """A bundle as a run to be scored. Raises StoreError where it is of other questions than the store's."""
+    """Return a bundle as a run to be scored.
+
+    Args:
+        store: The store with the answers.
+        bundle: The bundle.
+
+    Returns:
+        The run's manifest and predictions.
+
+    Raises:
+        StoreError: If the bundle belongs to another questions file.
+    """
     if bundle.run.questions_sha256 != questions_hash(store):
-        raise StoreError(f"{bundle.folder} is of another questions file than this store's: score it in its own store")
+        raise StoreError(f"{bundle.folder} belongs to another questions file: score it in its own store")
     return Submission(bundle.run, bundle.predictions.select(SCORED.names).cast(SCORED))
 
 
@@ -105,13 +136,13 @@ def _manifest(data: bytes, path: Path) -> RunManifest:
     return run
 
 
-def _check_depth(value: object, most: int) -> None:
-    """Raises ValueError for settings that are nested deeper: whoever shows them goes down with them."""
-    if not most:
+def _check_depth(value: object, limit: int) -> None:
+    """Raise ValueError for settings nested deeper than `limit`, because pages render them recursively."""
+    if not limit:
         raise ValueError("its settings are nested too deeply")
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    for own in inner:
-        _check_depth(own, most - 1)
+    for item in inner:
+        _check_depth(item, limit - 1)
 
 
 def _without_address(manifest: RunManifest) -> RunManifest:

@@ -1,4 +1,4 @@
-"""Score and compare runs: the library functions `score` and `report`, and their results."""
+"""Scores and comparisons of runs: the library functions `score` and `report`, and their results."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_m
 
 @dataclass(frozen=True, repr=False)
 class Scores(Displayed):
-    """Scores of runs, in percent of their questions: `rows` holds one row per run."""
+    """Scores of runs in percent of their questions. `rows` has one row per run."""
 
     rows: list[Row]
 
@@ -55,7 +55,15 @@ class Scores(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Displayed):
-    """Scored runs side by side. `paper` adds the paper's figures to the tables that have some."""
+    """Scored runs side by side.
+
+    Attributes:
+        store: The store of the runs.
+        index: The store's questions.
+        runs: The runs, the best first.
+        iou: Minimum IoU for evidence to score.
+        paper: Whether tables include the paper's figures.
+    """
 
     store: Store
     index: QuestionIndex
@@ -65,25 +73,45 @@ class Comparison(Displayed):
 
     @property
     def scores(self) -> pa.Table:
-        """The rows of all runs, as `score` would write them."""
+        """Rows of all runs, as `score` would write them."""
         return pa.concat_tables(map(make_scores_table, self.runs))
 
     @property
     def synthetic(self) -> bool:
-        """Whether a run is of the simulated model or on the sample world, and so no result about JRDB."""
+        """Whether a run used the simulated model or the sample world, so that its scores do not describe JRDB."""
         return any(run.manifest.synthetic for run in self.runs)
 
     def table(self, name: str = "main") -> list[Row]:
-        """The rows of one table of `engine.report.tables.TABLES`. Raises InputError for another name."""
+        """Compute one table.
+
+        Args:
+            name: A name of `TABLES`.
+
+        Returns:
+            Its rows.
+
+        Raises:
+            InputError: If the name is unknown.
+        """
         return self.tables([name])[name]
 
     def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Row]]:
-        """The rows of several tables by name, quicker than one by one. Raises InputError for a name of none."""
+        """Compute several tables; tables that are SQL queries share one connection.
+
+        Args:
+            names: Names of `TABLES`.
+
+        Returns:
+            The rows of each table.
+
+        Raises:
+            InputError: If the name is unknown.
+        """
         for name in names:
             if name not in TABLES:
                 raise InputError(f"no table {name!r}; there are {', '.join(TABLES)}", field="table")
-        own = {name: self._computed(name) for name in names if name not in RESULTS}
-        return own | self._results([name for name in names if name in RESULTS])
+        computed = {name: self._computed(name) for name in names if name not in RESULTS}
+        return computed | self._results([name for name in names if name in RESULTS])
 
     def _computed(self, name: str) -> list[Row]:
         index, runs = self.index, self.runs
@@ -101,28 +129,48 @@ class Comparison(Displayed):
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
     def _results(self, names: Sequence[str]) -> dict[str, list[Row]]:
-        """The rows of queries of `queries/results/` over these runs, in their order."""
+        """Rows of the queries of `queries/results/` over these runs, in the order of the runs."""
         if not names:
             return {}
-        place = {run.manifest.run_id: place for place, run in enumerate(self.runs)}
+        order = {run.manifest.run_id: index for index, run in enumerate(self.runs)}
         with open_tables(self.store.path, {"scores": self.scores}) as select:
-            found = {name: select(named_queries("sql")[name].text).rename_columns({"run_id": "run"}) for name in names}
-        return {name: sorted(table.to_pylist(), key=lambda row: place[row["run"]]) for name, table in found.items()}
+            results = {
+                name: select(named_queries("sql")[name].text).rename_columns({"run_id": "run"}) for name in names
+            }
+        return {name: sorted(table.to_pylist(), key=lambda row: order[row["run"]]) for name, table in results.items()}
 
     def causes(self) -> dict[tuple[str, str], str]:
-        """Why each box that does not score fails, by run and question: what the table `evidence_failures` counts."""
-        # All of that query but the SELECT that counts.
+        """Find why each box that does not score fails; the table `evidence_failures` counts these causes.
+
+        Returns:
+            The cause by run id and question id.
+        """
+        # The query without its last SELECT, which counts.
         judged, _, _ = named_queries("sql")["evidence_failures"].text.rpartition("\nSELECT ")
         text = f"{judged}\nSELECT run_id, question_id, cause FROM judged JOIN causes USING (place)"
         rows = query_tables(self.store.path, text, tables={"scores": self.scores}).to_pylist()
         return {(row["run_id"], row["question_id"]): row["cause"] for row in rows}
 
     def markdown(self, name: str = "main") -> str:
-        """A table in Markdown, in the columns of a paper."""
+        """Return a table in Markdown, with the columns of a paper.
+
+        Args:
+            name: A name of `TABLES`.
+
+        Returns:
+            The lines of the table.
+        """
         return formats.markdown(formats.for_paper(name, self.table(name)))
 
     def latex(self, name: str = "main") -> str:
-        """A table in LaTeX for the package booktabs, in the columns of a paper."""
+        """Return a table in LaTeX for the package booktabs, with the columns of a paper.
+
+        Args:
+            name: A name of `TABLES`.
+
+        Returns:
+            A `tabular` environment.
+        """
         return formats.latex(formats.for_paper(name, self.table(name)))
 
     def _summary(self) -> str:
@@ -133,9 +181,18 @@ class Comparison(Displayed):
 
 
 def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5) -> Scores:
-    """Score runs (all without names) and write `runs/<run_id>/scores.parquet`; evidence counts from `iou` on.
+    """Score runs and write `runs/<run_id>/scores.parquet`.
 
-    Raises StoreError for a named run that cannot be scored; of all runs, such a one is left out with an AvrWarning.
+    Args:
+        store: The store, or its folder.
+        runs: Ids of runs; all runs if empty.
+        iou: Minimum IoU of evidence and the target's box for a score.
+
+    Returns:
+        Scores of each run, the best run first.
+
+    Raises:
+        StoreError: If a named run cannot be scored. If no run is named, such a run is left out with an AvrWarning.
     """
     store = Store.of(store)
     rows = []
@@ -146,9 +203,19 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
 
 
 def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 0.5, paper: bool = False) -> Comparison:
-    """Compare runs (all without names) in tables; scores are computed anew and nothing is written.
+    """Compare runs in tables. Scores are computed anew, and nothing is written.
 
-    Raises StoreError for a named run that cannot be scored; of all runs, such a one is left out with an AvrWarning.
+    Args:
+        store: The store, or its folder.
+        runs: Ids of runs; all runs if empty.
+        iou: Minimum IoU of evidence and the target's box for a score.
+        paper: Whether tables include the paper's figures.
+
+    Returns:
+        The comparison.
+
+    Raises:
+        StoreError: If a named run cannot be scored. If no run is named, such a run is left out with an AvrWarning.
     """
     store = Store.of(store)
     return Comparison(store, read_index(store), _scored(store, runs, iou), iou, paper)
@@ -156,7 +223,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
 
 @dataclass(frozen=True, repr=False)
 class RunDifference(Displayed):
-    """Two scored runs on the questions that both have; `rows` holds a row per score, as the table `pairs`."""
+    """Two scored runs on their common questions. `rows` has one row per score, as the table `pairs`."""
 
     index: QuestionIndex
     first: ScoredRun
@@ -165,56 +232,69 @@ class RunDifference(Displayed):
 
     @property
     def synthetic(self) -> bool:
-        """Whether a run is of the simulated model or on the sample world."""
+        """Whether a run used the simulated model or the sample world."""
         return self.first.manifest.synthetic or self.second.manifest.synthetic
 
     def scores(self) -> list[Row]:
-        """A row per score: those of either run on the common questions, in percent; their difference in points, how
-        many questions one alone scores, and p, as in `rows`."""
+        """Return both runs' scores on the common questions.
+
+        Returns:
+            A row per score: both shares in percent, their difference in points, the number of questions that only
+            one run scores, and p.
+        """
         _, first, second = self._common()
-        mine, yours = ((100 * own.mean(axis=0)).round(2).tolist() for own in (first, second))
+        first_means, second_means = ((100 * scores.mean(axis=0)).round(2).tolist() for scores in (first, second))
         return [
             {
                 "score": row["score"],
                 "n": row["n"],
-                "first": mine[place],
-                "second": yours[place],
+                "first": first_means[index],
+                "second": second_means[index],
                 **{name: value for name, value in row.items() if name.startswith("difference")},
                 "only first": row["only_first"],
                 "only second": row["only_second"],
                 "p": row["p"],
                 "interval": row["interval"],
             }
-            for place, row in enumerate(self.rows)
+            for index, row in enumerate(self.rows)
         ]
 
     def questions(self, score: str = "combined") -> list[Row]:
-        """The questions that one run scores and the other does not, those of the first run before: a row each, with
-        what either gets right. Raises InputError for an unknown score."""
+        """Return the questions that exactly one of the runs scores.
+
+        Args:
+            score: A name of `SCORES`.
+
+        Returns:
+            A row per question, those of the first run first, with what each run has right.
+
+        Raises:
+            InputError: If the name is unknown.
+        """
         if score not in SCORES:
             raise InputError(f"no score {score!r}{did_you_mean(score, SCORES)}", field="score")
         common, first, second = self._common()
-        place = SCORES.index(score)
+        column = SCORES.index(score)
         names = (self.first.manifest.run_id, self.second.manifest.run_id)
-        found = []
-        for number in np.flatnonzero(first[:, place] != second[:, place]).tolist():
-            row = int(common[number])
-            labels = {name: own.names[own.numbers[row]] for name, own in self.index.labels.items()}
-            found.append(
+        rows = []
+        for index in np.flatnonzero(first[:, column] != second[:, column]).tolist():
+            row = int(common[index])
+            labels = {name: entry.names[entry.numbers[row]] for name, entry in self.index.labels.items()}
+            rows.append(
                 {
                     "question_id": self.index.ids[row].as_py(),
-                    "only": names[int(second[number, place])],
+                    "only": names[int(second[index, column])],
                     "template": labels["template"],
                     "sequence": labels["sequence"],
-                    **{f"{who} right": _right(own[number]) for who, own in (("first", first), ("second", second))},
+                    **{f"{run} right": _right(entry[index]) for run, entry in (("first", first), ("second", second))},
                 }
             )
-        return sorted(found, key=lambda own: (names.index(own["only"]), own["template"], own["question_id"]))
+        return sorted(rows, key=lambda entry: (names.index(entry["only"]), entry["template"], entry["question_id"]))
 
     def _common(self) -> tuple[Ints, Digits, Digits]:
-        """The common questions' rows of the index, and the scores of either run there (questions, scores)."""
-        common, mine, yours = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
-        return common, self.first.scores[mine], self.second.scores[yours]
+        """Rows of the common questions in the index, and the scores of both runs (questions, scores)."""
+        common, first_rows, second_rows = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
+        return common, self.first.scores[first_rows], self.second.scores[second_rows]
 
     def _summary(self) -> str:
         n = self.rows[0]["n"]
@@ -225,14 +305,24 @@ class RunDifference(Displayed):
 
 
 def _right(scores: Digits) -> str:
-    right = [name for name, own in zip(("answer", "evidence"), scores.tolist(), strict=False) if own]
+    right = [name for name, score in zip(("answer", "evidence"), scores.tolist(), strict=False) if score]
     return "both" if len(right) == 2 else "".join(right) or "none"
 
 
 def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5) -> RunDifference:
-    """Compare two runs of a store question by question; nothing is written.
+    """Compare two runs of a store question by question. Nothing is written.
 
-    Raises StoreError for a run that is missing or cannot be scored, and for two without a common question.
+    Args:
+        store: The store, or its folder.
+        first: Id of the first run.
+        second: Id of the second run.
+        iou: Minimum IoU of evidence and the target's box for a score.
+
+    Returns:
+        The difference.
+
+    Raises:
+        StoreError: If a run cannot be scored, or both have no common question.
     """
     store = Store.of(store)
     index = read_index(store)
@@ -244,9 +334,9 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
 
 
 def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
-    """The runs with their scores, the best run first."""
-    known = run_ids(store)
-    if not known:
+    """Score runs; return them with the best run first."""
+    ids = run_ids(store)
+    if not ids:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
     store.warn_of_training()
 
@@ -255,9 +345,9 @@ def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
             raise error
         warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
 
-    # Scoring takes milliseconds, so scores of an earlier threshold or question file are never trusted.
-    # Tables that are queries would add up the rows of a run that is named twice.
-    runs = [*dict.fromkeys(names or known)]
+    # Stored scores may have another IoU threshold; scoring anew takes milliseconds.
+    # A run named twice would count twice in the tables that are SQL queries.
+    runs = [*dict.fromkeys(names or ids)]
     done = [run for _, run in score_runs(read_truth(store), runs, partial(read_submission, store), iou, refuse)]
     if not done:
         raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")

@@ -1,7 +1,7 @@
-"""Whether observing and the world model change scores in the directions of the paper's ablation.
+"""Directions of the paper's ablation: whether observing and the world model change scores as in the paper.
 
-The four cells are active observation by world model. A direction is that of one score from one cell to its neighbour:
-with the world model beside without, passive or active, and active beside passive, without or with a world model.
+The ablation has four cells, active observation by world model. A direction is the sign of the change of one score
+between two neighbouring cells: without and with the world model, or passive and active.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from jrdb_avr.engine.report.paper import ABLATION
+from jrdb_avr.engine.report.tables import CELLS
 
 _Row = Mapping[str, Any]
 _Cell = tuple[str, str]
@@ -21,26 +22,26 @@ _CHANGES: Final[Mapping[str, tuple[_Cell, _Cell]]] = {
     "active, no world model": (("off", "off"), ("on", "off")),
     "active, world model": (("off", "on"), ("on", "on")),
 }
-_METHODS: Final[Mapping[_Cell, str]] = {
-    ("off", "off"): "agent-passive-no-world",
-    ("off", "on"): "agent-passive",
-    ("on", "off"): "agent-no-world",
-    ("on", "on"): "agent",
-}
+_METHODS: Final = {(cell["active"], cell["world_model"]): method for method, cell in CELLS.items()}
 _SCORES: Final = ("answer", "evidence", "combined", "hallucination")
 
 
 def direction_lines(rows: Sequence[_Row]) -> list[str]:
-    """A line for each model, setting and policy of an ablation table that has all four cells.
+    """Summarise the directions of an ablation table.
 
-    The passive cells have no looks to choose: they belong to every policy.
+    Args:
+        rows: Rows of the table `ablation`.
+
+    Returns:
+        A line for each model, setting and policy that has all four cells. Passive cells have no looks to choose, and so
+        belong to every policy.
     """
-    own = [row for row in rows if row["label"] != "paper"]
+    measured = [row for row in rows if row["label"] != "paper"]
     lines = []
-    for model, setting, policy in sorted({(row["model"], row["setting"], row["policy"]) for row in own}):
+    for model, setting, policy in sorted({(row["model"], row["setting"], row["policy"]) for row in measured}):
         cells = {
             (row["active"], row["world_model"]): row
-            for row in own
+            for row in measured
             if (row["model"], row["setting"]) == (model, setting)
             and (row["policy"] == policy or row["active"] == "off")
         }
@@ -62,7 +63,7 @@ def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
 
 
 def _alike(cells: Mapping[_Cell, _Row], before: _Cell, after: _Cell, name: str) -> bool:
-    """Whether a score changes as in the paper; one that stays equal, or is undefined, does not."""
+    """Return whether a score changes as in the paper; an equal or undefined score does not."""
     first, second = cells[before][name], cells[after][name]
     paper = getattr(ABLATION[_METHODS[after]], name) - getattr(ABLATION[_METHODS[before]], name)
     return first is not None and second is not None and (second - first) * paper > 0

@@ -1,4 +1,4 @@
-"""Runs that answer the same questions several times: pass@k, and the answer of the majority."""
+"""Runs that answer the same questions several times: pass@k, and the majority's answer."""
 
 from __future__ import annotations
 
@@ -15,32 +15,37 @@ from jrdb_avr.schema.arrays import Ints
 
 
 def epoch_rows(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
-    """A row per number k of epochs of each run that has several, in percent of the n questions that all of them have.
+    """Compute pass@k and the majority of runs with several epochs.
 
-    `answer`, `evidence`, `combined`: pass@k, the share of questions that at least one of k epochs gets right, as the
-    mean over all choices of k epochs; of k = 1 it is the mean score. `majority`: the share that the answer given most
-    often by the first k epochs gets right, of answers given equally often the one given first.
+    Args:
+        runs: Scored runs; the epochs of a run have ids that end in their numbers.
+
+    Returns:
+        A row per run and k, in percent of the questions that all epochs have. `answer`, `evidence` and `combined` are
+        pass@k: the share of questions that at least one of k epochs gets right, averaged over all choices of k epochs.
+        `majority` is the share that the most frequent answer of the first k epochs gets right; of equally frequent
+        answers, the first counts.
     """
-    return [row for name, own in _groups(runs).items() if len(own) > 1 for row in _rows(name, own)]
+    return [row for name, epochs in _groups(runs).items() if len(epochs) > 1 for row in _rows(name, epochs)]
 
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """The epochs of each run, in their order, by what their ids have in common."""
-    found: dict[str, dict[int, ScoredRun]] = {}
+    """Group epochs by the common part of their ids, in the order of their numbers."""
+    groups: dict[str, dict[int, ScoredRun]] = {}
     for run in runs:
-        number, run_id = run.manifest.settings.get("epoch"), run.manifest.run_id
-        if type(number) is int and run_id.endswith(f"-{number}"):
-            found.setdefault(run_id.removesuffix(f"-{number}"), {})[number] = run
-    return {name: [own[number] for number in sorted(own)] for name, own in found.items()}
+        epoch, run_id = run.manifest.settings.get("epoch"), run.manifest.run_id
+        if type(epoch) is int and run_id.endswith(f"-{epoch}"):
+            groups.setdefault(run_id.removesuffix(f"-{epoch}"), {})[epoch] = run
+    return {name: [epochs[epoch] for epoch in sorted(epochs)] for name, epochs in groups.items()}
 
 
 def _rows(name: str, epochs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
     shared: Ints = reduce(np.intersect1d, [run.rows for run in epochs])
     n, total = len(shared), len(epochs)
-    places = [np.argsort(run.rows)[np.searchsorted(run.rows, shared, sorter=np.argsort(run.rows))] for run in epochs]
-    # Epoch, question, score.
-    scores = np.stack([run.scores[place] for run, place in zip(epochs, places, strict=True)])
-    answers = [[run.answers[row] for row in place] for run, place in zip(epochs, places, strict=True)]
+    indexes = [np.argsort(run.rows)[np.searchsorted(run.rows, shared, sorter=np.argsort(run.rows))] for run in epochs]
+    # Axes: epoch, question, score.
+    scores = np.stack([run.scores[index] for run, index in zip(epochs, indexes, strict=True)])
+    answers = [[run.answers[row] for row in index] for run, index in zip(epochs, indexes, strict=True)]
     right = scores.sum(axis=0)
     rows = []
     for k in range(1, total + 1):
@@ -55,7 +60,7 @@ def _rows(name: str, epochs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
                 "n": n,
                 "epochs": total,
                 "k": k,
-                **{score: percent_of(float(passes[place]), n) for place, score in enumerate(SCORES)},
+                **{score: percent_of(float(passes[index]), n) for index, score in enumerate(SCORES)},
                 "majority": percent_of(majority, n),
             }
         )
@@ -63,12 +68,12 @@ def _rows(name: str, epochs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
 
 
 def _pass(total: int, correct: int, k: int) -> float:
-    """The share of the choices of k out of `total` epochs that hold one of the `correct` ones."""
+    """Share of the choices of k out of `total` epochs that contain a correct one."""
     return 1 - math.comb(total - correct, k) / math.comb(total, k)
 
 
 def _majority(given: Sequence[str | None]) -> int:
-    """The first of the epochs that gave the answer given most often; the first epoch where none gave any."""
+    """Index of the first epoch with the most frequent answer; 0 if no epoch answered."""
     counts = Counter(answer for answer in given if answer is not None)
-    # Answers that are counted equally often come in the order of their first one.
+    # Counter keeps equally frequent answers in the order of their first occurrence.
     return given.index(counts.most_common(1)[0][0]) if counts else 0

@@ -1,4 +1,4 @@
-"""Rows as text: Markdown, LaTeX (booktabs), and cells as a person reads them."""
+"""Rows as text: cells for people, Markdown, and LaTeX (booktabs)."""
 
 from __future__ import annotations
 
@@ -15,19 +15,28 @@ Rows = Sequence[Mapping[str, Any]]
 _MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"})
 
 MARK: Final = "*"
-"""Behind the n of a run that has another number of questions than most."""
+"""Mark behind the n of a run that has another number of questions than most runs."""
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
-"""Score columns of the printed table `main`, in the order in which papers have them; the run's names come before."""
+"""Score columns of the printed table `main`, in the usual order of papers. The run's names precede them."""
 
 _SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
-"""A cell of a column of numbers."""
+"""Pattern of a cell in a column of numbers."""
 
 _LEAST_P: Final = 0.0001
 
 
 def cell(value: object, column: str = "", decimals: int = 2) -> str:
-    """A value of a column as a person reads it: n/a for an unknown value; a p has four decimals."""
+    """Return a value as a person reads it.
+
+    Args:
+        value: The value; None becomes n/a.
+        column: The name of its column; the column `p` has four decimals.
+        decimals: Number of decimals of other floats.
+
+    Returns:
+        The text.
+    """
     if value is None:
         return "n/a"
     if column == "p" and isinstance(value, float):
@@ -36,18 +45,22 @@ def cell(value: object, column: str = "", decimals: int = 2) -> str:
 
 
 def with_intervals(rows: Rows) -> list[dict[str, str]]:
-    """Format rows with a share and its interval in one column, `12.50 [8.10, 17.20]`.
+    """Put each share and its interval into one cell, such as `12.50 [8.10, 17.20]`.
 
-    Rows of too few sequences have no intervals, and a column `interval` says so. In tables of runs, `n` has a mark
-    where it is another one than that of most runs.
+    Args:
+        rows: Rows with columns `NAME`, `NAME_low` and `NAME_high`.
+
+    Returns:
+        The rows as texts. Rows of too few sequences have no intervals, and a column `interval` says so. In tables of
+        runs, an `n` that differs from most runs has a mark.
     """
     rows = without_rough(rows)
     few = any(row.get("interval") == TOO_FEW for row in rows)
-    other = other_counts(rows)
+    marked = other_counts(rows)
     return [
         {
             name: cell(value, name)
-            + (MARK if name == "n" and value in other else "")
+            + (MARK if name == "n" and value in marked else "")
             + _bounds(row.get(f"{name}_low"), row.get(f"{name}_high"))
             for name, value in row.items()
             if not name.endswith(("_low", "_high")) and (few or name != "interval")
@@ -57,33 +70,52 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
 
 
 def other_counts(rows: Rows) -> set[int]:
-    """The `n` of runs that are not that of most of them; none in tables that have several rows of a run."""
+    """Return the values of `n` that differ from most runs.
+
+    Args:
+        rows: Rows of a table.
+
+    Returns:
+        The values; empty if the table has several rows per run.
+    """
     runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
     return set(runs) - set(sorted(runs, key=lambda n: (-runs.count(n), -n))[:1])
 
 
 def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
-    """The rows of a report's table as a paper prints them, with their intervals.
+    """Return the rows of a report's table as a paper prints them, with intervals.
 
-    Those of `main` lack macro averages; the runs of a model stand together, the best model first.
+    Args:
+        name: The table's name.
+        rows: Its rows.
+
+    Returns:
+        The rows. Those of `main` lack macro averages, and are grouped by model, the best model first.
     """
-    found: list[dict[str, Any]] = with_intervals(rows)
+    printed: list[dict[str, Any]] = with_intervals(rows)
     if name != "main":
-        return found
-    models = [row["model"] for row in found]
-    found = sorted(found, key=lambda row: models.index(row["model"]))
-    names = [(row["model"], row["method"], row.get("setting", "")) for row in found]
-    settings = ["setting"] if any(row.get("setting") for row in found) else []
-    # Rows that are alike in all of these are distinguished by the ids of their runs.
+        return printed
+    models = [row["model"] for row in printed]
+    printed = sorted(printed, key=lambda row: models.index(row["model"]))
+    names = [(row["model"], row["method"], row.get("setting", "")) for row in printed]
+    settings = ["setting"] if any(row.get("setting") for row in printed) else []
+    # Run ids distinguish rows that are equal in these columns.
     ids = ["run"] if len(set(names)) < len(names) else []
-    few = ["interval"] if any("interval" in row for row in found) else []
+    few = ["interval"] if any("interval" in row for row in printed) else []
     columns = ["model", "method", *settings, *ids, *_PRINTED, *few]
     texts = ("setting", "interval")
-    return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in found]
+    return [{key: row.get(key, "" if key in texts else None) for key in columns} for row in printed]
 
 
 def without_rough(rows: Rows) -> list[dict[str, Any]]:
-    """The rows, without the bounds of intervals in those of too few sequences."""
+    """Remove the bounds of intervals in rows of too few sequences.
+
+    Args:
+        rows: Rows with a column `interval`.
+
+    Returns:
+        The rows; removed bounds are None.
+    """
     return [
         {
             name: None if name.endswith(("_low", "_high")) and row.get("interval") == TOO_FEW else value
@@ -94,7 +126,7 @@ def without_rough(rows: Rows) -> list[dict[str, Any]]:
 
 
 def _of_runs(rows: Rows) -> bool:
-    """Whether each run has one row at most."""
+    """Return whether each run has at most one row."""
     names = [row["run"] for row in rows if row.get("run")]
     return len(set(names)) == len(names)
 
@@ -131,7 +163,7 @@ def latex(rows: Rows) -> str:
     from tabulate import LATEX_ESCAPE_RULES, SEPARATING_LINE
 
     notes = list(dict.fromkeys(row["setting"] for row in rows if row.get("setting")))
-    numbers = {note: str(number) for number, note in enumerate(notes, 1)}
+    numbers = {note: str(note_number) for note_number, note in enumerate(notes, 1)}
     rows = [{**row, "setting": numbers.get(row.get("setting", ""), "")} for row in rows] if notes else rows
     cells: list[Any] = _lines_of(rows)
     if len({line[0] for line in cells}) < len(cells):
@@ -142,7 +174,7 @@ def latex(rows: Rows) -> str:
     # LaTeX takes a bracket at the start of a row for an argument of the row before it.
     text = re.sub(r"^( *)\[", r"\1{[}", text, flags=re.MULTILINE)
     escapes = str.maketrans(LATEX_ESCAPE_RULES)
-    explained = (f"{number}: {_in_one_line(note).translate(escapes)}" for note, number in numbers.items())
+    explained = (f"{note_number}: {_in_one_line(note).translate(escapes)}" for note, note_number in numbers.items())
     return text + "".join(rf"\par{{\footnotesize {line}}}" + "\n" for line in explained)
 
 
@@ -169,6 +201,13 @@ def _is_number(rows: Rows, name: str) -> bool:
 
 
 def filled(rows: Rows) -> list[dict[str, Any]]:
-    """Rows that all have every column; a missing value is empty."""
+    """Give all rows all columns.
+
+    Args:
+        rows: The rows.
+
+    Returns:
+        The rows; missing values are empty.
+    """
     columns = list_columns(rows)
     return [{name: row.get(name, "") for name in columns} for row in rows]

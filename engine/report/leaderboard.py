@@ -1,4 +1,4 @@
-"""The leaderboard: bundles scored by one store's answers, ranked among those that answered the same questions."""
+"""The leaderboard: bundles scored by one store's answers, ranked among bundles with the same questions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 
 @dataclass(frozen=True)
 class Entry:
-    """A bundle in its place: its rank among those of its question set, its row of the main table, its settings."""
+    """A ranked bundle: its rank in its question set, its row of the main table, and its settings."""
 
     rank: int
     question_set: str
@@ -33,9 +33,9 @@ class Entry:
     row: Row
 
     def flat(self) -> dict[str, Any]:
-        """The entry as one row of plain values."""
-        place = {"rank": self.rank, "questions": self.question_set, "bundle": self.bundle.folder.name}
-        return place | {name: value for name, value in self.row.items() if "_macro_" not in name}
+        """Return the entry as one row of plain values, without macro averages."""
+        head = {"rank": self.rank, "questions": self.question_set, "bundle": self.bundle.folder.name}
+        return head | {name: value for name, value in self.row.items() if "_macro_" not in name}
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +52,7 @@ class Leaderboard(Displayed):
 
     @property
     def synthetic(self) -> bool:
-        """Whether a bundle is of the simulated model or the sample world, and so no result about JRDB."""
+        """Whether a bundle used the simulated model or the sample world, so that its scores do not describe JRDB."""
         return any(entry.bundle.run.synthetic for entries in self.sets for entry in entries)
 
     def _summary(self) -> str:
@@ -63,10 +63,18 @@ class Leaderboard(Displayed):
 
 
 def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Leaderboard:
-    """Score bundles and rank them. One that cannot be used is left out with an AvrWarning.
+    """Score bundles and rank them by their combined score; equal scores share a rank.
 
-    Bundles that answered other questions of the store are ranked apart, the largest set first; equal scores share a
-    rank. Raises StoreError where no bundle is left.
+    Args:
+        store: The store with the answers, or its folder.
+        folders: Folders of bundles. A bundle that cannot be used is left out with an AvrWarning.
+        iou: Minimum IoU of evidence and the target's box for a score.
+
+    Returns:
+        The leaderboard. Bundles with other questions of the store are ranked separately, the largest set first.
+
+    Raises:
+        StoreError: If no bundle can be scored.
     """
     sets: dict[str, list[tuple[Bundle, ScoredRun]]] = {}
     for bundle, run in _scored(Store.of(store), folders, iou, strict=False):
@@ -75,9 +83,9 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
         raise StoreError("none of the bundles can be scored: see the lines above")
     index = read_index(Store.of(store))
     ranked = []
-    for name, found in sets.items():
-        rows = main_rows(index, [run for _, run in found], iou)
-        pairs = sorted(zip((bundle for bundle, _ in found), rows, strict=True), key=_order)
+    for name, scored in sets.items():
+        rows = main_rows(index, [run for _, run in scored], iou)
+        pairs = sorted(zip((bundle for bundle, _ in scored), rows, strict=True), key=_order)
         scores = [row["combined"] for _, row in pairs]
         ranked.append(
             [
@@ -90,9 +98,19 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
 
 
 def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Scores:
-    """Score bundles by a store's answers; nothing is written.
+    """Score bundles by a store's answers. Nothing is written.
 
-    Raises InputError for a bundle that is altered or broken, StoreError for one of other questions than the store's.
+    Args:
+        store: The store with the answers, or its folder.
+        folders: Folders of bundles.
+        iou: Minimum IoU of evidence and the target's box for a score.
+
+    Returns:
+        The scores of each bundle.
+
+    Raises:
+        InputError: If a bundle is altered or broken.
+        StoreError: If a bundle belongs to another questions file.
     """
     return Scores(
         [
@@ -114,12 +132,12 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
             raise error
         warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
 
-    found = []
-    for number, (folder, run) in enumerate(score_runs(read_truth(store), folders, opened, iou, refuse)):
-        # Two bundles may have one run id; here each has a number of its own.
-        run.manifest = msgspec.structs.replace(run.manifest, run_id=str(number))
-        found.append((bundles[folder], run))
-    return found
+    scored = []
+    for index, (folder, run) in enumerate(score_runs(read_truth(store), folders, opened, iou, refuse)):
+        # Two bundles may have the same run id, so each gets a unique number.
+        run.manifest = msgspec.structs.replace(run.manifest, run_id=str(index))
+        scored.append((bundles[folder], run))
+    return scored
 
 
 def _order(pair: tuple[Bundle, Row]) -> tuple[float, float, str, str]:

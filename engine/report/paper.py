@@ -1,7 +1,7 @@
-"""The figures that the paper (JRDB-AVR) reports, as reference rows with the label "paper".
+"""Figures that the paper (JRDB-AVR) reports, as reference rows with the label "paper".
 
-They are about its own 2,098 questions over JRDB, not about those of a store. Its breakdown has five groups: chain holds
-this project's 2-hop, 3-hop and fork-join families, hybrid its chain hybrid.
+They are about the paper's own 2,098 questions over JRDB, not about the questions of a store. The paper's breakdown has
+five groups: chain contains this project's 2-hop, 3-hop and fork-join families, hybrid its chain hybrid.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 
 class Group(NamedTuple):
-    """A group of the paper: its families, its questions, and on how many the answer, the evidence, and both score."""
+    """A group of the paper: families, number of questions, and numbers of right answers, evidence, and both."""
 
     families: tuple[str, ...]
     n: int
@@ -42,17 +42,12 @@ class Published(NamedTuple):
     hallucination: float
 
 
-def _published() -> list[Published]:
-    text = files(__package__).joinpath("paper.csv").read_text("utf-8")
-    return [
-        Published(method, model, *map(float, figures)) for method, model, *figures in csv.reader(text.splitlines()[1:])
-    ]
+_LINES: Final = files(__package__).joinpath("paper.csv").read_text("utf-8").splitlines()[1:]
 
-
-_ROWS: Final = _published()
+_ROWS: Final = [Published(method, model, *map(float, figures)) for method, model, *figures in csv.reader(_LINES)]
 
 MAIN: Final = [row for row in _ROWS if row.method == "agent" or not row.method.startswith("agent")]
 """The paper's main table."""
 
 ABLATION: Final = {row.method: row for row in _ROWS if row.method.startswith("agent")}
-"""The paper's ablation, active observation (off: passive) by world model (off: no world), by method of this project."""
+"""The paper's ablation by method of this project: active observation (off: passive) by world model (off: no world)."""

@@ -1,4 +1,4 @@
-"""How far people agree who answered the same questions."""
+"""Agreement between people who answered the same questions."""
 
 from __future__ import annotations
 
@@ -13,32 +13,39 @@ from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.schema.answer_modes import same_answer
 
 HUMAN: Final = "human"
-"""The method of a run that `play` made; who played, its model says."""
+"""Method of a run that `play` made. The run's model names the person."""
 
 
 def agreement_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
-    """A row per pair of people, in percent of the n questions that both have.
+    """Compare the runs of people in pairs.
 
-    `same_answer`: both gave an answer and each would score were the other's the true one, under the tolerances of the
-    answer mode. `answer`, `evidence`, `combined`: both are right, or both wrong.
+    Args:
+        index: The store's questions.
+        runs: Scored runs; runs of other methods are ignored.
+
+    Returns:
+        A row per pair, in percent of the n common questions. `same_answer`: each answer would score if the other were
+        the true one. `answer`, `evidence`, `combined`: both runs are right, or both are wrong.
     """
     people = sorted((run for run in runs if run.manifest.method == HUMAN), key=lambda run: run.manifest.run_id)
     rows = []
     for first, second in combinations(people, 2):
-        shared, mine, yours = np.intersect1d(first.rows, second.rows, assume_unique=True, return_indices=True)
+        shared, first_rows, second_rows = np.intersect1d(
+            first.rows, second.rows, assume_unique=True, return_indices=True
+        )
         modes = index.labels["answer_mode"]
         same = sum(
-            _same(modes.names[modes.numbers[row]], first.answers[own], second.answers[other])
-            for row, own, other in zip(shared, mine, yours, strict=True)
+            _same(modes.names[modes.numbers[row]], first.answers[index_a], second.answers[index_b])
+            for row, index_a, index_b in zip(shared, first_rows, second_rows, strict=True)
         )
-        alike = (first.scores[mine] == second.scores[yours]).sum(axis=0)
+        alike = (first.scores[first_rows] == second.scores[second_rows]).sum(axis=0)
         if n := len(shared):
             ids: dict[str, Any] = {"first": first.manifest.run_id, "second": second.manifest.run_id}
-            shares = {name: percent_of(float(own), n) for name, own in zip(SCORES, alike, strict=True)}
+            shares = {name: percent_of(float(index_a), n) for name, index_a in zip(SCORES, alike, strict=True)}
             rows.append(ids | {"n": n, "same_answer": percent_of(same, n)} | shares)
     return rows
 
 
-def _same(mode: str, mine: str | None, yours: str | None) -> bool:
-    first, second = read_answer(mode, mine), read_answer(mode, yours)
+def _same(mode: str, first_text: str | None, second_text: str | None) -> bool:
+    first, second = read_answer(mode, first_text), read_answer(mode, second_text)
     return first is not None and second is not None and same_answer(first, second) and same_answer(second, first)

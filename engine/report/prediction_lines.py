@@ -1,12 +1,12 @@
-"""Predictions as lines of JSON: the form in which they leave a store and come into one.
+"""Predictions as lines of JSON, the format in which they leave and enter a store.
 
-One object per line; only `question_id` is required. A line without `answer` and `evidence` is a question that was asked
-and not answered.
+Each line is one object, and only `question_id` is required. A line without `answer` and `evidence` states that the
+question was asked and not answered.
 
     {"question_id": "0098303b6414dec4", "answer": {"choice": 2}, "evidence": {"frame": 150, "box": [10, 20, 60, 180]}}
 
-`answer` is a payload of `schema/answers.py`, `box` x, y, w, h in stitched pixels; the other keys are columns of the
-table `predictions`. Lines come from anybody, so that their number, size and every value are bounded.
+`answer` is a payload of `schema/answers.py`. `box` is x, y, w, h in stitched pixels. The other keys are columns of the
+table `predictions`. Lines are untrusted: their number, their size and each value have limits.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jrdb_avr.schema.method import Status, Verdict
 from jrdb_avr.schema.tables import RUNS
 
 LARGEST_FILE: Final = 1 << 28
-"""Bytes of predictions that are read: a thousand times those of 2,098 short replies."""
+"""Maximum bytes of a file of predictions: a thousand times the size of 2,098 short replies."""
 
 LARGEST_LINE: Final = 1 << 20
 
@@ -37,7 +37,7 @@ _Id = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class PredictionLine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A prediction of one question; the keys after `evidence` say how it came about."""
+    """A prediction of one question. The keys after `evidence` describe the call."""
 
     question_id: _Id
     status: Status = "answered"
@@ -59,41 +59,62 @@ _SAME: Final = tuple(name for name in PredictionLine.__struct_fields__ if name n
 
 
 def write_lines(predictions: pa.Table) -> Iterator[bytes]:
-    """The rows of a table `predictions` as lines that end in a newline. Raises StoreError for a row that is no line's.
+    """Write predictions as lines, without the run's id, which the reader chooses.
 
-    The run's id is left out: whoever reads the lines names the run.
+    Args:
+        predictions: Rows of the table `predictions`.
+
+    Yields:
+        One line per row, with its end.
+
+    Raises:
+        StoreError: If a row has a value that a line cannot hold.
     """
     for row in predictions.to_pylist():
         frame, box = row["evidence_frame"], [row[f"evidence_{side}"] for side in _BOX]
         evidence = None if frame is None else {"frame": frame, "box": box}
         try:
             answer = None if row["answer"] is None else msgspec.json.decode(row["answer"])
-            own = {name: row[name] for name in _SAME} | {"answer": answer, "evidence": evidence}
-            yield msgspec.json.encode(msgspec.convert(own, PredictionLine)) + b"\n"
+            fields = {name: row[name] for name in _SAME} | {"answer": answer, "evidence": evidence}
+            yield msgspec.json.encode(msgspec.convert(fields, PredictionLine)) + b"\n"
         except msgspec.MsgspecError as error:
             question = row["question_id"]
             raise StoreError(f"the prediction of question {question} cannot be written as JSON: {error}") from None
 
 
 def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
-    """Lines as the table `predictions` of a run. Raises InputError naming file and line."""
+    """Read lines as the table `predictions` of a run.
+
+    Args:
+        data: The lines.
+        run_id: The run's id.
+        file: The file, for messages.
+
+    Returns:
+        The table, in the order of the lines.
+
+    Raises:
+        InputError: If a line cannot be read or repeats a question; it names file and line.
+    """
     rows = []
-    seen: set[str] = set()
-    for number, line in enumerate(data.split(b"\n"), 1):
+    ids: set[str] = set()
+    for line_number, line in enumerate(data.split(b"\n"), 1):
         if not line.strip():
             continue
         try:
             if len(line) > LARGEST_LINE:
                 raise ValueError(f"it is longer than {LARGEST_LINE} bytes")
-            found = _LINE.decode(line)
-            if found.question_id in seen:
-                raise ValueError(f"question {found.question_id!a} comes twice")
-            seen.add(found.question_id)
-            rows.append(_row(found, run_id))
+            record = _LINE.decode(line)
+            if record.question_id in ids:
+                raise ValueError(f"question {record.question_id!a} comes twice")
+            ids.add(record.question_id)
+            rows.append(_row(record, run_id))
         except (ValueError, RecursionError) as error:
-            # An unknown key stands in the message as it was written.
-            words = " ".join(str(error).split())
-            raise InputError(f"{file}, line {number}: {words}", file=str(file), field=f"line {number}") from None
+            # The message may quote an unknown key that has line breaks.
+            message = " ".join(str(error).split())
+            raise InputError(
+                f"{file}, line {line_number}: {message}", file=str(file), field=f"line {line_number}"
+            ) from None
     return pa.Table.from_pylist(rows, RUNS["predictions"])
 
 
@@ -108,12 +129,23 @@ def _row(line: PredictionLine, run_id: str) -> dict[str, Any]:
 
 
 def read_regular(path: Path, largest: int) -> bytes:
-    """The bytes of a file that is no link, pipe or folder. Raises InputError otherwise, or where it is too large."""
+    """Read a regular file; links, pipes and folders are refused.
+
+    Args:
+        path: The file.
+        largest: Maximum size in bytes.
+
+    Returns:
+        The file's bytes.
+
+    Raises:
+        InputError: If the file has another kind, is missing, or is larger.
+    """
     try:
-        # Opening a pipe would wait for whoever writes into it.
+        # A blocking open of a pipe waits for a writer.
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise InputError(f"{path} is no plain file", file=str(path))
+                raise InputError(f"{path} is not a regular file", file=str(path))
             data = file.read(largest + 1)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}", file=str(path)) from None

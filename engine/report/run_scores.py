@@ -78,7 +78,7 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     Args:
         truth: The truth of all questions of the store, in the order of `sort_by_sequence`.
         submission: The run.
-        iou: Minimum IoU at which evidence scores, in (0, 1].
+        iou: Minimum IoU for evidence to score, in (0, 1].
 
     Returns:
         The run with its scores, in the order of the truth.
@@ -116,7 +116,7 @@ def score_runs(
         truth: The truth of all questions of the store.
         sources: Names or folders of runs.
         read: Reads the run of a source.
-        iou: Minimum IoU at which evidence scores, in (0, 1].
+        iou: Minimum IoU for evidence to score, in (0, 1].
         refuse: Receives the error of a run that cannot be scored, and may raise it.
 
     Returns:
@@ -137,7 +137,7 @@ def write_scores(store: Store, run: ScoredRun, iou: float) -> None:
     Args:
         store: The run's store.
         run: The scored run.
-        iou: Minimum IoU at which evidence scored.
+        iou: Minimum IoU for evidence to score.
     """
     path = store.run_path(run.manifest.run_id) / "scores.parquet"
     write_table(path, make_scores_table(run), RUNS["scores"], {"evidence_iou": f"{iou:g}"})
@@ -145,7 +145,7 @@ def write_scores(store: Store, run: ScoredRun, iou: float) -> None:
 
 def make_scores_table(run: ScoredRun) -> pa.Table:
     """Return the table `scores` of a run, one row per question (n)."""
-    columns = {f"{name}_score": run.scores[:, place] for place, name in enumerate(SCORES)}
+    columns = {f"{name}_score": run.scores[:, column] for column, name in enumerate(SCORES)}
     ids = run.ids.take(pa.array(run.rows))
     run_ids = pa.repeat(pa.scalar(run.manifest.run_id), len(ids))
     return pa.table(

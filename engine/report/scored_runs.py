@@ -1,4 +1,4 @@
-"""Runs joined with their scores, question by question, and the metadata of the questions: the input of all reports."""
+"""Scored runs question by question, and labels of the questions: the input of all reports."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
 _SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
-"""Ways to group questions; the last three but one in bins."""
+"""Ways to group questions; `time_gap_s` and `separation_deg` are grouped into bins."""
 
 _TEXTS: Final = ("family", "template", "answer_mode", "sequence")
 """Dimensions that are columns of `questions`."""
@@ -35,7 +35,7 @@ _GROUP_OF: Final = {family: group for group, own in GROUPS.items() for family in
 
 
 class Labels(NamedTuple):
-    """A text per question: `names`, each once and in the order of a table, and the number of each question's name."""
+    """A text per question: each distinct text once, in the order of a table, and the index of each question's text."""
 
     names: tuple[str, ...]
     numbers: Ints
@@ -46,15 +46,17 @@ class QuestionIndex:
 
     def __init__(self, questions: pa.Table, answers: pa.Table) -> None:
         self.ids = questions["question_id"].combine_chunks()
-        known = answers.take(pc.index_in(self.ids, value_set=answers["question_id"].combine_chunks()))
+        matching = answers.take(pc.index_in(self.ids, value_set=answers["question_id"].combine_chunks()))
         self.labels = {name: _labels(questions[name]) for name in _TEXTS}
         family, template = self.labels["family"], self.labels["template"]
         self.labels["group"] = _renamed(family, [_GROUP_OF[name] for name in family.names])
         self.labels["hops"] = _renamed(template, [str(forms_of(name)[0].hops) for name in template.names])
         for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
             bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
-            places = np.searchsorted(edges, known[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right")
-            self.labels[name] = _renamed(Labels(tuple(bins), places), bins)
+            numbers = np.searchsorted(
+                edges, matching[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right"
+            )
+            self.labels[name] = _renamed(Labels(tuple(bins), numbers), bins)
 
 
 @dataclass(eq=False)
@@ -86,14 +88,32 @@ class ScoredRun:
 
 
 def read_index(store: Store) -> QuestionIndex:
-    """The index of a store's questions, in their order. Raises StoreError where there are none."""
+    """Read the index of a store's questions.
+
+    Args:
+        store: The store.
+
+    Returns:
+        The questions in the order of `in_order`.
+
+    Raises:
+        StoreError: If the store has no questions.
+    """
     questions = store.questions("questions", ["question_id", *_TEXTS])
     answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg"])
     return QuestionIndex(sort_by_sequence(questions), answers)
 
 
 def percent_of(part: float, n: float) -> float | None:
-    """A part of n in percent with two decimals; None where n is 0."""
+    """Return a part of n in percent with two decimals.
+
+    Args:
+        part: The part.
+        n: The whole.
+
+    Returns:
+        The percentage, or None if n is 0.
+    """
     return round(100 * part / n, 2) if n else None
 
 
@@ -104,15 +124,15 @@ def _labels(texts: pa.ChunkedArray) -> Labels:
 
 
 def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
-    """Labels with new names, one for each old name; names that no question has are left out."""
-    used = {names[number] for number in np.unique(labels.numbers).tolist()}
+    """Labels with a new name for each old name. Names without a question are removed."""
+    used = {names[index] for index in np.unique(labels.numbers).tolist()}
     order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
-    number = {name: number for number, name in enumerate(order)}
-    return Labels(order, np.array([number.get(name, -1) for name in names], np.int64)[labels.numbers])
+    indexes = {name: index for index, name in enumerate(order)}
+    return Labels(order, np.array([indexes.get(name, -1) for name in names], np.int64)[labels.numbers])
 
 
 def _first_number(value: str) -> float:
-    """Sort key of numbers and bins; names come first."""
+    """Sort key of numbers and bins; other names come first."""
     try:
         return float(value.lstrip("[").partition(",")[0])
     except ValueError:
@@ -125,30 +145,38 @@ Path = tuple[str, ...]
 
 
 def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
-    """Summarise, per run, the settings in which it differs from others of its method and model; "" without any.
+    """Summarise the settings that distinguish runs of the same method and model.
 
-    Settings of one part follow its name (`marker: seed 3, wrong_box 0.1`). The server's address is left out, which
-    differs whenever a server is restarted, and what its checks found.
+    The server's address changes whenever a server restarts, and the results of its checks do too; both are left out.
+
+    Args:
+        runs: Scored runs.
+
+    Returns:
+        A text per run id, empty if no setting differs. Settings of one part follow its name
+        (`marker: seed 3, wrong_box 0.1`).
     """
     leaves = [(run.manifest, dict(_leaves((), run.manifest.settings))) for run in runs]
     alike: dict[tuple[str, str], list[dict[Path, str]]] = {}
-    for manifest, own in leaves:
-        alike.setdefault((manifest.method, manifest.model), []).append(own)
-    return {manifest.run_id: _in_words(own, alike[manifest.method, manifest.model]) for manifest, own in leaves}
+    for manifest, settings in leaves:
+        alike.setdefault((manifest.method, manifest.model), []).append(settings)
+    return {
+        manifest.run_id: _in_words(settings, alike[manifest.method, manifest.model]) for manifest, settings in leaves
+    }
 
 
-def _in_words(own: dict[Path, str], others: Sequence[dict[Path, str]]) -> str:
+def _in_words(leaves: dict[Path, str], others: Sequence[dict[Path, str]]) -> str:
     parts: dict[Path, list[str]] = {}
-    for path, value in sorted(own.items()):
-        if path not in _NO_SETTINGS and any(other.get(path) != value for other in others):
+    for path, value in sorted(leaves.items()):
+        if path not in _NO_SETTINGS and any(alternative.get(path) != value for alternative in others):
             parts.setdefault(path[:-1], []).append(f"{path[-1]} {value}")
     return "; ".join(
-        f"{' '.join(above)}: {', '.join(own)}" if above else ", ".join(own) for above, own in parts.items()
+        f"{' '.join(above)}: {', '.join(texts)}" if above else ", ".join(texts) for above, texts in parts.items()
     )
 
 
 def _leaves(path: Path, settings: Any) -> Iterator[tuple[Path, str]]:
-    """Every setting as its path and its value: a text unchanged, anything else as JSON."""
+    """Yield every setting as its path and its value: a text unchanged, other values as JSON."""
     if isinstance(settings, dict) and (settings or not path):
         for name, value in settings.items():
             yield from _leaves((*path, str(name)), value)

@@ -23,7 +23,7 @@ from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.tables import RUNS
 
 DEFAULT_IOU: Final = 0.5
-"""Minimum IoU with the target's box at which evidence scores."""
+"""Minimum IoU of evidence and the target's box for a score."""
 
 
 def score_predictions(
@@ -36,7 +36,7 @@ def score_predictions(
         run_id: The run's id, for the table and for messages.
         question_ids: The run's questions (n).
         predictions: Rows of the table `predictions`, in any order.
-        iou: Minimum IoU at which evidence scores, in (0, 1].
+        iou: Minimum IoU for evidence to score, in (0, 1].
 
     Returns:
         The table `scores`, one row per question of the run, in the order of `question_ids` (n).
@@ -57,8 +57,8 @@ def score_predictions(
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
     # A question without a prediction becomes a row of nulls, which counts as an error.
-    places = pc.index_in(questions, value_set=predictions["question_id"].combine_chunks())
-    table = predictions.take(places)
+    indexes = pc.index_in(questions, value_set=predictions["question_id"].combine_chunks())
+    table = predictions.take(indexes)
     judged = is_judged(table["status"])
     numbers, texts = rows.tolist(), table["answer"].to_pylist()
     answers = [read_answer(truth.modes[row], text) for row, text in zip(numbers, texts, strict=True)]

@@ -1,6 +1,6 @@
-"""The tables of a report, by name: rows of plain values in percent of `n`, the number of questions.
+"""The tables of a report: rows of plain values in percent of `n`, the number of questions.
 
-A value is None (printed as n/a) where n is 0.
+A value is None (printed as n/a) if n is 0.
 """
 
 from __future__ import annotations
@@ -29,19 +29,28 @@ Row = dict[str, Any]
 INTERVALS: Final = "95 %"
 TOO_FEW: Final = "too few sequences for an interval"
 
-_CELLS: Final[dict[str, Row]] = {
+CELLS: Final[dict[str, Row]] = {
     "agent-passive-no-world": {"active": "off", "world_model": "off"},
     "agent-passive": {"active": "off", "world_model": "on"},
     "agent-no-world": {"active": "on", "world_model": "off"},
     "agent": {"active": "on", "world_model": "on"},
 }
-"""Cells of the ablation, active observation by world model, by method."""
+"""Cells of the ablation by method: active observation by world model."""
 
 # -- the main table ---------------------------------------------------------------------------------------------------
 
 
 def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> list[Row]:
-    """A row per run: shares with 95 % intervals over sequences, and macro averages over families and paper groups."""
+    """Compute the main table.
+
+    Args:
+        index: The store's questions.
+        runs: Scored runs.
+        iou: Minimum IoU for evidence to score.
+
+    Returns:
+        A row per run: shares with 95 % intervals over sequences, and macro averages over families and paper groups.
+    """
     settings = distinguishing_settings(runs)
     return [_main_row(index, run, iou, settings[run.manifest.run_id]) for run in runs]
 
@@ -49,23 +58,28 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
 def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Row:
     # Columns: the questions, the three scores, the answers without evidence.
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
-    found, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
-    sums = [numbered_sums(cluster, len(found), base)]
-    statistics = {name: mean_ratio((place, 0)) for place, name in enumerate(SCORES, 1)}
+    sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
+    sums = [numbered_sums(cluster, len(sequences), base)]
+    statistics = {name: mean_ratio((index_of_score, 0)) for index_of_score, name in enumerate(SCORES, 1)}
     statistics["hallucination"] = mean_ratio((4, 1))
     column = base.shape[1]
     for title, dimension in (("families", "family"), ("groups", "group")):
         labels = index.labels[dimension]
         count = len(labels.names)
-        parts = numbered_sums(cluster * count + labels.numbers[run.rows], len(found) * count, base[:, :4])
-        sums.append(parts.reshape(len(found), 4 * count))
-        for place, name in enumerate(SCORES, 1):
-            places = [(column + 4 * k + place, column + 4 * k) for k in range(count)]
-            statistics[f"{name}_macro_{title}"] = mean_ratio(*places)
+        parts = numbered_sums(cluster * count + labels.numbers[run.rows], len(sequences) * count, base[:, :4])
+        sums.append(parts.reshape(len(sequences), 4 * count))
+        for index_of_score, name in enumerate(SCORES, 1):
+            ratios = [(column + 4 * k + index_of_score, column + 4 * k) for k in range(count)]
+            statistics[f"{name}_macro_{title}"] = mean_ratio(*ratios)
         column += 4 * count
     shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
     bounds = {name: _with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
-    row = _head(run) | {"setting": setting, "n": run.n, "sequences": len(found), "interval": interval_label(len(found))}
+    row = _head(run) | {
+        "setting": setting,
+        "n": run.n,
+        "sequences": len(sequences),
+        "interval": interval_label(len(sequences)),
+    }
     for name in (*SCORES, "hallucination"):
         row |= bounds.pop(name)
     row |= {"invalid": percent_of(int(run.invalid.sum()), run.n), "errors": percent_of(run.errors, run.n)}
@@ -75,7 +89,14 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
 
 
 def interval_label(sequences: int) -> str:
-    """What the intervals of a row are: at 95 %, or `TOO_FEW`, with which tables for people leave them out."""
+    """Return the label of a row's intervals.
+
+    Args:
+        sequences: Number of sequences of the row.
+
+    Returns:
+        `INTERVALS`, or `TOO_FEW`, for which tables for people show no intervals.
+    """
     return INTERVALS if sequences >= LEAST_CLUSTERS else TOO_FEW
 
 
@@ -89,12 +110,16 @@ def _percent(share: float | None) -> float | None:
     return None if share is None or math.isnan(share) else round(100 * share, 2)
 
 
-def _with_bounds(name: str, found: Interval) -> Row:
-    return {name: _percent(found.value), f"{name}_low": _percent(found.low), f"{name}_high": _percent(found.high)}
+def _with_bounds(name: str, interval: Interval) -> Row:
+    return {
+        name: _percent(interval.value),
+        f"{name}_low": _percent(interval.low),
+        f"{name}_high": _percent(interval.high),
+    }
 
 
 def published_rows() -> list[Row]:
-    """The paper's main table, in the columns of `main_rows` that it has."""
+    """Return the paper's main table, in the columns of `main_rows` that it has."""
     return [_published(row) for row in MAIN]
 
 
@@ -107,23 +132,32 @@ def _published(row: Published) -> Row:
 
 
 def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: str) -> list[Row]:
-    """A row per value of a dimension and run, the runs of a value together."""
+    """Break scores down by a dimension.
+
+    Args:
+        index: The store's questions.
+        runs: Scored runs.
+        dimension: A name of `DIMENSIONS`.
+
+    Returns:
+        A row per value and run, grouped by value.
+    """
     labels = index.labels[dimension]
     columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]
     sums = [
-        numbered_sums(labels.numbers[run.rows], len(labels.names), own).astype(np.int64).tolist()
-        for run, own in zip(runs, columns, strict=True)
+        numbered_sums(labels.numbers[run.rows], len(labels.names), sums_of_run).astype(np.int64).tolist()
+        for run, sums_of_run in zip(runs, columns, strict=True)
     ]
     return [
-        {dimension: name, **_head(run), **_shares(*own[number])}
-        for number, name in enumerate(labels.names)
-        for run, own in zip(runs, sums, strict=True)
-        if own[number][0]
+        {dimension: name, **_head(run), **_shares(*sums_of_run[value])}
+        for value, name in enumerate(labels.names)
+        for run, sums_of_run in zip(runs, sums, strict=True)
+        if sums_of_run[value][0]
     ]
 
 
 def published_groups() -> list[Row]:
-    """The paper's agent by its groups, in the columns of `breakdown_rows`."""
+    """Return the paper's agent by its groups, in the columns of `breakdown_rows`."""
     return [
         {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
         | {name: percent_of(getattr(counts, name), counts.n) for name in SCORES}
@@ -133,7 +167,15 @@ def published_groups() -> list[Row]:
 
 
 def score_row(run: ScoredRun, iou: float) -> Row:
-    """The row of `score`: a run's scores in percent of its questions."""
+    """Return the row of `score` of a run.
+
+    Args:
+        run: The scored run.
+        iou: Minimum IoU for evidence to score.
+
+    Returns:
+        The run's scores in percent of its questions.
+    """
     head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
     return head | _shares(*_totals(run)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
 
@@ -158,30 +200,38 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 
 
 def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Row]:
-    """The cells, active observation by world model by policy, of every model that ran one of them."""
-    places = list(_CELLS)
-    among = [run for run in runs if run.manifest.method in places]
+    """Compute the ablation: active observation by world model by policy.
+
+    Args:
+        runs: Scored runs; runs of other methods are ignored.
+        published: Whether to add the paper's ablation.
+
+    Returns:
+        A row per run, grouped by model and setting.
+    """
+    methods = list(CELLS)
+    among = [run for run in runs if run.manifest.method in methods]
     settings: dict[str, str] = {}
     for policy in {_policy(run) for run in among}:
-        # A policy brings settings of its own, which tell no more than its column does.
+        # Settings of a policy repeat its column, so they are compared only within a policy.
         settings |= distinguishing_settings([run for run in among if _policy(run) == policy])
     rows = [
-        _CELLS[run.manifest.method]
+        CELLS[run.manifest.method]
         | {"policy": _policy(run)}
         | _head(run)
         | {"setting": settings[run.manifest.run_id]}
         | _shares(*_totals(run))
         for run in among
     ]
-    # The cells of a model stand together, and of those the ones of one setting, the passive ones first.
-    rows.sort(key=lambda row: (row["model"], row["setting"], places.index(row["method"]), row["policy"]))
+    # Group the cells by model and setting, passive cells first.
+    rows.sort(key=lambda row: (row["model"], row["setting"], methods.index(row["method"]), row["policy"]))
     if published:
-        rows += [cell | {"policy": "model"} | _published(ABLATION[method]) for method, cell in _CELLS.items()]
+        rows += [cell | {"policy": "model"} | _published(ABLATION[method]) for method, cell in CELLS.items()]
     return rows
 
 
 def _policy(run: ScoredRun) -> str:
-    """Who chose the looks of an agent's run."""
+    """Return the policy that chose the looks of an agent's run."""
     return str(run.manifest.settings.get("method", {}).get("policy", "model"))
 
 
@@ -189,36 +239,53 @@ def _policy(run: ScoredRun) -> str:
 
 
 def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
-    """For each two runs and score, on their common questions: the exact McNemar test and the difference."""
+    """Compare all pairs of runs.
+
+    Args:
+        index: The store's questions.
+        runs: Scored runs.
+
+    Returns:
+        The rows of `rows_of_pairs`, with the runs of each pair in alphabetical order.
+    """
     # Which of two is the first does not depend on their scores, so that a difference keeps its sign.
     return rows_of_pairs(index, list(combinations(sorted(runs, key=_name), 2)))
 
 
-def rows_of_pairs(index: QuestionIndex, of: Sequence[tuple[ScoredRun, ScoredRun]]) -> list[Row]:
-    """The rows of `pair_rows` for these pairs; none for one without common questions."""
+def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredRun]]) -> list[Row]:
+    """Compare pairs of runs on their common questions.
+
+    Args:
+        index: The store's questions.
+        pairs: The pairs.
+
+    Returns:
+        A row per pair and score: the exact McNemar test, and the difference with its interval. Pairs without a common
+        question have no row.
+    """
     groups: dict[bytes, tuple[Ints, list[int]]] = {}
-    for number, (first, second) in enumerate(of):
+    for index_of_pair, (first, second) in enumerate(pairs):
         common = np.intersect1d(first.rows, second.rows, assume_unique=True)
-        groups.setdefault(common.tobytes(), (common, []))[1].append(number)
-    found: dict[int, list[Row]] = {}
-    for common, numbers in groups.values():
+        groups.setdefault(common.tobytes(), (common, []))[1].append(index_of_pair)
+    rows: dict[int, list[Row]] = {}
+    for common, members in groups.values():
         if not len(common):
             continue
         clusters = index.labels["sequence"].numbers[common]
         label = interval_label(len(np.unique(clusters)))
-        place = {run: place for place, run in enumerate({run: None for number in numbers for run in of[number]})}
-        scores = [run.scores[np.searchsorted(run.rows, common)] for run in place]
-        pairs = compare(clusters, scores, [(place[of[own][0]], place[of[own][1]]) for own in numbers])
-        for number, pair in zip(numbers, pairs, strict=True):
-            first, second = of[number]
-            found[number] = [
+        runs = list(dict.fromkeys(run for member in members for run in pairs[member]))
+        scores = [run.scores[np.searchsorted(run.rows, common)] for run in runs]
+        indexes = [(runs.index(pairs[member][0]), runs.index(pairs[member][1])) for member in members]
+        for member, comparison in zip(members, compare(clusters, scores, indexes), strict=True):
+            first, second = pairs[member]
+            rows[member] = [
                 {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": len(common)}
                 | {"only_first": only_first, "only_second": only_second, "p": p}
                 | _with_bounds("difference", difference)
                 | {"interval": label}
-                for name, (only_first, only_second, p, difference) in zip(SCORES, pair, strict=True)
+                for name, (only_first, only_second, p, difference) in zip(SCORES, comparison, strict=True)
             ]
-    return [row for number in sorted(found) for row in found[number]]
+    return [row for member in sorted(rows) for row in rows[member]]
 
 
 def _name(run: ScoredRun) -> tuple[str, str, str]:
@@ -226,7 +293,14 @@ def _name(run: ScoredRun) -> tuple[str, str, str]:
 
 
 def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
-    """The runs by their share of combined, the best first; equal ones by method, model and id."""
+    """Sort runs by their combined share, the best first; equal runs by method, model and id.
+
+    Args:
+        runs: Scored runs.
+
+    Returns:
+        The sorted runs.
+    """
     return sorted(runs, key=lambda run: (-run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
 
 
@@ -234,4 +308,4 @@ RESULTS: Final = ("wrong_choices", "evidence_failures", "cost")
 """Tables that are queries of `queries/results/`."""
 
 TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
-"""`main`: shares with intervals and macro averages; a dimension's name: a breakdown by it."""
+"""Names of all tables. `main` has shares with intervals; the name of a dimension means a breakdown by it."""

@@ -23,12 +23,12 @@ from jrdb_avr.schema.panorama import CROP, WIDTH
 StoredRow = Mapping[str, Any]
 
 _DIGITS: Final = 8
-"""More than frame ids have."""
+"""Exclusive limit of the number of digits of a frame id."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """A crop (with `angle` and `left`) or a whole panorama (`angle` None) that a run looked at in a step."""
+    """A look of a run: a crop (with `angle` and `left`) or a whole panorama (`angle` None), and its step."""
 
     step: int
     frame: int
@@ -37,7 +37,7 @@ class Look:
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """The columns of the panorama, as (start, width): two parts where a crop crosses the seam."""
+        """Columns of the panorama as (start, width); a crop across the seam has two parts."""
         if self.angle is None:
             return [(0, WIDTH)]
         over = self.left + CROP - WIDTH
@@ -46,7 +46,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Written:
-    """A write to the world model, as a row of its record: at a step, and replaced by a later write at `until`."""
+    """A write to the world model: its row of the record, its step, and the step `until` which it holds."""
 
     row: StoredRow
     step: int
@@ -55,20 +55,32 @@ class Written:
 
 
 class Transcript:
-    """What a run did with one question, from public files alone.
+    """Record of a run's work on one question, from public files only.
 
-    question, prediction: its rows of `questions` and `predictions`; refused: the writes that the world model refused.
+    Attributes:
+        manifest: The run's manifest.
+        question: The question's row of `questions`.
+        prediction: The question's row of `predictions`.
+        fps: Frames per second of the sequence.
+        steps: Rows of `steps`, in order.
+        looks: The looks among the steps.
+        writes: Writes to the world model, in order.
+        refused: The writes that the world model refused.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
-        """Gather a question of a run. Raises StoreError where the run is missing or unfinished, InputError for a
-        question that is not one of the run."""
+        """Read a question of a run.
+
+        Raises:
+            StoreError: If the run is missing or unfinished.
+            InputError: If the run does not have the question.
+        """
         self.manifest = read_run_manifest(store, run_id)
         self._predictions = read_rows(predictions_path(store, run_id), "question_id", question_id)
         if not self._predictions.num_rows:
             raise InputError(f"run {run_id} does not have question {question_id[:40]!r}", field="question_id")
         questions, sequences = store.question_tables("questions", "sequences")
-        questions = _own(questions, question_id)
+        questions = _rows_of(questions, question_id)
         if not questions.num_rows:
             raise InputError(f"no question {question_id[:40]!r} in {store.path}", field="question_id")
         (self.question,), (self.prediction,) = (table.to_pylist() for table in (questions, self._predictions))
@@ -79,7 +91,11 @@ class Transcript:
         world = path / "world.parquet"
         written = read_rows(world, "question_id", question_id).sort_by("number").to_pylist() if world.exists() else []
         facts = [_fact(row["fact"], world) for row in written]
-        until = {number: row["step"] for row, fact in zip(written, facts, strict=True) for number in fact.replaced}
+        until = {
+            write_number: row["step"]
+            for row, fact in zip(written, facts, strict=True)
+            for write_number in fact.replaced
+        }
         self.writes = [
             Written(row, row["step"], until.get(row["number"], ALWAYS), fact)
             for row, fact in zip(written, facts, strict=True)
@@ -88,16 +104,24 @@ class Transcript:
 
 
 class Trace(Transcript):
-    """What a run did with one question, beside the truth.
+    """Record of a run's work on one question, with the truth.
 
-    answer: its row of `answers`; target: the boxes of the target by frame, (x, y, w, h); scores: its row of `scores`.
+    Attributes:
+        answer: The question's row of `answers`.
+        target: Boxes of the target by frame, as x, y, w, h in stitched pixels.
+        scores: The question's row of `scores`.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
-        """Gather a question of a run. Raises as `Transcript` does, and StoreError where a private file is missing."""
+        """Read a question of a run.
+
+        Raises:
+            StoreError: As `Transcript`, and if a private file is missing.
+            InputError: If the run does not have the question.
+        """
         questions, answers, sequences, evidence = store.question_tables("questions", "answers", "sequences", "evidence")
         super().__init__(store, run_id, question_id)
-        questions, answers = _own(questions, question_id), _own(answers, question_id)
+        questions, answers = _rows_of(questions, question_id), _rows_of(answers, question_id)
         (self.answer,) = answers.to_pylist()
         sequence, track = self.question["sequence"], self.answer["target_track"]
         evidence = evidence.filter((pc.field("sequence") == sequence) & (pc.field("track") == track))
@@ -116,8 +140,14 @@ _SHOWN = msgspec.json.Decoder(_Shown)
 
 
 def look_of(step: StoredRow) -> Look | None:
-    """The look of a step of the transcript; None for other steps, for a refused look, and for one in a form of a custom
-    method's own."""
+    """Return the look of a step.
+
+    Args:
+        step: A row of `steps`.
+
+    Returns:
+        The look, or None if the step is no look, a refused look, or has the format of a custom method.
+    """
     if step["kind"] != "observe":
         return None
     try:
@@ -130,7 +160,7 @@ def look_of(step: StoredRow) -> Look | None:
     return Look(step["step"], int(shown.frame_id), shown.angle_deg, (shown.left or 0) % WIDTH)
 
 
-def _own(table: pa.Table, question_id: str) -> pa.Table:
+def _rows_of(table: pa.Table, question_id: str) -> pa.Table:
     return table.filter(pc.equal(table["question_id"], question_id))
 
 

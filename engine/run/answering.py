@@ -136,11 +136,14 @@ def _reason(error: BaseException) -> str:
     text = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
     frames = list(traceback.walk_tb(error.__traceback__))
     outside = [(f.f_code, line) for f, line in frames if not str(f.f_globals.get("__name__")).startswith(_PACKAGE)]
-    own = [place for place in outside if not place[0].co_filename.startswith(_LIBRARIES)]
+    user_frames = [frame for frame in outside if not frame[0].co_filename.startswith(_LIBRARIES)]
     # Errors of this package name a remedy; a line of a library would not help.
-    places = own or ([] if isinstance(error, AvrError) else outside)
-    where = f" ({Path(places[-1][0].co_filename).name}:{places[-1][1]}, in {places[-1][0].co_name})" if places else ""
-    return (text if isinstance(error, AvrError) else f"{type(error).__name__}: {text}") + where
+    frames_shown = user_frames or ([] if isinstance(error, AvrError) else outside)
+    message = text if isinstance(error, AvrError) else f"{type(error).__name__}: {text}"
+    if not frames_shown:
+        return message
+    code, line = frames_shown[-1]
+    return f"{message} ({Path(code.co_filename).name}:{line}, in {code.co_name})"
 
 
 @contextlib.contextmanager

@@ -48,11 +48,11 @@ class Bench:
         Raises:
             StoreError: A question is about an unknown sequence.
         """
-        found = read_sequences(store)
-        if unknown := sorted({question.sequence for question in questions} - found.keys()):
+        known_sequences = read_sequences(store)
+        if unknown := sorted({question.sequence for question in questions} - known_sequences.keys()):
             raise StoreError(f"questions are about {unknown[0][:120]!r}, which sequences.parquet lacks: generate again")
-        names = opaque_names(store, found) if opaque else {name: name for name in found}
-        self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in found.items()}
+        names = opaque_names(store, known_sequences) if opaque else {name: name for name in known_sequences}
+        self.sequences = {names[name]: replace(info, sequence=names[name]) for name, info in known_sequences.items()}
         self.questions = [replace(row.to_question(), sequence=names[row.sequence]) for row in questions]
         self.synthetic = any(is_of_sample(question.sequence) for question in questions)
         self._by_id = {question.question_id: question for question in self.questions}

@@ -51,7 +51,7 @@ class Endpoint:
             base_url: The address of the server.
             options: The options of its requests.
             cache: The file of finished calls.
-            method: The player whose run is checked; None for all checks.
+            method: The player; its run needs only some of the checks. None needs all.
             strict: Whether to refuse a run if a check fails that its method needs.
 
         Raises:
@@ -66,9 +66,9 @@ class Endpoint:
         self.warnings = [check.line for check in checks if not check.passed]
         self.served = self.client.served[0]
         if calibration is not None:
-            wanted = (options.response_format, options.thinking, self.served)
+            current = (options.response_format, options.thinking, self.served)
             before = (calibration.response_format, calibration.thinking, calibration.served_model)
-            for what, now, then in zip(("response format", "thinking", "served model"), wanted, before, strict=True):
+            for what, now, then in zip(("response format", "thinking", "served model"), current, before, strict=True):
                 if now != then:
                     raise EndpointError(
                         f"{model} was calibrated with {what} {then!a}, not {now!a}: calibrate again with these "
@@ -143,14 +143,14 @@ def read_calibration(store: Store, model: str) -> Calibration | None:
     """
     path = convention_path(store, model)
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=Calibration)
+        calibration = msgspec.json.decode(path.read_bytes(), type=Calibration)
     except FileNotFoundError:
         return None
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise StoreError(f"cannot read {path}: {error}; calibrate again, or delete it") from None
-    if found.model != model:
-        raise StoreError(f"{path} is of another model, {found.model!a}: calibrate again, or delete it")
-    return found
+    if calibration.model != model:
+        raise StoreError(f"{path} is of another model, {calibration.model!a}: calibrate again, or delete it")
+    return calibration
 
 
 def write_calibration(store: Store, calibration: Calibration) -> Path:

@@ -92,8 +92,8 @@ class RunResult(Displayed):
             The reason and its number of questions; "" and 0 if no question has the status.
         """
         ended = self.predictions.filter(pc.equal(self.predictions["status"], status))
-        found = Counter(ended["reason"].to_pylist()).most_common(1)
-        return found[0] if found else ("", 0)
+        reasons = Counter(ended["reason"].to_pylist()).most_common(1)
+        return reasons[0] if reasons else ("", 0)
 
     def _summary(self) -> str:
         row = self.row()
@@ -138,23 +138,23 @@ def evaluate(
     """
     store = Store.of(store)
     check_options(method, model, options)
-    own, files, knobs = options.method, options.run, _knobs(model, options)
+    playing, files, knobs = options.method, options.run, _knobs(model, options)
     run_id = name_run(store, method, model, options)
     image_root = find_images(store, files.images)
     chosen, selection = run_questions(store, run_id, options.selection, files.resume, image_root)
-    bench = Bench(store, chosen, image_root, own.opaque)
+    bench = Bench(store, chosen, image_root, playing.opaque)
     with contextlib.ExitStack() as stack:
         run = stack.enter_context(Run(store, run_id))
         world = stack.enter_context(_open_world(store, run, method, files.world_db))
         endpoint = None
         if model != NO_MODEL:
             endpoint = stack.enter_context(_connect(run, method, model, options, knobs))
-        player = _make(method, endpoint, world, own)
+        player = _make(method, endpoint, world, playing)
         settings = {
             "method": player.settings(),
             **({} if endpoint is None else endpoint.settings),
             **({"marker": turned(knobs)} if knobs not in (None, PERFECT) else {}),
-            **({"opaque": key_fingerprint(store)} if own.opaque else {}),
+            **({"opaque": key_fingerprint(store)} if playing.opaque else {}),
             **({} if files.epoch is None else {"epoch": files.epoch}),
         }
         ids = [question.question_id for question in chosen]
@@ -184,20 +184,20 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
     Raises:
         InputError: They do; the message names the options of the command line.
     """
-    own, endpoint, selection = options.method, options.endpoint, options.selection
+    playing, endpoint, selection = options.method, options.endpoint, options.selection
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
         raise InputError(f"{method!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in METHODS:
         raise InputError(f"--model none: {method} needs a model", field="model")
-    if own.marker is not None and (profile_of(model) is None or endpoint.base_url is not None):
+    if playing.marker is not None and (profile_of(model) is None or endpoint.base_url is not None):
         raise InputError(
             "--marker sets how the simulated model plays: give it with --model simulated or marker alone",
             field="marker",
         )
-    policy = own.policy or default_policy(method)
+    policy = playing.policy or default_policy(method)
     if policy != "model" and method not in DRIVABLE:
         raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
-    if own.history is not None and (method not in CHATS or policy != "model"):
+    if playing.history is not None and (method not in CHATS or policy != "model"):
         raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
     if options.run.world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: {method} has no world model", field="world_db")
@@ -263,12 +263,12 @@ def _connect(
     with serving(model, endpoint.base_url, folder / "marker.jsonl", knobs) as url:
         calibration = read_calibration(run.store, model)
         player = name_player(_name(method), options.method.policy)
-        found = Endpoint(
+        checked = Endpoint(
             calibration, model, url, endpoint, folder / "calls.jsonl", player, options.run.strict_preflight
         )
-        for line in found.warnings:
+        for line in checked.warnings:
             warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=4)
-        yield found
+        yield checked
 
 
 def _make(

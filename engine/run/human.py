@@ -40,7 +40,7 @@ class HumanDesk:
         self._bench, self._run, self._page = bench, run, page
         self._due = due_questions(bench, run)
         self._play: Play | None = None
-        self._seen: list[Observation] = []
+        self._observations: list[Observation] = []
         self._lock = threading.Lock()
 
     def respond(self, request: Request) -> Response:
@@ -82,9 +82,9 @@ class HumanDesk:
             return self._state("this question is not being played any more")
         error = ""
         try:
-            seen = play.episode.move(sent.move)
-            if seen is not None:
-                self._seen.append(seen)
+            observation = play.episode.move(sent.move)
+            if observation is not None:
+                self._observations.append(observation)
         except AvrError as refused:
             error = str(refused)
         self._record()
@@ -100,7 +100,7 @@ class HumanDesk:
     def _state(self, error: str = "") -> Response:
         """Return what the page shows, as JSON. Begin the next question if none is in progress."""
         if self._play is None and self._due:
-            self._play, self._seen = Play.begin(self._bench, self._due[0]), []
+            self._play, self._observations = Play.begin(self._bench, self._due[0]), []
         state: dict[str, Any] = {"due": len(self._due), "questions": len(self._bench.questions), "error": error}
         if self._play is not None:
             episode = self._play.episode
@@ -116,15 +116,19 @@ class HumanDesk:
                 "frames": info.frames,
                 "fps": info.fps,
                 "frame_count": info.frame_count,
-                "looks": [metadata_of(seen) for seen in self._seen],
+                "looks": [metadata_of(observation) for observation in self._observations],
                 "left": episode.left._asdict(),
                 "over": episode.over,
                 "answered": episode.answered and not episode.error,
             }
         return Response(msgspec.json.encode(state), "application/json")
 
-    def _look(self, question_id: str, number: str) -> Response:
-        place = int(number) if number.isascii() and number.isdecimal() and len(number) < 5 else len(self._seen)
-        if self._play is None or self._play.episode.question.question_id != question_id or place >= len(self._seen):
+    def _look(self, question_id: str, text: str) -> Response:
+        index = int(text) if text.isascii() and text.isdecimal() and len(text) < 5 else len(self._observations)
+        if (
+            self._play is None
+            or self._play.episode.question.question_id != question_id
+            or index >= len(self._observations)
+        ):
             raise InputError("there is no such look", field="number")
-        return Response(picture_of(self._seen[place]).data, "image/jpeg", lasting=True)
+        return Response(picture_of(self._observations[index]).data, "image/jpeg", lasting=True)

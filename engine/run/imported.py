@@ -80,8 +80,12 @@ def _in_order(predictions: pa.Table, questions: Sequence[QuestionRow]) -> pa.Tab
 def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
     """Return whether the same predictions were imported before, if only in part. Raise StoreError for another run."""
     if has_manifest(store, run_id):
-        known = read_run_manifest(store, run_id)
-        if (known.method, known.settings, known.questions_sha256) == (IMPORTED, settings, questions_hash(store)):
+        manifest = read_run_manifest(store, run_id)
+        if (manifest.method, manifest.settings, manifest.questions_sha256) == (
+            IMPORTED,
+            settings,
+            questions_hash(store),
+        ):
             return True
     elif not any(not path.name.startswith(".") for path in store.run_path(run_id).glob("*")):
         # A killed import may have left a hidden file.

@@ -1,4 +1,4 @@
-"""Keep the journal of a run: finished questions on disk, from which the tables are written.
+"""Keep the journal of a run: finished questions on disk. The tables are made from it.
 
     runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
@@ -74,14 +74,6 @@ _STORABLE: Final = msgspec.json.Decoder(
 )
 
 
-def check_storable(entry: Finished) -> None:
-    """Raise ValueError, or an error of msgspec, if journal and tables would change an entry."""
-    line = msgspec.json.encode(entry)
-    _STORABLE.decode(line)
-    if _FINISHED.decode(line) != entry:
-        raise ValueError("what the method returned or recorded holds a value that JSON changes, such as NaN")
-
-
 def finished_entry(
     question: Question, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
 ) -> Finished:
@@ -114,36 +106,27 @@ def finished_entry(
     transcript = [_row("steps", step, question_id=question.question_id, step=n) for n, step in enumerate(steps)]
     world = [_row("world", write, question_id=question.question_id) for write in writes]
     entry = Finished(question.question_id, row, transcript, world)
-    check_entry(entry, question)
+    _check(entry, question)
     return entry
 
 
-def check_entry(entry: Finished, question: Question) -> None:
-    """Check that an entry answers a question and can be stored.
-
-    Args:
-        entry: The entry.
-        question: The question.
-
-    Raises:
-        ValueError: It does not; other errors of msgspec and Arrow mean the same.
-    """
-    row = entry.prediction
-    check_storable(entry)
+def _check(entry: Finished, question: Question) -> None:
+    """Raise ValueError, or an error of msgspec, if an entry is no answer or journal and tables would change it."""
+    line, row = msgspec.json.encode(entry), entry.prediction
+    _STORABLE.decode(line)
+    if _FINISHED.decode(line) != entry:
+        raise ValueError("what the method returned or recorded holds a value that JSON changes, such as NaN")
     if row["status"] not in get_args(Status):
         raise ValueError(f"{row['status']!a} is no status of a prediction"[:120])
     if row["verdict"] not in (None, *get_args(Verdict)):
         raise ValueError(f"{row['verdict']!a} is no verdict of a prediction"[:120])
     if row["answer"] is not None:
         decode_answer(question.answer_mode, row["answer"])
-    rows = (row, *entry.steps, *entry.world)
-    if any(found["question_id"] != question.question_id for found in rows) or question.question_id != entry.question_id:
-        raise ValueError("a row of another question")
 
 
-def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
+def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
     """Return a row of a table of `RUNS` without run id: known values, and attributes of the record for all others."""
-    names = [name for name in RUNS[table].names if name not in known and name != "run_id"]
+    names = [name for name in RUNS[table].names if name not in given and name != "run_id"]
     values = {name: getattr(record, name) for name in names}
     # UTF-8 cannot hold lone surrogates, so texts get escapes. In short names they are faults.
     texts = {
@@ -151,15 +134,15 @@ def _row(table: str, record: object, **known: Any) -> dict[str, Any]:
         for name, value in values.items()
         if isinstance(value, str) and name not in ("kind", "tool")
     }
-    return {**known, **values, **texts}
+    return {**given, **values, **texts}
 
 
 def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) -> list[Question]:
     """Return the questions that have not finished or ended in an error, in order."""
-    return [own for own in questions if (entry := finished.get(own.question_id)) is None or entry.failed]
+    return [question for question in questions if (entry := finished.get(question.question_id)) is None or entry.failed]
 
 
-class LinePlace(NamedTuple):
+class LinePosition(NamedTuple):
     """Position of a line in a journal: the sequence that names its file, its first byte, and its length in bytes."""
 
     sequence: str
@@ -170,39 +153,41 @@ class LinePlace(NamedTuple):
 class KeptEntries(Mapping[str, Finished]):
     """Entries of a journal by question id; each is read from its file on access, because transcripts are large."""
 
-    def __init__(self, folder: Path, places: dict[str, LinePlace]) -> None:
+    def __init__(self, folder: Path, positions: dict[str, LinePosition]) -> None:
         """Hold the positions of lines in the files of a folder."""
-        self._folder, self._places = folder, places
+        self._folder, self._positions = folder, positions
 
-    def add(self, question_id: str, place: LinePlace) -> None:
+    def add(self, question_id: str, position: LinePosition) -> None:
         """Add the position of a line, in place of an earlier line of the question."""
-        self._places[question_id] = place
+        self._positions[question_id] = position
 
     def of(self, question_ids: Iterable[str]) -> KeptEntries:
         """Return the entries of the given questions that are finished."""
-        return KeptEntries(self._folder, {name: self._places[name] for name in question_ids if name in self._places})
+        return KeptEntries(
+            self._folder, {name: self._positions[name] for name in question_ids if name in self._positions}
+        )
 
     def by_sequence(self) -> Iterator[list[str]]:
         """Yield the question ids of each sequence, both in order."""
-        ordered = sorted((place.sequence, name) for name, place in self._places.items())
-        for _, own in itertools.groupby(ordered, operator.itemgetter(0)):
-            yield [name for _, name in own]
+        ordered = sorted((position.sequence, name) for name, position in self._positions.items())
+        for _, rows in itertools.groupby(ordered, operator.itemgetter(0)):
+            yield [name for _, name in rows]
 
     def __getitem__(self, question_id: str) -> Finished:
-        place = self._places[question_id]
-        path = segment_path(self._folder, place.sequence)
+        position = self._positions[question_id]
+        path = segment_path(self._folder, position.sequence)
         try:
             with path.open("rb") as file:
-                return _FINISHED.decode(os.pread(file.fileno(), place.size, place.at))
+                return _FINISHED.decode(os.pread(file.fileno(), position.size, position.at))
         except (OSError, msgspec.DecodeError, UnicodeDecodeError):
             raise StoreError(f"{path} was changed while it is in use: run again with --resume") from None
 
     def __iter__(self) -> Iterator[str]:
         # A copy, because another thread may add an entry.
-        return iter(list(self._places))
+        return iter(list(self._positions))
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._positions)
 
 
 def journal_folder(run: Path) -> Path:
@@ -244,7 +229,7 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
 
 class Journal(contextlib.ExitStack):
-    """Finished questions on disk: a file per sequence, in the order in which they finished.
+    """Finished questions on disk: a file per sequence, in the order of their ends.
 
     If a question has several lines, the last one counts.
     """
@@ -274,7 +259,7 @@ class Journal(contextlib.ExitStack):
             raise
 
     def _replay(self) -> KeptEntries:
-        places: dict[str, LinePlace] = {}
+        positions: dict[str, LinePosition] = {}
         for path in segments(self._folder):
             whole = 0
             # Line by line, because the file may be larger than memory.
@@ -283,9 +268,9 @@ class Journal(contextlib.ExitStack):
                     if not line.endswith(b"\n"):
                         os.truncate(path, whole)
                         break
-                    places[_read_line(path, number, line)] = LinePlace(path.stem, whole, len(line))
+                    positions[_read_line(path, number, line)] = LinePosition(path.stem, whole, len(line))
                     whole += len(line)
-        return KeptEntries(self._folder, places)
+        return KeptEntries(self._folder, positions)
 
     def append(self, entry: Finished) -> None:
         """Add a finished question, and return when it is on disk. Raise StoreError if the disk refuses."""
@@ -293,7 +278,7 @@ class Journal(contextlib.ExitStack):
         sequence, size = self._sequence_of[entry.question_id], len(line)
         path = segment_path(self._folder, sequence)
         try:
-            known = path.exists()
+            exists = path.exists()
             # Without a buffer, which would write refused bytes again when the file closes.
             with path.open("ab", buffering=0) as file:
                 end = file.seek(0, os.SEEK_END)
@@ -306,11 +291,11 @@ class Journal(contextlib.ExitStack):
                     with contextlib.suppress(OSError):
                         file.truncate(end)
                     raise
-            if not known:
+            if not exists:
                 _sync(self._folder)
         except OSError as error:
             raise StoreError(f"cannot write {path}: {error.strerror}; then run again with --resume") from None
-        self.finished.add(entry.question_id, LinePlace(sequence, end, size))
+        self.finished.add(entry.question_id, LinePosition(sequence, end, size))
 
 
 def _read_line(path: Path, number: int, line: bytes) -> str:

@@ -43,8 +43,9 @@ class QuestionScore(NamedTuple):
 class Judge(contextlib.ExitStack):
     """Judge of predictions of the questions of a store. Safe for many threads, which take turns.
 
-    with Judge.open("store") as judge:
-        judge.score(question, prediction).combined
+    Example:
+        with Judge.open("store") as judge:
+            judge.score(question, prediction).combined
     """
 
     def __init__(self, store: Store) -> None:
@@ -135,17 +136,17 @@ def judge_lines(store: Store, lines: IO[str]) -> None:
     except (AvrError, OSError) as error:
         print(" ".join(str(error).split()), flush=True)
         return
-    known = set(truth.ids.to_pylist())
+    ids = set(truth.ids.to_pylist())
     print(_READY, flush=True)
     for line in lines:
         row = {"run_id": "", **msgspec.json.decode(line)}
-        if row["question_id"] not in known:
+        if row["question_id"] not in ids:
             print(_UNKNOWN, flush=True)
             continue
         table = pa.Table.from_pylist([row], RUNS["predictions"])
         scores = score_predictions(truth, "", [row["question_id"]], table)
-        (found,) = scores.to_pylist()
-        digits = (found["answer_score"], found["evidence_score"], found["combined_score"], int(found["invalid"]))
+        (score,) = scores.to_pylist()
+        digits = (score["answer_score"], score["evidence_score"], score["combined_score"], int(score["invalid"]))
         print("".join(map(str, digits)), flush=True)
 
 

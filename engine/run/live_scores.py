@@ -28,8 +28,8 @@ class LiveScore:
     combined: int
 
     def __str__(self) -> str:
-        words = (("answer", self.answer), ("evidence", self.evidence), ("combined", self.combined))
-        return ", ".join(f"{word} {100 * n / max(self.judged, 1):.1f} %" for word, n in words) + f" of {self.judged}"
+        parts = (("answer", self.answer), ("evidence", self.evidence), ("combined", self.combined))
+        return ", ".join(f"{word} {100 * n / max(self.judged, 1):.1f} %" for word, n in parts) + f" of {self.judged}"
 
 
 @contextlib.contextmanager

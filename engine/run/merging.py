@@ -104,9 +104,9 @@ def _rename_world(entry: Finished, old: str, new: str) -> Finished:
 def _rename_fact(fact: str, old: str, new: str) -> str:
     def rename(value: Any, field: str = "") -> Any:
         if isinstance(value, dict):
-            return {name: rename(own, name) for name, own in value.items()}
+            return {name: rename(item, name) for name, item in value.items()}
         if isinstance(value, list):
-            return [rename(own, field) for own in value]
+            return [rename(item, field) for item in value]
         is_key = field in _KEYS and isinstance(value, str) and (value == old or value.startswith(f"{old}/"))
         return new + value.removeprefix(old) if is_key else value
 
@@ -114,11 +114,11 @@ def _rename_fact(fact: str, old: str, new: str) -> str:
 
 
 def _join_calls(folders: Sequence[Path], folder: Path) -> None:
-    """Write the finished calls of all shards as those of a run, so that a resumed run need not pay for them again."""
+    """Join the finished calls of all shards in one file, so that a resumed run need not pay for them again."""
 
     def write(path: Path) -> None:
         with path.open("wb") as joined:
-            for source in (own / "calls.jsonl" for own in folders):
+            for source in (source_folder / "calls.jsonl" for source_folder in folders):
                 if source.exists():
                     with source.open("rb") as lines:
                         shutil.copyfileobj(lines, joined)

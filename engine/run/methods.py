@@ -43,10 +43,10 @@ METHODS: Final = (
 )
 
 POLICIES: Final = ("model", "guided", "driven")
-"""Ways in which an agent chooses its looks."""
+"""Ways of an agent to choose its looks."""
 
 DRIVABLE: Final = ("agent", "agent-no-world")
-"""Methods for which the program can choose looks, as it does by default."""
+"""Methods that let the program choose looks, which is their default."""
 
 CHATS: Final = ("react", "agent-no-world")
 """Methods that send all pictures again in every turn, if the model chooses the looks."""
@@ -148,8 +148,8 @@ class CustomMethod:
 
     def settings(self) -> dict[str, Any]:
         """Return the file or module of the method, and the settings that it reports."""
-        own: Any = getattr(self._method, "settings", dict)()
-        return {"from": Path(self._spec).name, "settings": own}
+        settings: Any = getattr(self._method, "settings", dict)()
+        return {"from": Path(self._spec).name, "settings": settings}
 
     def answer(self, task: Task) -> Prediction:
         """Answer one question."""
@@ -175,12 +175,12 @@ def load_custom_method(spec: str, chat: Chat | None) -> CustomMethod:
     Raises:
         InputError: The method cannot be imported or made; the message has the reason.
     """
-    found = _SPEC.fullmatch(spec)
-    if found is None:
+    match = _SPEC.fullmatch(spec)
+    if match is None:
         raise InputError(f"{spec!r} is not a method: write FILE.py:NAME or MODULE:NAME", field="method")
-    make: Callable[[Chat | None], Any] | None = getattr(_module(found["where"]), found["name"], None)
+    make: Callable[[Chat | None], Any] | None = getattr(_module(match["where"]), match["name"], None)
     if not callable(make):
-        raise InputError(f"{found['where']} has no {found['name']} that can be called", field="method")
+        raise InputError(f"{match['where']} has no {match['name']} that can be called", field="method")
     try:
         return CustomMethod(spec, make(chat))
     except InputError:

@@ -26,13 +26,13 @@ class QuestionSelection:
     the same list. A larger `limit` or `per_template` only adds questions, so that a run can grow.
     """
 
-    questions: tuple[str, ...] = option((), "Question ids with commas between, or a file with one id per line.")
-    families: tuple[str, ...] = option((), "Only of this family; may be repeated.", flag="family", metavar="NAME")
-    templates: tuple[str, ...] = option((), "Only of this template; may be repeated.", flag="template", metavar="NAME")
-    sequences: tuple[str, ...] = option((), "Only of this sequence; may be repeated.", flag="sequence", metavar="NAME")
+    questions: tuple[str, ...] = option((), "Question ids separated by commas, or a file with one id per line.")
+    families: tuple[str, ...] = option((), "Only of this family. May be repeated.", flag="family", metavar="NAME")
+    templates: tuple[str, ...] = option((), "Only of this template. May be repeated.", flag="template", metavar="NAME")
+    sequences: tuple[str, ...] = option((), "Only of this sequence. May be repeated.", flag="sequence", metavar="NAME")
     per_template: int | None = option(
         None,
-        "Maximum questions per template; with --limit the same number of each, as far as there are enough.",
+        "Maximum questions per template. With --limit each template gets the same number, if it has enough questions.",
         minimum=1,
         metavar="N",
     )
@@ -42,8 +42,8 @@ class QuestionSelection:
     seed: int | None = option(None, "Draw the questions at random; without a seed the first ones are taken.")
     shard: tuple[int, int] | None = option(
         None,
-        "Only every Nth sequence of the store in the order of names, from the Ith on, of the selected questions; "
-        "'runs merge' joins the N runs, which end in -IofN.",
+        "Answer the selected questions of every Nth sequence in the order of names, from the Ith on. The name of the "
+        "run ends in -IofN; 'runs merge' joins the N runs.",
         metavar="I/N",
     )
 
@@ -70,7 +70,7 @@ class QuestionSelection:
 
     def record(self) -> dict[str, Any]:
         """Return the options that differ from their defaults, as plain JSON; empty for all questions."""
-        values = {own.name: getattr(self, own.name) for own in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         given = {name: value for name, value in values.items() if value not in (None, ())}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
 
@@ -94,7 +94,7 @@ class MethodOptions:
     )
     opaque: bool = option(
         False,
-        "Show the method hashes in place of the names of sequences; they are the same in every run of a store.",
+        "Show the method hashes in place of the names of sequences. The hashes are equal in all runs of a store.",
     )
     marker: Knobs | None = option(
         None,
@@ -112,7 +112,7 @@ class RunOptions:
     simulated model.
     """
 
-    run_id: str | None = option(None, "Name of the run; by default METHOD-MODEL, or METHOD-POLICY-MODEL with --policy.")
+    run_id: str | None = option(None, "Name of the run; by default made of method, policy (if given) and model.")
     resume: bool = option(
         False,
         "Finish a run that was stopped. Questions that ended in an error are asked again; if more questions are "
@@ -137,7 +137,8 @@ class RunOptions:
 class EvaluateOptions:
     """All options of `evaluate`, by subject.
 
-    EvaluateOptions(selection=QuestionSelection(limit=20), run=RunOptions(run_id="first"))
+    Example:
+        EvaluateOptions(selection=QuestionSelection(limit=20), run=RunOptions(run_id="first"))
     """
 
     endpoint: EndpointOptions = DEFAULT_ENDPOINT

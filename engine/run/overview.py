@@ -97,14 +97,14 @@ def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:
     manifest = read_run_manifest(store, run_id)
     reasons = Counter((row["status"], row["reason"]) for row in _predictions(store, run_id) if row["reason"])
     commonest = {
-        status: [f"{times} x {reason}" for (own, reason), times in reasons.most_common() if own == status][:_REASONS]
+        status: [f"{times} x {reason}" for (key, reason), times in reasons.most_common() if key == status][:_REASONS]
         for status in ("invalid", "error")
     }
     return {
         **_row(store, run_id),
         "selection": manifest.selection,
         "settings": manifest.settings,
-        **{f"commonest {status}": found for status, found in commonest.items() if found},
+        **{f"commonest {status}": texts for status, texts in commonest.items() if texts},
         "folder": str(store.run_path(run_id)),
     }
 
@@ -146,9 +146,9 @@ def remove_run(store: Store | str | Path, run_id: str) -> None:
 
 
 def _require(store: Store, run_id: str) -> None:
-    known = run_ids(store)
-    if run_id not in known:
-        raise StoreError(f"{store.path} has no run {run_id[:100]!r}{did_you_mean(run_id, known)}")
+    ids = run_ids(store)
+    if run_id not in ids:
+        raise StoreError(f"{store.path} has no run {run_id[:100]!r}{did_you_mean(run_id, ids)}")
 
 
 @contextlib.contextmanager
@@ -167,14 +167,14 @@ def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
         if path.exists():
             rows: list[dict[str, Any]] = read_table(path, ["status", "reason"]).to_pylist()
             return rows
-        found = {}
+        answers = {}
         for segment in segments(journal_folder(folder)):
             with segment.open("rb") as lines:
                 # Another process may still write the last line.
-                for line in (msgspec.json.decode(own, type=_Line) for own in lines if own.endswith(b"\n")):
-                    found[line.question_id] = {
+                for line in (msgspec.json.decode(text, type=_Line) for text in lines if text.endswith(b"\n")):
+                    answers[line.question_id] = {
                         name: str(line.prediction.get(name, "")) for name in ("status", "reason")
                     }
-        return list(found.values())
+        return list(answers.values())
     except (msgspec.DecodeError, UnicodeDecodeError, OSError, pa.ArrowException, KeyError) as error:
         raise StoreError(f"run {run_id}: its answers cannot be read ({str(error).splitlines()[0]})") from None

@@ -69,7 +69,7 @@ def played_run(
 
 def due_questions(bench: Bench, run: Run) -> list[str]:
     """Return the ids of questions that the run has not answered, in order."""
-    return [own.question_id for own in unanswered(bench.questions, run.finished)]
+    return [question.question_id for question in unanswered(bench.questions, run.finished)]
 
 
 @dataclass

@@ -56,8 +56,6 @@ class Run(Journal):
             StoreError: The run is damaged.
         """
         folder = store.run_path(run_id)
-        if (folder / "journal.jsonl").exists():
-            raise StoreError(f"{folder} was begun by an older version: delete it, or give another --run-id")
         super().__init__(journal_folder(folder), sequences_of_questions(store))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()
@@ -146,15 +144,15 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
     if not has_manifest(store, manifest.run_id):
         write_run_manifest(store, manifest)
         return
-    known = read_run_manifest(store, manifest.run_id)
-    if what := find_difference(known, manifest):
+    before = read_run_manifest(store, manifest.run_id)
+    if what := find_difference(before, manifest):
         raise StoreError(f"run {manifest.run_id!r} had another {what}: resume it as it was, or give another --run-id")
-    if set(known.question_ids) != set(manifest.question_ids):
+    if set(before.question_ids) != set(manifest.question_ids):
         # A run without predictions counts as unfinished. The journal keeps its answers.
         for name in ("scores", "predictions"):
             (store.run_path(manifest.run_id) / f"{name}.parquet").unlink(missing_ok=True)
         grown = {"question_ids": manifest.question_ids, "selection": manifest.selection}
-        write_run_manifest(store, msgspec.structs.replace(known, **grown))
+        write_run_manifest(store, msgspec.structs.replace(before, **grown))
 
 
 def find_difference(first: RunManifest, second: RunManifest) -> str:
@@ -176,7 +174,7 @@ def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> No
         counts: Numbers of statements of this session, by kind.
     """
     manifest = read_run_manifest(store, run_id)
-    total = {kind: manifest.world.get(kind, 0) + number for kind, number in counts.items()}
+    total = {kind: manifest.world.get(kind, 0) + count for kind, count in counts.items()}
     write_run_manifest(store, msgspec.structs.replace(manifest, world=total))
 
 
@@ -230,10 +228,10 @@ def run_questions(
         raise StoreError(f"run {run_id!r} has other questions than the store has now: give another --run-id")
     if not record:
         return matching(questions, QuestionSelection(questions=manifest.question_ids)), manifest.selection
-    found = select_questions(questions, selection, image_root)
-    if left_out := set(manifest.question_ids) - {question.question_id for question in found}:
+    chosen = select_questions(questions, selection, image_root)
+    if left_out := set(manifest.question_ids) - {question.question_id for question in chosen}:
         raise StoreError(
             f"run {run_id!r} has {len(left_out)} questions that this selection leaves out: choose more, leave the "
             "selection out to finish it as it is, or give another --run-id"
         )
-    return found, record
+    return chosen, record

@@ -26,7 +26,7 @@ _COLUMNS: Final = {
 def select_questions(
     questions: Sequence[QuestionRow], selection: QuestionSelection, image_root: str | None
 ) -> list[QuestionRow]:
-    """Select questions whose sequence has panoramas.
+    """Select questions of sequences that have panoramas.
 
     Questions without panoramas are left out first, with a warning; maximum numbers count the others.
 
@@ -45,20 +45,20 @@ def select_questions(
     """
     if selection.per_template is not None:
         _check_columns(questions, "template")
-    found = _with_panoramas(matching(questions, selection), image_root)
+    chosen = _with_panoramas(matching(questions, selection), image_root)
     if selection.seed is not None:
-        found.sort(key=lambda question: _draw(selection.seed, question))
+        chosen.sort(key=lambda question: _draw(selection.seed, question))
     if selection.per_template is not None:
         counts: Counter[str] = Counter()
-        ranked = sorted(((_count(counts, row.template), row) for row in found), key=itemgetter(0))
-        found = [row for rank, row in ranked if rank <= selection.per_template]
-    found = found[: selection.limit]
+        ranked = sorted(((_count(counts, row.template), row) for row in chosen), key=itemgetter(0))
+        chosen = [row for rank, row in ranked if rank <= selection.per_template]
+    chosen = chosen[: selection.limit]
     if selection.shard is None:
-        return found
+        return chosen
     # All sequences of the store: more questions must not move a sequence to another shard.
-    number, shards = selection.shard
-    members = set(sorted({row.sequence for row in questions})[number - 1 :: shards])
-    return [row for row in found if row.sequence in members]
+    index, shards = selection.shard
+    members = set(sorted({row.sequence for row in questions})[index - 1 :: shards])
+    return [row for row in chosen if row.sequence in members]
 
 
 def matching(questions: Sequence[QuestionRow], selection: QuestionSelection) -> list[QuestionRow]:
@@ -75,13 +75,13 @@ def matching(questions: Sequence[QuestionRow], selection: QuestionSelection) -> 
         InputError: The selection has an unknown name, or needs columns that the store lacks.
     """
     for field, column in _COLUMNS.items():
-        names, known = getattr(selection, field), {getattr(row, column): None for row in questions}
+        names, values = getattr(selection, field), {getattr(row, column): None for row in questions}
         if names:
             _check_columns(questions, column)
-        if unknown := [name for name in names if name not in known]:
+        if unknown := [name for name in names if name not in values]:
             which = f"{len(unknown)} of {len(names)} {field}" if len(names) > 1 else column.replace("_", " ")
             # Ids are too much alike for a suggestion.
-            near = "" if field == "questions" else did_you_mean(unknown[0], known)
+            near = "" if field == "questions" else did_you_mean(unknown[0], values)
             raise InputError(f"{which} {unknown[0][:60]!r} is not in the store's questions{near}", field=column)
     if selection.questions:
         by_id = {row.question_id: row for row in questions}
@@ -111,15 +111,15 @@ def _draw(seed: int | None, question: QuestionRow) -> bytes:
 def _with_panoramas(questions: Sequence[QuestionRow], image_root: str | None) -> list[QuestionRow]:
     sequences = sorted({question.sequence for question in questions})
     without = [name for name in sequences if image_root is None or not any(Path(image_root, name).glob("*.jpg"))]
-    found = [question for question in questions if question.sequence not in without]
+    complete = [question for question in questions if question.sequence not in without]
     if not questions:
         raise StoreError("no question is of all the chosen families, templates and sequences: choose fewer")
     lacking = (
         f"{len(without)} sequences have no panoramas ({', '.join(without[:3])}{', ...' if len(without) > 3 else ''})"
     )
-    if not found:
+    if not complete:
         raise StoreError(f"no selected question can be asked: {lacking}; choose others, or give --images")
     if without:
-        left = f"{len(questions) - len(found)} of {len(questions)} questions are left out: {lacking}"
-        warnings.warn(f"{left}; {len(found)} can be asked", AvrWarning, stacklevel=4)
-    return found
+        left = f"{len(questions) - len(complete)} of {len(questions)} questions are left out: {lacking}"
+        warnings.warn(f"{left}; {len(complete)} can be asked", AvrWarning, stacklevel=4)
+    return complete

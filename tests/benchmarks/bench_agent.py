@@ -1,4 +1,4 @@
-"""The reference agent beside other methods: `python tests/benchmarks/bench_agent.py [--full] [--out FOLDER]`.
+"""The agent beside other methods: `python tests/benchmarks/bench_agent.py [--full | --smallest] [--out FOLDER]`.
 
 Everything is synthetic: the simulated model on samples. Makes a sample and its questions for each seed, runs the
 methods under settings of noise, and prints scores, cost, and each bound of `agent_bounds.py` with what was measured.
@@ -261,6 +261,7 @@ def _person(box: Box, left: int, people: dict[int, Box]) -> int | None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true", help="four samples, three noise seeds, all settings")
+    parser.add_argument("--smallest", action="store_true", help="two questions of two methods, without noise")
     parser.add_argument("--samples", help="seeds of samples, with commas between; 20, or 21 to 24 with --full")
     parser.add_argument("--questions", type=int, help="most questions of each sample; 48, or 120 with --full")
     parser.add_argument("--seeds", type=int, help="noise seeds of each noisy setting; 1, or 3 with --full")
@@ -269,6 +270,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="runs at a time")
     parser.add_argument("--out", type=Path, default=Path("bench-agent"), help="folder of samples, stores and runs")
     given = parser.parse_args()
+    if given.smallest:
+        given.questions, given.settings, given.methods = 2, "perfect", f"{AGENT},{REACT}"
     few = ("perfect", "noise-0.1", "correlated", "ids-off")
     settings = given.settings.split(",") if given.settings else list(SETTINGS) if given.full else few
     samples = [int(seed) for seed in (given.samples or ("21,22,23,24" if given.full else "20")).split(",")]

@@ -84,7 +84,7 @@ def main():
     parser.add_argument("--store", type=Path)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--scale", type=float, default=0.25)
-    parser.add_argument("--smallest", action="store_true", help="one sequence of 60 frames")
+    parser.add_argument("--smallest", action="store_true", help="one sequence of 180 frames")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)

@@ -116,14 +116,14 @@ def sample(root, scale, workers, smallest=False):
     from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, write
 
     sizes = [(max(60, round(frames * scale)), people) for frames, people in FULL_SCALE]
-    for _ in write(plan(root, [(60, 8)] if smallest else sizes, 0, images="none"), workers):
+    for _ in write(plan(root, [(180, 12)] if smallest else sizes, 0, images="none"), workers):
         pass
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scale", type=float, default=0.25)
-    parser.add_argument("--smallest", action="store_true", help="one sequence of 60 frames")
+    parser.add_argument("--smallest", action="store_true", help="one sequence of 180 frames")
     parser.add_argument("--root", type=Path)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()

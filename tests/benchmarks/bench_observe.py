@@ -1,9 +1,10 @@
-"""Observing against decoding: `python tests/benchmarks/bench_observe.py IMAGE_FOLDER`.
+"""Observing against decoding: `python tests/benchmarks/bench_observe.py [IMAGE_FOLDER] [--smallest]`.
 
 IMAGE_FOLDER is one sequence's folder of stitched panoramas; without it, noise-like panoramas are written to a temporary
 folder. Prints cold observe / JPEG decode (bar 1.10) and warm crops per second (bar 8,000).
 """
 
+import argparse
 import random
 import statistics
 import sys
@@ -27,8 +28,10 @@ def write_panoramas(folder: Path, count: int) -> None:
         cv2.imwrite(str(folder / f"{frame:06d}.jpg"), image)
 
 
-def measure(folder: Path) -> None:
+def measure(folder: Path, rounds: int) -> None:
     paths = sorted(folder.glob("*.jpg"))
+    if len(paths) < 2:
+        sys.exit(f"{folder} holds {len(paths)} panoramas (*.jpg); two are needed")
     frames = tuple(int(path.stem) for path in paths)
     info = SequenceInfo(folder.name, 15.0, frames[-1] + 1, frames)
     for path in paths:
@@ -41,7 +44,7 @@ def measure(folder: Path) -> None:
         observer(info.sequence, frame, 0.0)
     ratios = []
     decode_ms = []
-    for _ in range(9):
+    for _ in range(rounds):
         decode = observe = 0.0
         for frame, path in zip(frames, paths, strict=True):
             start = time.perf_counter()
@@ -58,11 +61,11 @@ def measure(folder: Path) -> None:
 
     observer = Observer(folder.parent, [info])
     few = frames[:8]
-    looks = [(few[i % len(few)], random.uniform(0, 360)) for i in range(2_000)]
+    looks = [(few[i % len(few)], random.uniform(0, 360)) for i in range(200 * rounds)]
     for frame in few * 2:
         observer(info.sequence, frame, 0.0)
     rates = []
-    for _ in range(30):
+    for _ in range(3 * rounds):
         start = time.perf_counter()
         for frame, angle in looks:
             observer(info.sequence, frame, angle)
@@ -73,10 +76,17 @@ def measure(folder: Path) -> None:
     )
 
 
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", metavar="IMAGE_FOLDER")
+    parser.add_argument("--smallest", action="store_true", help="one round over four panoramas")
+    options = parser.parse_args()
+    rounds, count = (1, 4) if options.smallest else (10, 24)
+    with tempfile.TemporaryDirectory() as name:
+        if options.folder is None:
+            write_panoramas(Path(name) / "noise", count)
+        measure(options.folder or Path(name) / "noise", rounds)
+
+
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        measure(Path(sys.argv[1]))
-    else:
-        with tempfile.TemporaryDirectory() as name:
-            write_panoramas(Path(name) / "noise", 24)
-            measure(Path(name) / "noise")
+    main()

@@ -1,4 +1,4 @@
-"""What each stage costs as a store grows: `python tests/benchmarks/bench_scale.py [--fold 20] [--workers 2]`.
+"""Costs of each stage as stores grow: `python tests/benchmarks/bench_scale.py [--fold 20 | --smallest] [--workers 2]`.
 
 Two synthetic sequences of every layer without images, and so many times as many of the same size under other names
 (and with other people), each loaded and generated from in processes of its own. Printed per stage and store: boxes,
@@ -23,12 +23,12 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import many_runs
 import pyarrow as pa
 import pyarrow.parquet as pq
-from many_runs import QUESTION_COUNT, RUN_COUNT, write_runs
 
 FRAMES, PEOPLE, SEQUENCES = 300, 20, 2
-QUESTIONS = 100
+QUESTIONS, RUNS = 100, 25
 
 
 def in_new_process(function, *arguments):
@@ -153,9 +153,9 @@ def command(*arguments):
 
 
 def reported(folder):
-    """Slopes of scoring and reporting, between five and 25 made-up runs."""
+    """Slopes of scoring and reporting, between a fifth and all of the made-up runs."""
     # In another process: what this one holds would count as the peak of those that it starts.
-    in_new_process(write_runs, folder)
+    in_new_process(many_runs.write_runs, folder, RUNS)
     store = folder
     stages = {"score": ("score", "--store", store), "report": ("report", "--store", store, "--table", "all", "--json")}
 
@@ -163,9 +163,9 @@ def reported(folder):
         return [min(costs) for costs in zip(*(command(*stage)[1:] for _ in range(3)), strict=True)]
 
     many = {name: least(stage) for name, stage in stages.items()}
-    for left in sorted((store / "runs").iterdir())[5:]:
+    for left in sorted((store / "runs").iterdir())[RUNS // 5 :]:
         shutil.rmtree(left)
-    more = (RUN_COUNT - 5) * QUESTION_COUNT
+    more = (RUNS - RUNS // 5) * many_runs.QUESTION_COUNT
     print("\nof each prediction:")
     for name, stage in stages.items():
         spent, held = (a - b for a, b in zip(many[name], least(stage), strict=True))
@@ -199,7 +199,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fold", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--smallest", action="store_true", help="short sequences, twice as many, and five runs")
     options = parser.parse_args()
+    if options.smallest:
+        options.fold = 2
+        globals().update(FRAMES=90, PEOPLE=8, QUESTIONS=10, RUNS=5)
     with tempfile.TemporaryDirectory() as scratch:
         found = {}
         print(f"{'sequences':>9}{'boxes':>10}{'questions':>11}{'stage':>10}{'cpu s':>9}", end="")

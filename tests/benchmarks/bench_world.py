@@ -1,4 +1,4 @@
-"""Time of the world model: `python tests/benchmarks/bench_world.py`.
+"""Time of the world model: `python tests/benchmarks/bench_world.py [--smallest]`.
 
 64 episodes are in flight in one process, over 20,000 entities of older runs in a graph on disk. Each makes looks,
 sightings, attributes and relations of four people by the agent's own class, and solves its plan after every turn. The
@@ -36,7 +36,8 @@ from jrdb_avr.schema.panorama import FOV_DEG, Box, crop_left
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import FIRST_RIGHT
 
-IN_FLIGHT, TURNS, OLDER, BAR_MS, MODEL_S = 64, 8, 20_000, 50.0, 1.0
+SMALLEST = "--smallest" in sys.argv
+IN_FLIGHT, TURNS, OLDER, BAR_MS, MODEL_S = (4, 5, 20, 50.0, 0.1) if SMALLEST else (64, 8, 20_000, 50.0, 1.0)
 TALK, RIGHT = "conversation", FIRST_RIGHT
 CHAIN = (("a", TALK, "b"), ("b", RIGHT, "c"), ("c", TALK, "d"))
 FORK = (("a", TALK, "b"), ("a", RIGHT, "c"), ("b", RIGHT, "d"), ("c", TALK, "d"))
@@ -186,7 +187,7 @@ def main():
     print(f"processor: {1000 * worked / len(times['turn']):.1f} ms a turn")
     print("other shapes:", *(f"{1000 * one:.1f}" for one in TIMES["read"][-len(OTHERS) :]), "ms")
     print(f"stolen: {100 * stolen / max(whole, 1):.1f} %")
-    sys.exit(int(1000 * np.percentile(times["turn"], 99) > BAR_MS))
+    sys.exit(int(not SMALLEST and 1000 * np.percentile(times["turn"], 99) > BAR_MS))
 
 
 if __name__ == "__main__":

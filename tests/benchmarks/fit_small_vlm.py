@@ -1,4 +1,4 @@
-"""Fit the profile `small-vlm` to published rows: `python tests/benchmarks/fit_small_vlm.py [--search] [--out FOLDER]`.
+"""Fit the profile `small-vlm` to published rows: `python tests/benchmarks/fit_small_vlm.py [--search | --smallest]`.
 
 Everything is synthetic. The knobs are fitted to the paper's rows of Qwen3.5 9B of the methods that are no agent, over
 questions of one sample in the mix in which they were generated; no agent is run. Prints what the profile gives beside
@@ -18,7 +18,7 @@ from typing import Final
 
 import msgspec
 import pyarrow.compute as pc
-from bench_agent import FULL, code_hash, make_store
+from bench_agent import FULL, SMALL, code_hash, make_store
 
 from jrdb_avr.agent.simulated.knobs import PROFILES, Knobs, settings
 from jrdb_avr.engine.report.comparison import report
@@ -133,12 +133,15 @@ def mixed(store: Path) -> tuple[str, ...]:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--search", action="store_true", help="look for better knobs first")
+    parser.add_argument("--smallest", action="store_true", help="two questions each of a small sample")
     parser.add_argument("--sweeps", type=int, default=2, help="how often the search goes through the knobs")
     parser.add_argument("--questions", type=int, default=268, help="of the fit; of the others, as many")
     parser.add_argument("--out", type=Path, default=Path("bench-agent"), help="folder of the sample, store and runs")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
-    store = make_store(given.out.resolve(), SAMPLE, FULL)
+    if given.smallest:
+        given.questions = 2
+    store = make_store(given.out.resolve(), SAMPLE, SMALL if given.smallest else FULL)
     every = mixed(store)
     fitted, others = every[: given.questions], every[given.questions : 2 * given.questions]
     knobs = PROFILES["small-vlm"]

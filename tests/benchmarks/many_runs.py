@@ -19,6 +19,8 @@ from jrdb_avr.schema.templates import FAMILIES
 
 QUESTION_COUNT, RUN_COUNT, EVIDENCE_FRAMES, SEQUENCES = 2_098, 25, 500, 27
 FRAMES, PEOPLE, LOOKS, REQUEST = 900, 30, 8, 2_000
+SMALLEST = {"QUESTION_COUNT": 54, "RUN_COUNT": 2, "EVIDENCE_FRAMES": 5, "FRAMES": 90, "PEOPLE": 3}
+"""Sizes of the smallest form of the benchmarks that use this store, for `globals()`."""
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
 METHODS = ("agent", "agent-no-world", "agent-passive", "agent-passive-no-world", "monolithic", "react")
 
@@ -144,7 +146,7 @@ def made_up_sightings(sequence, rng):
     return filled(columns, INTERVALS["sightings"])
 
 
-def write_runs(path, runs=RUN_COUNT):
+def write_runs(path, runs=None):
     """A store with the questions, everybody's boxes and the runs."""
     rng, store = np.random.default_rng(1), Store(path)
     tables = made_up_questions(rng)
@@ -153,7 +155,7 @@ def write_runs(path, runs=RUN_COUNT):
     for sequence in tables["sequences"]["sequence"].to_pylist():
         store.write_interval("sightings", sequence, made_up_sightings(sequence, rng))
     questions = sort_by_sequence(tables["questions"])
-    for number in range(runs):
+    for number in range(runs or RUN_COUNT):
         run_id = f"run-{number:02}"
         store.write_run(run_id, "predictions", made_up_predictions(questions, rng, run_id))
         store.write_run(run_id, "steps", made_up_steps(questions, rng, run_id))

@@ -99,6 +99,20 @@ def test_of_two_poses_neither_is_certain():
     ]
 
 
+def test_a_hard_label_stays_a_label_beside_a_fact_without_one():
+    # A person who runs may be said to walk.
+    world = World(SECONDS).see(1, [0], [("walking", HARD)]).see(1, [15], ["running"])
+    labels, possible = (derived(world, kind) for kind in ("actions", "possible_actions"))
+    assert [(row["action"], row["first"], row["last"], row["certain"]) for row in labels] == [
+        ("running", 15, 15, True),
+        ("walking", 0, 0, False),
+    ]
+    assert [(row["action"], row["first"], row["last"], row["gap"]) for row in possible] == [
+        ("running", 0, 0, False),
+        ("walking", 15, 15, False),
+    ]
+
+
 def test_a_group_has_a_size_where_everybody_certainly_is_in_or_out():
     world = World([0, 15, 30, 45])
     for frame, third in ((0, 8), (15, 7), (30, (7, HARD)), (45, None)):

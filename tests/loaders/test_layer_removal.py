@@ -101,6 +101,7 @@ STAND_INS = {"2d": ("social", "reasoning"), "social": ("reasoning",)}
 """Files that would give the 2D boxes or the social facts in place of a missing file."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gone", FILES)
 def test_the_rest_is_unchanged_without_a_layer(tmp_path, gone):
     world = {layer: content for layer, content in whole_world().items() if layer not in STAND_INS.get(gone, ())}

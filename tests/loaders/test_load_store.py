@@ -149,6 +149,7 @@ def test_sequences_and_layers_that_are_gone_do_not_linger(tmp_path, loaded_one):
 # -- what goes wrong on the way ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_killed_load_is_repaired_by_running_it_again(tmp_path, loaded_one):
     store = Store(tmp_path / "store")
     arguments = ("load", loaded_one.path.parent / "root", "--store", store.path, "--workers", 1)
@@ -165,6 +166,7 @@ class Killed(BaseException):
     """Stands for the end of the process."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "first", "again"),
     [

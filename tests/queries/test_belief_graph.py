@@ -15,8 +15,6 @@ from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
 
-pytestmark = pytest.mark.usefixtures("every_plan")
-
 
 @pytest.fixture
 def scene(tmp_path):

@@ -15,6 +15,8 @@ from processes import run
 from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.errors import InputError, StoreError
 
+pytestmark = pytest.mark.slow
+
 
 def test_without_ray_the_message_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)

@@ -197,6 +197,7 @@ def bound_with_thing(world, plan):
     return only if only in (EMPTY, SEVERAL, MAYBE) else dict(zip(people, only[0], strict=True))
 
 
+@pytest.mark.slow
 def test_things_people_have_to_do_with_are_found_as_by_brute_force(sites):
     rng, seen = random.Random(3), Counter()
     for site in sites:

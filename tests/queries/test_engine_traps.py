@@ -22,8 +22,6 @@ from jrdb_avr.queries.graph.guard import check_cypher
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.schema.errors import QueryError
 
-pytestmark = pytest.mark.usefixtures("every_plan")
-
 MENDED = "the engine answers rightly now: see whether its guard may go"
 
 
@@ -448,6 +446,7 @@ def test_trap_copy_stops_at_an_empty_chunk(memory):
 # -- crashes, and what the language lacks ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["all", "any", "none", "single"])
 def test_trap_quantifiers_crash_on_many_rows(name):
     program = """

@@ -24,7 +24,7 @@ from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
-pytestmark = pytest.mark.usefixtures("every_plan", "own_processes")
+pytestmark = pytest.mark.usefixtures("own_processes")
 
 SECRET = "a line that must not be read"
 

@@ -20,8 +20,6 @@ from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
-pytestmark = pytest.mark.usefixtures("every_plan")
-
 NODES = "CREATE NODE TABLE N(id INT64 PRIMARY KEY, s STRING)"
 EDGES = "CREATE REL TABLE R(FROM N TO N, k INT64)"
 

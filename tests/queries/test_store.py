@@ -44,6 +44,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
     code = textwrap.dedent(
         f"""

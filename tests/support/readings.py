@@ -94,14 +94,6 @@ class World:
         self._write("handles", track, frames, [("verb", verb, verb)], object=thing, category_id=category)
         return self
 
-    def show_face(self, track, frames, seen=True):
-        """Whether the person's head is marked visible at the frames."""
-        points = [0.0, 0.0, 2.0 if seen else 1.0] * 3 + [0.0, 0.0, 2.0 if not seen else 0.0] * 14
-        for frame in frames:
-            self.rows["poses"].append({"sequence": SEQUENCE, "frame": frame, "track": track, "keypoints": points})
-        self.more.add("pose")
-        return self
-
     def _write(self, layer, track, frames, facts, **more):
         self.more.add(layer)
         for frame in frames:

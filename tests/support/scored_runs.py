@@ -10,7 +10,7 @@ import pyarrow as pa
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun
 from jrdb_avr.engine.report.scoring import is_judged, score_predictions
 from jrdb_avr.engine.report.truth import Truth, row_numbers
-from jrdb_avr.engine.run.journal import Journal, KeptEntries, LinePlace, journal_folder
+from jrdb_avr.engine.run.journal import Journal, KeptEntries, LinePosition, journal_folder
 from jrdb_avr.queries.questions import sort_by_sequence
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
@@ -187,7 +187,7 @@ class InMemory(KeptEntries):
     """Entries that lie in no file, as of one sequence."""
 
     def __init__(self, *entries):
-        super().__init__(None, {own.question_id: LinePlace("s", 0, 0) for own in entries})
+        super().__init__(None, {own.question_id: LinePosition("s", 0, 0) for own in entries})
         self._entries = {own.question_id: own for own in entries}
 
     def __getitem__(self, question_id):

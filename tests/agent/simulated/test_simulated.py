@@ -124,6 +124,7 @@ def check_evidence(prediction, box, least=0.9):
     assert iou(Box(*prediction.evidence.box), truth) >= least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "x", [-70, -69, -35, -1, 0, 10, 200, 1800, 2000, WIDTH - 71, WIDTH - 70, WIDTH - 35, WIDTH - 1, WIDTH, WIDTH + 40]
 )

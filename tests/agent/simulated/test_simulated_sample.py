@@ -14,6 +14,8 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.markers import read
 from jrdb_avr.schema.panorama import Box, iou
 
+pytestmark = pytest.mark.slow
+
 N = 20
 
 

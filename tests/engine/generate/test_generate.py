@@ -282,6 +282,7 @@ def test_files_do_not_depend_on_workers_input_order_hash_seed_or_candidates(made
     assert layer_rows(store) == layer_rows(made[0])
 
 
+@pytest.mark.slow
 def test_a_kill_between_the_files_is_repaired_by_another_run(one, tmp_path):
     store = Store(shutil.copytree(one[0].path, tmp_path / "store"))
     script = (

@@ -249,6 +249,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.slow
 def test_the_world_model_of_a_run_stays(loaded, made, made_rows, tmp_path):
     store = copied(loaded, tmp_path)
     # What a killed run wrote last lies in the log beside the graph.

@@ -20,6 +20,8 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("hall-2020-01-01_0", "yard-2020-01-01_0")
 FEW = 6
 CAPS = Rules(max_per_person=1, max_per_person_in_all=2, max_answer_share=0.1)

@@ -131,13 +131,6 @@ def test_refusals_say_what_is_allowed(observe, sequence, frame, angle, says):
     assert "\n" not in str(error.value)
 
 
-def test_numpy_numbers_are_numbers(observe):
-    seen = observe(NAME, np.int64(15), np.float32(90))
-    assert (seen.frame_index, seen.angle_deg) == (15, 90.0)
-    assert type(seen.frame_index) is int
-    assert type(seen.angle_deg) is float
-
-
 def test_names_that_are_paths_are_refused_before_anything_is_read(root):
     for name in ("../x", "a/b", "..", "", "a\0b", "/etc"):
         with pytest.raises(InputError):

@@ -5,7 +5,6 @@ import contextlib
 import json
 import re
 import time
-from importlib.resources import files
 from xml.etree import ElementTree
 
 import msgspec
@@ -19,18 +18,16 @@ from traced_runs import trace_runs
 
 from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.inspect import (
-    Stretch,
-    TimelineRow,
     choose_questions,
     close_up,
     inspect_page,
     inspect_questions,
     nearest_annotated,
-    runs_of,
 )
 from jrdb_avr.engine.pages.page import environment, readable, render, write_page
 from jrdb_avr.engine.pages.report import Crossed, pivot
 from jrdb_avr.engine.pages.svg import PlanGraph, scatter, wrapped
+from jrdb_avr.engine.pages.timeline import Stretch, TimelineRow, runs_of
 from jrdb_avr.engine.report.bundle import write_bundle
 from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
@@ -150,35 +147,6 @@ def test_paper_has_no_controls_and_is_light(opened, report, inspected):
         )
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
         assert found[:2] == [0, "rgb(255, 255, 255)"] and set(found[2]) == {"avoid"}
-
-
-def test_colours_of_words_are_told_from_what_lies_behind():
-    """WCAG 2 AA: 4.5 to 1, in light, dark and print; the roles' colours too, that name people."""
-    folder = files("jrdb_avr.engine.pages")
-    style, roles = (folder.joinpath(name).read_text() for name in ("style.css", "roles.css"))
-    themes = [dict(re.findall(r"--(\w+): (#\w+)", block)) for block in re.findall(r":root \{(.*?)\}", style, re.DOTALL)]
-    people = [re.findall(r"--role: (#\w+)", part) for part in re.split(r"@media (?:\(prefers|print)", roles)[:2]]
-    people.append(re.findall(r"--role: (#\w+)", roles[roles.rindex("@media print") :]))
-    assert len(themes) == len(people) == 3
-    for theme, own in zip(themes, people, strict=True):
-        assert len(own) >= 6
-        words = [theme[name] for name in ("ink", "soft", "answer", "evidence", "combined", "wrong", "accent")] + own[:6]
-        for behind in (theme["paper"], theme["card"], theme["faint"]):
-            assert min(contrast(word, behind) for word in words) >= 4.5
-        assert contrast(theme["unknown"], theme["faint"]) >= 3
-
-
-def contrast(first, second):
-    def luminance(color):
-        color = color[1:] if len(color) == 7 else "".join(letter * 2 for letter in color[1:])
-        parts = [int(color[k : k + 2], 16) / 255 for k in (0, 2, 4)]
-        return sum(
-            weight * (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4)
-            for weight, part in zip((0.2126, 0.7152, 0.0722), parts, strict=True)
-        )
-
-    dark, light = sorted((luminance(first), luminance(second)))
-    return (light + 0.05) / (dark + 0.05)
 
 
 # -- the leaderboard --------------------------------------------------------------------------------------------------
@@ -467,40 +435,6 @@ def test_a_panorama_is_zoomed_turned_and_shown_again(opened, pictured):
         assert wide < 2000 and tall == 480 and 0 < (first.x - left) % 3760 < wide
 
 
-@pytest.mark.slow
-def test_frames_a_second_before_and_after_are_those(opened, pictured):
-    import cv2
-
-    driver, _ = opened
-    path, store, one = pictured
-    visit(driver, path)
-    figure = driver.find_element("css selector", "figure:has(.zoomable)")
-    frame = min(one.boxes)
-    observer, sequence = Observer.of(store), one.record.sequence
-    sightings = store.interval("sightings", sequence).to_pylist()
-
-    def displayed():
-        (part,) = (own for own in figure.find_elements("css selector", "[data-seconds]") if own.is_displayed())
-        uri = part.find_element("css selector", "image").get_attribute("href")
-        data = np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8)
-        names = [text.text.lower() for text in part.find_elements("css selector", "text")]
-        boxes = [float(own.get_attribute("x")) % 3760 for own in part.find_elements("css selector", "rect.box")]
-        return cv2.imdecode(data, cv2.IMREAD_COLOR_RGB), dict(zip(names, boxes, strict=True))
-
-    for keys, shift in (("", 0), (",,", -15), (".", 0), ("..", 15)):
-        pressed(driver, *keys)
-        there = [frame + moved for moved in (-15, 0, 15)]
-        picture, boxes = displayed()
-        size = picture.shape[1::-1]
-        apart = [
-            np.abs(cv2.resize(observer.panorama(sequence, own), size).astype(int) - picture).mean() for own in there
-        ]
-        assert there[int(np.argmin(apart))] == frame + shift
-        rows = {row["track"]: row["x"] for row in sightings if row["frame"] == frame + shift}
-        expected = {role: rows[track] % 3760 for role, track in one.people.items() if track in rows}
-        assert boxes == pytest.approx(expected)
-
-
 def test_unknown_questions_are_refused(sample_benchmark, tmp_path):
     code, out, err = run("inspect", "0" * 16, "--store", sample_benchmark.path, "--out", tmp_path / "i.html")
     assert (code, out) == (1, "")
@@ -603,28 +537,6 @@ def test_a_timeline_is_to_scale():
     assert [text for text in texts if text in ("t0", "t1")] == ["t0", "t1"]
     assert sum(e.text.endswith("(unknown)") for e in drawn.iter("title")) == 1
     assert [text for text in texts if text in ("A", "B")] == ["A", "B"]
-
-
-def test_a_plan_shows_every_condition_whole():
-    """A reviewer who sees three of five conditions would accept a wrong question."""
-    conditions = [{"attribute": "gender", "value": "male"}, {"attribute": "age", "value": "middle adulthood"}]
-    timed = [{"action": "talking on the phone"}, {"attribute": "sector", "value": "behind"}]
-    timed.append({"object": "skateboard/segway/hoverboard", "verb": "riding"})
-    conditions += [condition | {"at": "t0"} for condition in timed]
-    plan = {
-        "root": "a",
-        "target": "a",
-        "times": {"t0": {"frame": 30}},
-        "nodes": [{"id": "a", "conditions": conditions}],
-        "edges": [],
-        "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
-    }
-    graph = PlanGraph(parse_plan(json.dumps(plan)))
-    (node,) = graph.nodes
-    said = "".join(node.lines).replace(" ", "")
-    for text in ("gender:male", "age:middleadulthood", "talkingonthephone", "sector:behind", "riding", "hoverboard"):
-        assert text in said
-    assert graph.node_height > 13 * len(node.lines) and all(len(line) <= 23 for line in node.lines)
 
 
 def test_named_times_beside_each_other_are_told_apart():

@@ -61,5 +61,5 @@ def test_looks_are_those_that_were_shown(traced):
 def test_a_statement_that_is_read_again_stands_once_and_one_that_was_replaced_twice():
     statements = []
     for step, until, text in [(1, 4, "sits"), (2, 2, "stands"), (4, 7, "sits"), (9, 12, "sits")]:
-        trace_page.told(statements, trace_page.Statement(step, until, text))
+        trace_page.add_statement(statements, trace_page.Statement(step, until, text))
     assert [*map(tuple, statements)] == [(1, 7, "sits"), (2, 2, "stands"), (9, 12, "sits")]

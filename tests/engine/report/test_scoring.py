@@ -1,11 +1,7 @@
 """Scores against oracles that share no code with the scorer: Python sets, pycocotools, integer grid cells."""
 
-import inspect
 import json
 import math
-import sys
-import types
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -28,10 +24,7 @@ from jrdb_avr.engine.report.tables import score_row
 from jrdb_avr.engine.report.truth import Truth, read_truth
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema import answer_modes, answers
-from jrdb_avr.schema.answer_modes import decode_answer, same_answer
-from jrdb_avr.schema.answers import Span
-from jrdb_avr.schema.errors import DecodeError, InputError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
@@ -40,7 +33,7 @@ ANSWER_COLUMNS = ("question_id", "answer", "target_track")
 MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
 
 
-def truth_of(rows, fps=15.0, make=Truth):
+def truth_of(rows, fps=15.0):
     """rows: (question_id, mode, answer as a dict, {frame: box})."""
     questions = [
         {
@@ -64,7 +57,7 @@ def truth_of(rows, fps=15.0, make=Truth):
         for frame, box in boxes.items()
     ]
     sequences = [{"sequence": "s", "fps": fps, "frame_count": 1000, "frames": [0]}]
-    return make(
+    return Truth(
         pa.Table.from_pylist(questions, schema=QUESTIONS["questions"]),
         pa.Table.from_pylist(sequences, schema=QUESTIONS["sequences"]),
         pa.Table.from_pylist(answers, schema=pa.schema(map(QUESTIONS["answers"].field, ANSWER_COLUMNS))),
@@ -296,61 +289,7 @@ def grid(box):
     return {((x + i) % WIDTH, y + j) for i in range(w) for j in range(h)}
 
 
-@given(cells, st.integers(-30, 30), st.integers(-30, 30), st.integers(1, 50), st.integers(1, 50), st.integers(-2, 2))
-@settings(max_examples=examples(40))
-def test_box_iou_equals_counted_cells(a, dx, dy, w, h, turn):
-    b = (a[0] + dx + turn * WIDTH, a[1] + dy, w, h)
-    ours = float(box_ious(np.array([a], float), np.array([b], float))[0])
-    assert ours == pytest.approx(len(grid(a) & grid(b)) / len(grid(a) | grid(b)), abs=1e-12)
-
-
 frames = st.integers(0, 60)
-
-
-@given(frames, frames, frames, frames)
-@settings(max_examples=examples(80))
-def test_span_equals_jaccard_of_sets(a, b, c, d):
-    truth, said = set(range(min(a, b), max(a, b) + 1)), set(range(c, d + 1))
-    expected = int(2 * len(truth & said) >= len(truth | said))
-    spans = [{"start_frame": min(a, b), "end_frame": max(a, b)}, {"start_frame": c, "end_frame": d}]
-    assert answer_score("span", *spans) == expected
-
-
-def test_a_hundred_thousand_boxes_as_pycocotools_has_them():
-    """Each of 320 boxes with each of 320, crowded into the columns round the seam so that most pairs meet."""
-    generator = np.random.default_rng(11)
-    first, second = (
-        np.stack(
-            [
-                generator.uniform(-200, 200, 320) + WIDTH * generator.integers(-1, 2, 320),
-                generator.uniform(0, 200, 320),
-                generator.uniform(1, 300, 320),
-                generator.uniform(1, 300, 320),
-            ],
-            axis=1,
-        )
-        for _ in range(2)
-    )
-    turned = [np.add(second, [turn * WIDTH, 0, 0, 0]) for turn in range(-3, 4)]
-    expected = np.max([coco.iou(first, boxes, [0] * 320) for boxes in turned], axis=0)
-    ours = box_ious(np.repeat(first, 320, axis=0), np.tile(second, (320, 1))).reshape(320, 320)
-    assert np.abs(ours - expected).max() < 1e-9
-    assert (expected > 0).mean() > 0.25
-
-
-@pytest.mark.slow
-def test_a_hundred_thousand_spans_as_sets_have_them():
-    generator = np.random.default_rng(12)
-    starts, lengths = generator.integers(0, 40, (2, 100_000)), generator.integers(-3, 40, (2, 100_000))
-    ends = starts + lengths - 1
-    truth, given = (map(Span, starts[i].tolist(), ends[i].tolist()) for i in range(2))
-    ours = list(map(same_answer, given, truth))
-    sets = [
-        [frozenset(range(a, b + 1)) for a, b in zip(starts[i].tolist(), ends[i].tolist(), strict=True)] for i in (0, 1)
-    ]
-    expected = [bool(a) and bool(b) and 2 * len(a & b) >= len(a | b) for a, b in zip(*sets, strict=True)]
-    assert ours == expected
-    assert 0.1 < np.mean(ours) < 0.9
 
 
 # -- against a scorer that goes row by row --------------------------------------------------------------------------
@@ -431,49 +370,6 @@ def test_set_wise_equals_row_by_row(world, threshold):
     assert score(rows, predicted, threshold) == expected
 
 
-@given(worlds())
-@settings(max_examples=examples(40), deadline=None)
-def test_set_wise_equals_the_comparison_of_the_proofs(world):
-    rows, predicted = world
-    scores = dict(zip([row[0] for row in rows], score(rows, predicted), strict=True))
-    truths = {row[0]: row for row in rows}
-    for said in predicted:
-        if said["status"] == "error":
-            continue
-        _, mode, truth, places = truths[said["question_id"]]
-        try:
-            given = None if said["answer"] is None else decode_answer(mode, said["answer"])
-        except DecodeError:
-            given = None
-        stored = decode_answer(mode, json.dumps(truth))
-        assert scores[said["question_id"]][0] == same_answer(given, stored)
-        own = places.get(said["evidence_frame"])
-        box = [said[f"evidence_{key}"] for key in "xywh"]
-        assert scores[said["question_id"]][1] == (own is not None and iou(Box(*box), Box(*own)) >= 0.5)
-
-
-@given(worlds(), st.data())
-@settings(max_examples=examples(40), deadline=None)
-def test_missing_and_degenerate_never_help(world, data):
-    """Whatever is taken from predictions, or made of no size, no score of any question rises."""
-    rows, predicted = world
-    before = score(rows, predicted)
-    worse = []
-    for said in predicted:
-        change = data.draw(st.sampled_from(["keep", "drop", "answer", "box", "flat", "thin", "error"]))
-        changes = {
-            "answer": {"answer": None},
-            "box": {"evidence_frame": None},
-            "flat": {"evidence_h": 0.0},
-            "thin": {"evidence_w": -1.0},
-            "error": {"status": "error"},
-        }
-        if change != "drop":
-            worse.append(said | changes.get(change, {}))
-    for one, other in zip(before, score(rows, worse), strict=True):
-        assert all(now <= was for was, now in zip(one[:3], other[:3], strict=True))
-
-
 def test_shuffled_predictions_score_the_same():
     rows = [(f"q{n}", "frame", {"frame": n}, {7: BOX}) for n in range(50)]
     predicted = [prediction(f"q{n}", {"frame": 2 * n}, (7, BOX)) for n in range(50)]
@@ -527,51 +423,13 @@ def test_a_run_of_nothing():
     assert row_of([], [])["answer"] is None
 
 
-# -- mutants --------------------------------------------------------------------------------------------------------
-
-MUTANTS = [
-    ("box_ious(box, target) >= iou - TIE", "box_ious(box, target) > iou"),
-    ("for shift in (turn - WIDTH, turn, turn + WIDTH)", "for shift in (0.0 * turn,)"),
-    ("np.minimum(ax + aw, bx + shift + bw)", "np.minimum(aw, bx + shift + bw)"),
-    ("aw * ah + bw * bh - overlap", "aw * ah + bw * bh"),
-    ("truth.keys[index] == key", "truth.keys[index] >= key"),
-    ("(answer_score & evidence_score)", "(answer_score | evidence_score)"),
-    ("(answer_score & evidence_score)", "answer_score"),
-    ('["answered", "invalid"]', '["answered"]'),
-    ('["answered", "invalid"]', '["answered", "invalid", "error"]'),
-    ("predictions.take(places)", "predictions.take(pc.fill_null(places, 0))"),
-    ("judged & boxed & present & ", "judged & boxed & "),
-    ("text is not None and answer is None", "answer is None"),
-    ("text is not None and answer is None", "text is None"),
-    (" & ~boxed", " & boxed"),
-    ("truth.answers[row], truth.seconds[row])", "truth.answers[row])"),
-    ("(frame >= 0)", "(frame > 0)"),
-    ("(aw > 0) & (ah > 0)", "(aw > 1) & (ah > 1)"),
-    ("DEFAULT_IOU: Final = 0.5", "DEFAULT_IOU: Final = 0.4"),
-]
-
-MUTANTS_OF_ANSWERS = [
-    ("abs(given.frame - truth.frame) <= second", "abs(given.frame - truth.frame) < second"),
-    ("abs(given.frame - truth.frame) <= second", "abs(given.frame - truth.frame) <= second + 1"),
-    ("given == truth,", "given.choice + 1 == truth.choice,"),
-    ("frames_iou(given, truth) >= 0.5", "frames_iou(given, truth) > 0.5"),
-    ("max(a.start_frame, b.start_frame) + 1", "max(a.start_frame, b.start_frame)"),
-    ("both / (a.end_frame - a.start_frame + 1", "both / (a.end_frame - a.start_frame + 2"),
-    ("truth.angle_deg)) <= 20.0 + TIE", "truth.angle_deg)) < 20.0"),
-    ("20.0 + TIE", "20.2 + TIE"),
-    ("angle_error(given.angle_deg, truth.angle_deg)", "abs(given.angle_deg - truth.angle_deg)"),
-    ("0.5 <= given.value / truth.value", "0.5 < given.value / truth.value"),
-    ("given.value / truth.value <= 2.0", "given.value / truth.value < 2.0"),
-    ("given.value > 0", "given.value >= 1"),
-]
+# -- a battery on the bounds ----------------------------------------------------------------------------------------
 
 
-def scores_as_specified(module):
-    """Whether a scorer passes a fixed battery on the bounds; the real one does, every mutant must not."""
-
+def test_battery_passes_the_scorer():
     def run(rows, predicted, threshold=0.5, fps=15.0):
-        truth = truth_of(rows, fps, module.Truth)
-        table = module.score_predictions(truth, "r", [row[0] for row in rows], predictions_of(predicted), threshold)
+        truth = truth_of(rows, fps)
+        table = score_predictions(truth, "r", [row[0] for row in rows], predictions_of(predicted), threshold)
         return [tuple(row.values())[2:] for row in table.to_pylist()]
 
     wrong = []
@@ -600,35 +458,7 @@ def scores_as_specified(module):
     small = prediction("q", {"frame": 0}, (0, (100.0, 50.0, 0.5, 0.5)))
     wrong.append(run(start, [small]) != [(1, 1, 1, False)])
     wrong.append(run(start, [small | {"evidence_w": 0.0}], 1e-6)[0][1] != 0)
-    return not any(wrong) and module.DEFAULT_IOU == 0.5
-
-
-def test_battery_passes_the_scorer():
-    assert scores_as_specified(scoring)
-
-
-@pytest.mark.parametrize(("old", "new"), MUTANTS)
-def test_mutants_of_the_scorer_are_caught(old, new, monkeypatch):
-    source = Path(scoring.__file__).read_text()
-    assert old in source, "the mutant's place has moved: adapt this list"
-    mutant = types.ModuleType("mutant")
-    # dataclasses look their module up by name.
-    monkeypatch.setitem(sys.modules, "mutant", mutant)
-    exec(compile(source.replace(old, new), "mutant", "exec"), mutant.__dict__)
-    assert not scores_as_specified(mutant)
-
-
-@pytest.mark.parametrize(("old", "new"), MUTANTS_OF_ANSWERS)
-def test_mutants_of_the_comparison_of_answers_are_caught(old, new, monkeypatch):
-    sources = Path(answer_modes.__file__).read_text(), inspect.getsource(answers.frames_iou)
-    assert old in "".join(sources), "the mutant's place has moved: adapt this list"
-    mutant = types.ModuleType("mutant")
-    # dataclasses look their module up by name.
-    monkeypatch.setitem(sys.modules, "mutant", mutant)
-    for source in sources:
-        exec(compile(source.replace(old, new), "mutant", "exec"), mutant.__dict__)
-    monkeypatch.setattr(scoring, "same_answer", mutant.same_answer)
-    assert not scores_as_specified(scoring)
+    assert not any(wrong) and scoring.DEFAULT_IOU == 0.5
 
 
 @example(122, 200)  # 32.2 - 12.2 is a little more than 20

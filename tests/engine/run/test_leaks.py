@@ -124,6 +124,7 @@ def said(body):
         yield from [content] if isinstance(content, str) else [p["text"] for p in content if p["type"] == "text"]
 
 
+@pytest.mark.slow
 def test_every_method_plays_and_keeps_nothing_private(full):
     store, printed = full
     for method in map(run_of, PLAYERS):

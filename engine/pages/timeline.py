@@ -1,0 +1,149 @@
+"""Timelines of the inspect page: facts about the people of a question over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+import pyarrow.compute as pc
+
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.plan import Plan
+from jrdb_avr.schema.relations import SAME_GROUP
+from jrdb_avr.schema.rules import frames as frames_in
+from jrdb_avr.schema.tables import LABELED
+
+Record = Mapping[str, Any]
+
+_NEAR_MOMENTS: Final = frames_in(5.0)
+"""Maximum distance in frames between a named time and the actions that the timeline shows."""
+
+_POSE_READS: Final = ("action", "next_action")
+"""Reads with a pose as the answer."""
+
+
+class Stretch(NamedTuple):
+    """Frames of a timeline row, inclusive. `kind` selects the drawing style; `certain` is false for unknown frames."""
+
+    first: int
+    last: int
+    kind: str
+    certain: bool = True
+
+
+class TimelineRow(NamedTuple):
+    """One property of a person over time. `in_plan` is true if the plan mentions it."""
+
+    role: str
+    label: str
+    spans: tuple[Stretch, ...]
+    in_plan: bool = False
+
+
+class SequenceTables:
+    """Interval tables of a sequence for its timelines."""
+
+    def __init__(self, store: Store, name: str) -> None:
+        self.name = name
+        tables = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
+        self._tables = {table: (store.facts if table in LABELED else store.interval)(table, name) for table in tables}
+        self.frames = sorted(set(self._tables["sightings"]["frame"].to_pylist()))
+        self.occlusion = bool(store.interval("sequence", name)["has_attributes"][0].as_py())
+        self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
+
+    def rows(self, table: str, column: str, value: int) -> list[dict[str, Any]]:
+        """Rows of a table with a value in a column."""
+        rows: list[dict[str, Any]] = self._tables[table].filter(pc.field(column) == value).to_pylist()
+        return rows
+
+
+def timeline_rows(
+    role: str,
+    plan: Plan,
+    people: Mapping[str, int],
+    moments: Mapping[str, int],
+    sightings: Sequence[Record],
+    sequence: SequenceTables,
+) -> list[TimelineRow]:
+    """Return the rows of one person: in view, actions near the named times, and other facts that the plan mentions.
+
+    Args:
+        role: The person's node in the plan.
+        plan: The plan.
+        people: Track of each node.
+        moments: Frame of each named time.
+        sightings: The person's sightings.
+        sequence: Interval tables of the sequence.
+
+    Returns:
+        The rows.
+    """
+    track, tracks = people[role], {track_number: name for name, track_number in people.items()}
+    conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
+    # Counted and describing relations have any target; an edge names its target.
+    counted = {plan.answer.relation} if plan.answer.relation and role == plan.answer.of else set()
+    described = {condition.interaction for condition in conditions if condition.interaction} | counted
+    edges = {(edge.relation, people[edge.target]) for edge in plan.edges if edge.source == role}
+    relations = {edge.relation for edge in plan.edges if role in (edge.source, edge.target)} | counted
+
+    in_view = [(row["frame"], row["clear"]) for row in sightings]
+    spans = [Stretch(*span, "box") for span in runs_of([frame for frame, _ in in_view], sequence.step)]
+    spans += [Stretch(*span, "clear") for span in runs_of([frame for frame, clear in in_view if clear], sequence.step)]
+    rows = [TimelineRow(role, "in view", tuple(spans))]
+
+    first, last = min(moments.values()) - _NEAR_MOMENTS, max(moments.values()) + _NEAR_MOMENTS
+    near = [row for row in sequence.rows("actions", "track", track) if row["first"] <= last and row["last"] >= first]
+    rows += _labelled(role, "action", ((row["action"], row) for row in near), _plan_actions(role, plan))
+    for table in ("interactions", "beside"):
+        facts = sequence.rows(table, "source", track)
+        named = [row for row in facts if (row["label"], row["target"]) in edges or row["label"] in described]
+        targets = [tracks.get(row["target"], str(row["target"])).upper() for row in named]
+        labels = [f"\N{RIGHTWARDS ARROW} {target} {row['label']}" for target, row in zip(targets, named, strict=True)]
+        rows += _labelled(role, "relation", zip(labels, named, strict=True))
+    if SAME_GROUP in relations or any(condition.attribute == "group_size" for condition in conditions):
+        groups = sequence.rows("memberships", "track", track)
+        rows += _labelled(role, "group", ((f"group {row['cluster']}", row) for row in groups))
+    verbs = {condition.verb for condition in conditions if condition.verb}
+    handled = [row for row in sequence.rows("handles", "track", track) if row["verb"] in verbs]
+    return rows + _labelled(role, "thing", ((f"{row['verb']} a thing", row) for row in handled))
+
+
+def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
+    """Actions of a person that the plan mentions; all poses if the plan reads one."""
+    actions = {c.action for node in plan.nodes if node.id == role for c in node.conditions if c.action}
+    actions |= {time.action for time in plan.times.values() if time.of == role and time.action}
+    if plan.answer.of == role and plan.answer.read in _POSE_READS:
+        actions |= set(POSES)
+    return frozenset(actions)
+
+
+def _labelled(
+    role: str, kind: str, intervals: Iterable[tuple[str, Record]], in_plan: frozenset[str] | None = None
+) -> list[TimelineRow]:
+    """A timeline row per label, labels of the plan first. Without `in_plan` all labels count as the plan's."""
+    spans: dict[str, list[Stretch]] = {}
+    for label, row in intervals:
+        spans.setdefault(label, []).append(Stretch(row["first"], row["last"], kind, row["certain"]))
+    rows = [
+        TimelineRow(role, name, tuple(stretches), in_plan is None or name in in_plan)
+        for name, stretches in spans.items()
+    ]
+    return sorted(rows, key=lambda row: (not row.in_plan, row.label))
+
+
+def runs_of(frames: Sequence[int], step: int) -> list[tuple[int, int]]:
+    """Group ascending frames into runs.
+
+    Args:
+        frames: The frames.
+        step: Maximum gap inside a run.
+
+    Returns:
+        First and last frame of each run.
+    """
+    if not frames:
+        return []
+    gaps = [(a, b) for a, b in pairwise(frames) if b - a > step]
+    return list(zip([frames[0], *(b for _, b in gaps)], [*(a for a, _ in gaps), frames[-1]], strict=True))
