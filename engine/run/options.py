@@ -137,7 +137,8 @@ class RunOptions:
 class EvaluateOptions:
     """All options of `evaluate`, by subject.
 
-    EvaluateOptions(selection=QuestionSelection(limit=20), run=RunOptions(run_id="first"))
+    Example:
+        EvaluateOptions(selection=QuestionSelection(limit=20), run=RunOptions(run_id="first"))
     """
 
     endpoint: EndpointOptions = DEFAULT_ENDPOINT
