@@ -5,8 +5,8 @@ import pyarrow.parquet as pq
 import pytest
 from environment import DOCS
 
+from jrdb_avr.engine.commands.page import tables_page
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.catalog import tables_page
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
 from jrdb_avr.schema.tables import (
     ABOUT,
