@@ -49,7 +49,7 @@ def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> 
 
     Args:
         rows: The rows. An unknown value becomes an empty cell, a list or a node becomes JSON.
-        columns: Names of the columns; empty for those of the rows.
+        columns: Names of the columns; if empty, the keys of the rows.
 
     Returns:
         The text, with a newline after each line.
@@ -90,7 +90,7 @@ def print_rows(
     Args:
         rows: The rows. A terminal shows at most 100 of them.
         title: A line above the table.
-        columns: Names of the columns, which an empty table shows too; empty for those of the rows.
+        columns: Names of the columns, which an empty table shows too; if empty, the keys of the rows.
         form: "json", "csv" or "" for a table.
     """
     if form:

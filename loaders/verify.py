@@ -27,6 +27,9 @@ PARTS: Final = ("annotations", "intervals")
 VERIFY_STEPS: Final = len(PARTS) + 1
 """Number of calls of `advance` by `checks_of`."""
 
+TIMEOUT_S: Final = 120.0
+"""Maximum time to count the rows of a table. A damaged graph can keep the engine busy forever."""
+
 _BUILT: Final = frozenset((*SCENE_NODES, *SCENE_RELS, *KEYFRAME_NODES, *KEYFRAME_RELS))
 """Tables of the graph that no run writes into."""
 
@@ -114,4 +117,4 @@ def _graph_fault(path: Path) -> str:
 
 def _count_rows(path: Path) -> dict[str, int]:
     with Graph.open(path, read_only=True) as graph:
-        return graph.row_counts()
+        return graph.count_rows(TIMEOUT_S)

@@ -54,9 +54,9 @@ CONDITION_KINDS: Final = (
 
 
 class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What makes a fact true, false or unknown; the text below a rule is its meaning in `rule_rows`.
+    """Thresholds that make a fact true, false or unknown. `rule_rows` returns the text below a rule as its meaning.
 
-    Margins stay so small that at most two distance words meet anywhere.
+    The margin of distances is so small that at most two distance words are possible for one distance.
     """
 
     gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7
@@ -92,7 +92,7 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All thresholds; `load` holds those that are baked into the graph."""
+    """All thresholds of the benchmark. `load` has the thresholds that `load` applies."""
 
     load: LoadRules = LoadRules()
     condition_order: tuple[str, ...] = CONDITION_KINDS

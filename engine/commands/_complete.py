@@ -1,6 +1,6 @@
 """Completion in the shell: names of runs, sequences and saved queries.
 
-Runs and sequences are those of the store that the command line names. Switch it on with
+The command line names the store of the runs and sequences. Switch completion on with
 `eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"`, or zsh_source, or fish_source.
 """
 

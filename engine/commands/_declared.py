@@ -107,7 +107,7 @@ _KINDS: Final[dict[str, click.ParamType[Any]]] = {
     "headers": _Header(),
     "shard": _Shard(),
 }
-"""Type of a value by option, for options whose type does not follow from their field."""
+"""Type of a value by option, if the field of the option does not imply the type."""
 
 _REPEATED: Final = ("headers", "marker", "families", "templates", "sequences")
 """Options that may be repeated."""

@@ -78,7 +78,7 @@ def _run(ctx: click.Context, shared: Mapping[str, Any], values: Mapping[str, Any
     set_values = {}
     for key, value in values.items():
         parameter = _parameter(ctx, key)
-        # The types of options read texts, as of a command line.
+        # Because the types of options parse strings, like those on a command line.
         plain = value if isinstance(value, bool | dict | list) else str(value)
         set_values[str(parameter.name)] = parameter.process_value(ctx, plain)
     merged = {**shared, **set_values}

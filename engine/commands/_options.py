@@ -85,7 +85,7 @@ def executor_option(function: _C) -> Callable[..., Any]:
         "--executor",
         metavar="ray[://HOST:PORT]",
         callback=check,
-        help="Use a Ray cluster, whose machines see the same folders, in place of local processes.",
+        help="Use a Ray cluster in place of local processes. All its machines need the same folders.",
     )
     return workers_option(executor(command))
 

@@ -38,7 +38,7 @@ def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
     from jrdb_avr.queries.display import step_counter
 
     if not store.question_path("questions").exists():
-        # Because a public store has questions and no manifest; a folder without both is no store.
+        # Because a public store has questions and no manifest; a folder without both cannot be a store.
         store.manifest()
     with serving(model, endpoint.base_url) as url, progress_bar() as progress:
         client = Client(url, model, endpoint, convention=convention_of(model))

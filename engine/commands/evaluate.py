@@ -40,9 +40,9 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--method",
     metavar="METHOD",
-    help=f"The method: {', '.join(METHODS)}; or a method of your own, as FILE.py:NAME or MODULE:NAME.",
+    help=f"The method: {', '.join(METHODS)}; or a custom method, FILE.py:NAME or MODULE:NAME.",
 )
-@model_option(", 'none' for a method of your own without a model", required=False)
+@model_option(", 'none' is for a custom method without a model", required=False)
 @field_options(EndpointOptions)
 @field_options(MethodOptions)
 @field_options(QuestionSelection)
@@ -50,18 +50,18 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--scores/--no-scores",
     default=None,
-    help="Show the scores so far, computed by a process apart; by default only on a terminal.",
+    help="Show scores during the run, computed by a separate process; by default only on a terminal.",
 )
 @click.option(
     "--epochs",
     type=click.IntRange(1, 1000),
     metavar="N",
-    help="Ask each question N times, in runs RUN-1 to RUN-N; 'report --table epochs' has pass@k and the majority.",
+    help="Ask each question N times, in runs RUN-1 to RUN-N. 'report --table epochs' prints pass@k and the majority.",
 )
 @click.option(
     "--matrix",
     type=FILE,
-    help="TOML file of several runs: tables [[run]] with options by their names; a list makes a run per value.",
+    help="TOML file of several runs: a table [[run]] each, with options by name; a list makes one run per value.",
 )
 @form_option
 def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -> None:

@@ -39,7 +39,7 @@ _blind_option = click.option(
     "--disjoint-from",
     type=FOLDER,
     metavar="STORE",
-    help="With --profile train: exclude people of STORE's questions at the times that these need.",
+    help="With --profile train: exclude the people of STORE's questions at the times of these questions.",
 )
 @executor_option
 @click.option("--seed", type=int, default=0, show_default=True, help="Choice between equally good selections.")

@@ -29,7 +29,7 @@ MAX_ROWS: Final = 50
 @pairs_option(
     "--layer-dir",
     "layer_dirs",
-    "Look for a layer's files in FOLDER, in ROOT or absolute; may be repeated. LAYER= leaves the layer out. "
+    "Folder of a layer's files, relative to ROOT or absolute. LAYER= leaves the layer out. May be repeated. "
     "Layers: 2d, 3d, social, reasoning, pose, panoptic, timestamps, calibration.",
     metavar="LAYER=FOLDER",
 )
@@ -40,9 +40,9 @@ MAX_ROWS: Final = 50
 def command(root: Path | None, store: Store, strict: bool, workers: Executor, form: RowFormat, **options: Any) -> None:
     """Load the JRDB root ROOT into a store.
 
-    Layers: stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses, panoptic things,
-    timestamps, calibration, panoramas. Any layer may be missing. A layer with other frame numbers than the 2D boxes is
-    refused. Broken files and records are refused one by one and listed; the rest loads.
+    The layers are stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses, panoptic
+    segments, timestamps, calibration and panoramas. Any layer may be missing. Broken files and broken records are
+    refused and listed, and the rest loads. A layer whose frame numbers differ from the 2D boxes is refused.
 
     Example:
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store

@@ -11,6 +11,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
+import textwrap
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -102,8 +103,9 @@ def _doc(value: Any) -> str:
         items = re.sub(r"(?m)^(?=\S)", "- ", re.sub(r"(?m)^(\w+): ", r"`\1`: ", items)).replace("\n    ", "\n  ")
         blocks[at] = f"**{title}**\n\n{items}\n\n"
     for at in range(0, len(blocks), 2):
-        code = re.sub(r"(?m)((?:^ {4}.*\n?)+)", r"```python\n\1\n```", blocks[at])
-        blocks[at] = code.replace("\n\n```\n", "\n```\n")
+        blocks[at] = re.sub(
+            r"(?m)((?:^ {4}.*\n?)+)", lambda code: f"```python\n{textwrap.dedent(code[1]).rstrip()}\n```\n", blocks[at]
+        )
     return "".join(blocks).rstrip() + "\n" * (len(blocks) > 1)
 
 

@@ -81,7 +81,7 @@ def score(
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
 @click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
 @click.option("--html", type=FILE, help="HTML page to write, with all tables.")
-@click.option("--leaderboard", is_flag=True, help="Rank bundles, whose folders replace the runs.")
+@click.option("--leaderboard", is_flag=True, help="Rank bundles; give their folders in place of runs.")
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
     """Compare runs: answer, evidence, combined, hallucination and invalid, in percent of the n questions.
 

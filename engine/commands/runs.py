@@ -33,7 +33,7 @@ def command() -> None:
 @store_option()
 @form_option
 def runs_list(store: Store, form: RowFormat) -> None:
-    """List the runs: method, model, how many questions ended how, and whether the run is complete."""
+    """List the runs with method, model, number of questions by status, and whether each run is complete."""
     from jrdb_avr.engine.run.overview import list_runs
 
     rows = list_runs(store)
@@ -50,7 +50,7 @@ def runs_list(store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def show(run: str, store: Store, form: RowFormat) -> None:
-    """Show a run: its questions and how they were selected, its settings, and why answers are missing."""
+    """Show a run: its questions and their selection, its settings, and the reasons of missing answers."""
     from jrdb_avr.engine.run.overview import show_run
 
     facts = show_run(store, run)
@@ -75,16 +75,16 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
 
 @command.command(
     name="merge",
-    short_help="Make one run of all shards of a run.",
+    short_help="Merge all shards of a run into one run.",
     epilog="Example: jrdb-avr runs merge react-M-1of2 react-M-2of2 --run-id react-M --store S",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @click.option("--run-id", required=True, help="Name of the new run.")
 def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
-    """Make one run of all shards of a run (evaluate --shard), after their folders are copied into STORE/runs.
+    """Merge all shards of a run (evaluate --shard) into one run, after their folders are copied into STORE/runs.
 
-    The shards must agree in questions, method, model and settings. They stay as they are.
+    The shards must agree in questions, method, model and settings. They stay unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs
 
@@ -98,9 +98,9 @@ def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
-@click.option("--yes", is_flag=True, help="Do not ask.")
+@click.option("--yes", is_flag=True, help="Delete without asking.")
 def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
-    """Delete runs: their folders, and what the store's graph holds of their world models."""
+    """Delete runs: their folders, and their world models in the store's graph."""
     from jrdb_avr.engine.run.overview import remove_run
 
     if not yes:
@@ -124,15 +124,15 @@ def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
     type=click.Choice(["answer", "evidence", "combined"]),
     default="combined",
     show_default=True,
-    help="The score whose differing questions are listed.",
+    help="Score by which differing questions are listed.",
 )
 @iou_option
 @form_option
 def diff(first: str, second: str, store: Store, score: str, iou: float, form: RowFormat) -> None:
-    """Compare two runs on the questions that both have: scores, the difference with its interval, who scores which.
+    """Compare two runs on their common questions: scores, their difference with its interval, and counts of wins.
 
-    Scores are percent of those questions, the difference the second's less the first's in points; p is of the exact
-    McNemar test. --json and --csv print the questions that only one of them scores.
+    Scores are percent of the common questions. The difference is the second score minus the first, in points, and p is
+    from the exact McNemar test. --json and --csv print the questions that only one of the runs scores.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals

@@ -16,8 +16,8 @@ from jrdb_avr.engine.console import RowFormat, print_rows
 def command(what: str, names: tuple[str, ...], mermaid: bool, form: RowFormat) -> None:
     """Print the tables of the graph, for 'cypher', or of the store, for 'sql'; with NAMEs, print their columns.
 
-    NAMEs are tables or parts. The parts of the graph are scene, keyframes and beliefs; those of the store are
-    annotations, intervals, questions and runs. The command needs no store.
+    NAMEs are tables or parts. The graph has the parts scene, keyframes and beliefs; the store has annotations,
+    intervals, questions and runs. The command needs no store.
 
     Examples:
       jrdb-avr schema graph scene

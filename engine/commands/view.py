@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: jrdb-avr view --store S --answers")
 @store_option()
 @click.option("--answers", is_flag=True, help="Also show true answers, targets, scores and causes, from private files.")
-@click.option("--images", type=FOLDER, help="Folder with a folder of panoramas per sequence; the store's if left out.")
+@click.option("--images", type=FOLDER, help="Folder of panoramas by sequence; by default as the store names it.")
 @port_option
 @iou_option
 def command(store: Store, answers: bool, images: Path | None, port: int, iou: float) -> None:

@@ -89,7 +89,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
     if record is not None and record.num_rows:
         return record
     if not store.run_path(run_id).exists():
-        # The manifest first, because a folder that is no store needs another message.
+        # The manifest first, because a missing store needs another message.
         store.manifest()
     method = read_run_manifest(store, run_id).method
     if method not in WORLD_METHODS:

@@ -57,11 +57,14 @@ HEADS_AT_ONCE: Final = 1 << 10
 
 @dataclass(frozen=True, repr=False)
 class Generation(Displayed):
-    """The result of a generation; the questions are in the store.
+    """Result of a generation, as rows of counts. The questions are in the store.
 
-    templates: a row per template: candidates, refusals by rule, questions; shortfalls: likewise, why they are so few.
-    selection: likewise, how many were requested and selected. blind: the blind check. faults: candidates that were
-    chosen, and refused as the second program disagreed.
+    Attributes:
+        templates: Candidates, refusals by rule and questions of each template.
+        shortfalls: Reason for few questions of each template.
+        selection: Requested and selected questions of each template.
+        blind: Scores of blind guessers for each form of a template.
+        faults: Selected candidates that the second program refused.
     """
 
     templates: tuple[dict[str, Any], ...]
@@ -71,7 +74,7 @@ class Generation(Displayed):
     faults: tuple[str, ...]
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row per template: its counts, why they are few, the number requested, and its rows of the blind check."""
+        """Return a row per template: counts, reason if few, requested number, and its rows of the blind check."""
         aims = {row["template"]: row["aim"] for row in self.selection}
         blind: dict[str, list[dict[str, Any]]] = {name: [] for name in aims}
         for row in self.blind:
@@ -104,16 +107,33 @@ def generate(
     learned: bool = False,
     progress: Progress | None = None,
 ) -> Generation:
-    """Generate the questions of a store; the result depends on its tables, the rules, the profile and the seed, and on
-    the ids of `excluded` questions alone, whose places others take.
+    """Generate the questions of a store.
 
-    The profile `train` makes a training set under `training_rules`: every proven question that is no near-duplicate, or
-    `n` of them; with `disjoint_from`, a store, none that needs a person of its questions at the same time.
-    `candidates`: a Parquet file for every proven candidate before near-duplicates and selection. `require_occlusion`:
-    whether to skip sequences without occlusion attributes; either way an AvrWarning says how many they are. `learned`:
-    whether the guesser of scikit-learn joins the blind check. Raises StoreError where nothing is loaded, or under
-    other load rules, LockedError where another process writes the store, InputError where scikit-learn is missing or an
-    option is of another profile.
+    The result depends only on the tables of the store, the rules, the profile, the seed and the excluded questions. An
+    AvrWarning gives the number of sequences without occlusion attributes.
+
+    Args:
+        store: The store, or its folder.
+        rules: The rules; None for the defaults.
+        profile: "all", as many questions as balance allows; "paper", the numbers of the paper; or "train", a training
+            set under `training_rules`.
+        seed: Seed that decides among equal selections.
+        workers: Number of processes, or a Ray cluster.
+        n: Maximum number of questions of a training set; None for all.
+        disjoint_from: A store. No question of the training set needs a person of its questions at the same time.
+        candidates: Parquet file to write with all proven candidates, before selection.
+        excluded: Ids of questions to leave out. Other candidates take their places.
+        require_occlusion: Whether to skip sequences without occlusion attributes.
+        learned: Whether the blind check includes the guesser that learns from texts.
+        progress: Display of the progress.
+
+    Returns:
+        The counts of the generation. The questions are in the store.
+
+    Raises:
+        StoreError: Nothing is loaded, or the store was loaded under other rules.
+        LockedError: Another process writes the store.
+        InputError: scikit-learn is missing, or an option needs another profile.
     """
     store, rules = Store.of(store), rules or Rules()
     held_out = _held_out(store, profile, n, disjoint_from)

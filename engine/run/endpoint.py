@@ -51,7 +51,7 @@ class Endpoint:
             base_url: The address of the server.
             options: The options of its requests.
             cache: The file of finished calls.
-            method: The player whose run is checked; None for all checks.
+            method: The player; its run needs only some of the checks. None needs all.
             strict: Whether to refuse a run if a check fails that its method needs.
 
         Raises:

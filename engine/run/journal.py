@@ -1,4 +1,4 @@
-"""Keep the journal of a run: finished questions on disk, from which the tables are written.
+"""Keep the journal of a run: finished questions on disk. The tables are made from it.
 
     runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
@@ -74,14 +74,6 @@ _STORABLE: Final = msgspec.json.Decoder(
 )
 
 
-def check_storable(entry: Finished) -> None:
-    """Raise ValueError, or an error of msgspec, if journal and tables would change an entry."""
-    line = msgspec.json.encode(entry)
-    _STORABLE.decode(line)
-    if _FINISHED.decode(line) != entry:
-        raise ValueError("what the method returned or recorded holds a value that JSON changes, such as NaN")
-
-
 def finished_entry(
     question: Question, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
 ) -> Finished:
@@ -114,34 +106,22 @@ def finished_entry(
     transcript = [_row("steps", step, question_id=question.question_id, step=n) for n, step in enumerate(steps)]
     world = [_row("world", write, question_id=question.question_id) for write in writes]
     entry = Finished(question.question_id, row, transcript, world)
-    check_entry(entry, question)
+    _check(entry, question)
     return entry
 
 
-def check_entry(entry: Finished, question: Question) -> None:
-    """Check that an entry answers a question and can be stored.
-
-    Args:
-        entry: The entry.
-        question: The question.
-
-    Raises:
-        ValueError: It does not; other errors of msgspec and Arrow mean the same.
-    """
-    row = entry.prediction
-    check_storable(entry)
+def _check(entry: Finished, question: Question) -> None:
+    """Raise ValueError, or an error of msgspec, if an entry is no answer or journal and tables would change it."""
+    line, row = msgspec.json.encode(entry), entry.prediction
+    _STORABLE.decode(line)
+    if _FINISHED.decode(line) != entry:
+        raise ValueError("what the method returned or recorded holds a value that JSON changes, such as NaN")
     if row["status"] not in get_args(Status):
         raise ValueError(f"{row['status']!a} is no status of a prediction"[:120])
     if row["verdict"] not in (None, *get_args(Verdict)):
         raise ValueError(f"{row['verdict']!a} is no verdict of a prediction"[:120])
     if row["answer"] is not None:
         decode_answer(question.answer_mode, row["answer"])
-    rows = (row, *entry.steps, *entry.world)
-    if (
-        any(stored["question_id"] != question.question_id for stored in rows)
-        or question.question_id != entry.question_id
-    ):
-        raise ValueError("a row of another question")
 
 
 def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
@@ -249,7 +229,7 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
 
 class Journal(contextlib.ExitStack):
-    """Finished questions on disk: a file per sequence, in the order in which they finished.
+    """Finished questions on disk: a file per sequence, in the order of their ends.
 
     If a question has several lines, the last one counts.
     """

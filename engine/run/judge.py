@@ -43,8 +43,9 @@ class QuestionScore(NamedTuple):
 class Judge(contextlib.ExitStack):
     """Judge of predictions of the questions of a store. Safe for many threads, which take turns.
 
-    with Judge.open("store") as judge:
-        judge.score(question, prediction).combined
+    Example:
+        with Judge.open("store") as judge:
+            judge.score(question, prediction).combined
     """
 
     def __init__(self, store: Store) -> None:

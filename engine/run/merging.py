@@ -114,7 +114,7 @@ def _rename_fact(fact: str, old: str, new: str) -> str:
 
 
 def _join_calls(folders: Sequence[Path], folder: Path) -> None:
-    """Write the finished calls of all shards as those of a run, so that a resumed run need not pay for them again."""
+    """Join the finished calls of all shards in one file, so that a resumed run need not pay for them again."""
 
     def write(path: Path) -> None:
         with path.open("wb") as joined:

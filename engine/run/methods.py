@@ -43,10 +43,10 @@ METHODS: Final = (
 )
 
 POLICIES: Final = ("model", "guided", "driven")
-"""Ways in which an agent chooses its looks."""
+"""Ways of an agent to choose its looks."""
 
 DRIVABLE: Final = ("agent", "agent-no-world")
-"""Methods for which the program can choose looks, as it does by default."""
+"""Methods that let the program choose looks, which is their default."""
 
 CHATS: Final = ("react", "agent-no-world")
 """Methods that send all pictures again in every turn, if the model chooses the looks."""

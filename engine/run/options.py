@@ -26,13 +26,13 @@ class QuestionSelection:
     the same list. A larger `limit` or `per_template` only adds questions, so that a run can grow.
     """
 
-    questions: tuple[str, ...] = option((), "Question ids with commas between, or a file with one id per line.")
-    families: tuple[str, ...] = option((), "Only of this family; may be repeated.", flag="family", metavar="NAME")
-    templates: tuple[str, ...] = option((), "Only of this template; may be repeated.", flag="template", metavar="NAME")
-    sequences: tuple[str, ...] = option((), "Only of this sequence; may be repeated.", flag="sequence", metavar="NAME")
+    questions: tuple[str, ...] = option((), "Question ids separated by commas, or a file with one id per line.")
+    families: tuple[str, ...] = option((), "Only of this family. May be repeated.", flag="family", metavar="NAME")
+    templates: tuple[str, ...] = option((), "Only of this template. May be repeated.", flag="template", metavar="NAME")
+    sequences: tuple[str, ...] = option((), "Only of this sequence. May be repeated.", flag="sequence", metavar="NAME")
     per_template: int | None = option(
         None,
-        "Maximum questions per template; with --limit the same number of each, as far as there are enough.",
+        "Maximum questions per template. With --limit each template gets the same number, if it has enough questions.",
         minimum=1,
         metavar="N",
     )
@@ -42,8 +42,8 @@ class QuestionSelection:
     seed: int | None = option(None, "Draw the questions at random; without a seed the first ones are taken.")
     shard: tuple[int, int] | None = option(
         None,
-        "Only every Nth sequence of the store in the order of names, from the Ith on, of the selected questions; "
-        "'runs merge' joins the N runs, which end in -IofN.",
+        "Answer the selected questions of every Nth sequence in the order of names, from the Ith on. The name of the "
+        "run ends in -IofN; 'runs merge' joins the N runs.",
         metavar="I/N",
     )
 
@@ -94,7 +94,7 @@ class MethodOptions:
     )
     opaque: bool = option(
         False,
-        "Show the method hashes in place of the names of sequences; they are the same in every run of a store.",
+        "Show the method hashes in place of the names of sequences. The hashes are equal in all runs of a store.",
     )
     marker: Knobs | None = option(
         None,
@@ -137,7 +137,8 @@ class RunOptions:
 class EvaluateOptions:
     """All options of `evaluate`, by subject.
 
-    EvaluateOptions(selection=QuestionSelection(limit=20), run=RunOptions(run_id="first"))
+    Example:
+        EvaluateOptions(selection=QuestionSelection(limit=20), run=RunOptions(run_id="first"))
     """
 
     endpoint: EndpointOptions = DEFAULT_ENDPOINT

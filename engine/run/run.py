@@ -56,8 +56,6 @@ class Run(Journal):
             StoreError: The run is damaged.
         """
         folder = store.run_path(run_id)
-        if (folder / "journal.jsonl").exists():
-            raise StoreError(f"{folder} was begun by an older version: delete it, or give another --run-id")
         super().__init__(journal_folder(folder), sequences_of_questions(store))
         self.store, self.run_id = store, run_id
         self._writing = threading.Lock()

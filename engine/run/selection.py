@@ -26,7 +26,7 @@ _COLUMNS: Final = {
 def select_questions(
     questions: Sequence[QuestionRow], selection: QuestionSelection, image_root: str | None
 ) -> list[QuestionRow]:
-    """Select questions whose sequence has panoramas.
+    """Select questions of sequences that have panoramas.
 
     Questions without panoramas are left out first, with a warning; maximum numbers count the others.
 

@@ -67,19 +67,19 @@ _STATED: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 
 
 class Validation(Displayed):
-    """The result of a validation: counts per check, and its faults in the order found."""
+    """Result of a validation: the number of checks by kind, and the faults in the order of discovery."""
 
     def __init__(self) -> None:
         self.checked: Counter[str] = Counter()
         self.faults: dict[str, list[str]] = defaultdict(list)
 
     def check(self, name: str, holds: bool, fault: str) -> bool:
-        """Count one check, and record the fault if it does not hold."""
+        """Count one check, and record the fault if the check fails."""
         self.add(name, 1, [] if holds else [fault])
         return holds
 
     def add(self, name: str, count: int, faults: Iterable[object]) -> None:
-        """Count several checks and record the faults that they found."""
+        """Count several checks, and record their faults."""
         self.checked[name] += count
         for fault in faults:
             self.faults[name].append(str(fault))
@@ -90,7 +90,7 @@ class Validation(Displayed):
         return not self.faults
 
     def rows(self) -> list[dict[str, Any]]:
-        """One row per check, for printing."""
+        """Return one row per kind of check, to be printed."""
         replayed = REPLAY_CHECKS if REPLAY_CHECKS.keys() & self.checked.keys() else {}
         return [
             {
@@ -119,10 +119,21 @@ def validate(
     workers: Executor = 2,
     progress: Progress | None = None,
 ) -> Validation:
-    """Check a store's questions, and derive each answer and proof again from the annotations.
+    """Check the questions of a store, and derive each answer and proof again from the annotations.
 
-    `replay_proofs`: also run every proof again, by `workers`, and every plan as Cypher on the graph. Raises
-    StoreError for a missing file, and LockedError while another process writes the graph.
+    Args:
+        store: The store, or its folder.
+        rules: The rules of the generation; None for the defaults.
+        replay_proofs: Whether to run every proof again, and every plan as Cypher over the graph.
+        workers: Number of processes of the replay, or a Ray cluster.
+        progress: Display of the progress.
+
+    Returns:
+        The number of checks by kind, and the faults.
+
+    Raises:
+        StoreError: A file is missing.
+        LockedError: Another process writes the graph.
     """
     store, rules = Store.of(store), rules or Rules()
     count = store.questions("questions").num_rows

@@ -174,13 +174,14 @@ class Graph:
         """Return the names of the graph's tables."""
         return set(self.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
 
-    def row_counts(self) -> dict[str, int]:
-        """Return the rows of each table."""
+    def count_rows(self, timeout_s: float | None = None) -> dict[str, int]:
+        """Return the rows of each table. Raises QueryError if the count of a table takes longer than `timeout_s`."""
         counts = {}
         tables = self.query("CALL show_tables() RETURN name, type", ordered=False).to_pylist()
         for name, kind in sorted((table["name"], table["type"]) for table in tables):
             pattern = f"(n:`{name}`)" if kind == "NODE" else f"()-[r:`{name}`]->()"
-            counts[name] = int(self.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py())
+            rows = self.query(f"MATCH {pattern} RETURN count(*) AS n", timeout_s=timeout_s)
+            counts[name] = int(rows["n"][0].as_py())
         return counts
 
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
@@ -397,7 +398,7 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
         with Graph(SharedDatabase(database)) as graph:
             yield graph
             graph.execute("CHECKPOINT")
-            rows = graph.row_counts()
+            rows = graph.count_rows()
         publish(temporary, target, rows)
 
 

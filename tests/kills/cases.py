@@ -64,6 +64,7 @@ def all_cases(base):
         Case("score lines", "answered", ("score", "--jsonl", lines, *STORE)),
         Case("report", "scored", ("report", "r", "a", "--html", "report.html", *STORE)),
         Case("export lines", "answered", ("export", "r", "--jsonl", "r.jsonl", *STORE)),
+        Case("export public", "answered", ("export", "--public", "public", *STORE), done=FILLED),
         Case("export hf", "answered", ("export", "--hf", "hf", *STORE), done=FILLED),
         Case("submit", "answered", ("submit", "r", "bundle", *STORE), done=FILLED),
         Case("world merge", "dropped", ("world", "merge", "a", *STORE)),

@@ -5,7 +5,7 @@
    FAULTS_LOG    a file that gets a line per change: its number, its kind and its path
    FAULTS_AT     the number of the change that is hit; without it changes are only counted
    FAULTS_DO     killed before or after it, or torn (half of a write is done), or full (no write from then on finds
-                 room), or clock (from then on it is a day earlier)
+                 room)
    FAULTS_WHOM   group or self: which processes are killed
 */
 #define _GNU_SOURCE
@@ -23,12 +23,9 @@
 #include <sys/sendfile.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
-#include <sys/time.h>
 #include <sys/uio.h>
-#include <time.h>
 #include <unistd.h>
 
-#define DAY_S 86400
 
 static const char *root, *todo = "", *whom = "group";
 static size_t root_size;
@@ -86,7 +83,7 @@ static int counted(const char *kind, int at, const char *path) {
         int size = snprintf(line, sizeof line, "%ld %s %s\n", number, kind, text + root_size);
         syscall(SYS_write, log_file, line, size);
     }
-    if (hit < 0 || !strcmp(todo, "clock")) return 0;
+    if (hit < 0) return 0;
     if (!strcmp(todo, "full")) return number >= hit;
     if (number == hit && !strcmp(todo, "before")) die();
     return number == hit;
@@ -121,29 +118,6 @@ int unlinkat(int i, const char *a, int flags) { REAL(unlinkat); CHANGE("unlink",
 int rmdir(const char *a) { REAL(rmdir); CHANGE("unlink", AT_FDCWD, a, real(a)); }
 int ftruncate(int file, off_t size) { REAL(ftruncate); CHANGE("truncate", file, NULL, real(file, size)); }
 int ftruncate64(int file, off64_t size) { REAL(ftruncate64); CHANGE("truncate", file, NULL, real(file, size)); }
-
-/* Whether the clock has been set back. */
-static int set_back(void) { return root && hit >= 0 && !strcmp(todo, "clock") && atomic_load(last) >= hit; }
-
-int clock_gettime(clockid_t id, struct timespec *now) {
-    REAL(clock_gettime);
-    int result = real(id, now);
-    if (!result && (id == CLOCK_REALTIME || id == CLOCK_REALTIME_COARSE) && set_back()) now->tv_sec -= DAY_S;
-    return result;
-}
-int gettimeofday(struct timeval *now, void *zone) {
-    static int (*real)(struct timeval *, void *);
-    if (!real) real = (int (*)(struct timeval *, void *))dlsym(RTLD_NEXT, "gettimeofday");
-    int result = real(now, zone);
-    if (!result && set_back()) now->tv_sec -= DAY_S;
-    return result;
-}
-time_t time(time_t *place) {
-    struct timespec now;
-    clock_gettime(CLOCK_REALTIME, &now);
-    if (place) *place = now.tv_sec;
-    return now.tv_sec;
-}
 
 /* A write: half of it is done where it is to be torn, none where the disk is full. */
 #define WRITE(file, size, call, half) \

@@ -89,7 +89,7 @@ def test_a_graph_that_a_run_has_written_into_is_compared_by_its_rows(copy):
     assert faults(copy) == {}
     with Graph.open(copy.graph_path) as graph:
         graph.execute("MATCH (o:Object) WITH o LIMIT 1 DETACH DELETE o")
-        left = graph.row_counts()["Object"]
+        left = graph.count_rows()["Object"]
     assert faults(copy) == {"graph": f"graph.kuzu has {left} rows of Object instead of {left + 1}"}
 
 

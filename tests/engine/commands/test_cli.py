@@ -28,21 +28,6 @@ from jrdb_avr.schema.tables import INTERVALS, QUESTIONS, RUNS
 COMMAND = Path(sys.executable).with_name("jrdb-avr")
 
 
-def invoke(*arguments):
-    """A command without the entry point round it."""
-    return CliRunner().invoke(group, list(map(str, arguments)))
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_and_an_example(name):
-    result = invoke(name, "--help")
-    assert result.exit_code == 0
-    text = " ".join(result.output.split())
-    assert "Usage:" in text
-    assert f"jrdb-avr {name}" in text, "an example"
-    assert "Example" in text
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_parameter_has_help(name):
     command = group.get_command(click.Context(group), name)
@@ -53,7 +38,7 @@ def test_every_parameter_has_help(name):
 
 
 def test_the_group_lists_every_command():
-    result = invoke("--help")
+    result = CliRunner().invoke(group, ["--help"])
     assert result.exit_code == 0
     for name, words in COMMANDS.items():
         assert f"  {name} " in result.output
@@ -172,8 +157,6 @@ def test_json_is_one_array_and_nothing_else(store):
 
 
 def test_sums_are_numbers(store):
-    code, out, _ = run("sql", "SELECT sum(x) AS s, 1.50::DECIMAL(9, 2) AS m FROM range(3) t(x)", "--store", store.path)
-    assert (code, "1.50" in out) == (0, True)
     code, out, _ = run("sql", "SELECT sum(x) AS s FROM range(3) t(x)", "--store", store.path, "--json")
     assert (code, json.loads(out)) == (0, [{"s": 3}])
 
@@ -195,11 +178,11 @@ def test_what_parquet_cannot_hold_is_one_line(store, tmp_path):
     assert not list(tmp_path.glob("*x.parquet*"))
 
 
-@pytest.mark.parametrize("language", ["cypher", "sql"])
-def test_a_statement_that_is_no_text_is_a_wrong_call(store, language):
-    code, _, err = run(language, "SELECT '\udcff' AS x", "--store", store.path)
-    assert (code, "UTF-8" in err) == (2, True)
-    code, _, err = run(language, "SELECT $a AS x", "--store", store.path, "--param", "a=\udcff")
+@pytest.mark.parametrize(
+    "arguments", [("cypher", "RETURN '\udcff' AS x"), ("sql", "SELECT $a AS x", "--param", "a=\udcff")]
+)
+def test_a_statement_that_is_no_text_is_a_wrong_call(store, arguments):
+    code, _, err = run(*arguments, "--store", store.path)
     assert (code, "UTF-8" in err) == (2, True)
 
 
@@ -321,13 +304,10 @@ def test_score_and_report(store):
     assert len(out.splitlines()) == 4
     assert "IoU 0.5" in err
     assert "synthetic" in err
-    rows = list(csv.DictReader(io.StringIO(run("report", "--store", store.path, "--csv")[1])))
-    assert rows[0]["answer"] == "75.0"
-
-
-def test_the_threshold_is_a_setting(store):
-    rows = json.loads(run("report", "react-a", "--store", store.path, "--json", "--iou", "0.9")[1])
-    assert (rows[0]["iou"], rows[0]["evidence"]) == (0.9, 50.0)
+    rows = list(
+        csv.DictReader(io.StringIO(run("report", "react-a", "--store", store.path, "--csv", "--iou", "0.9")[1]))
+    )
+    assert (rows[0]["iou"], rows[0]["answer"]) == ("0.9", "75.0")
 
 
 def test_a_run_of_other_questions_is_refused(store):

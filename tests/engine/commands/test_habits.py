@@ -88,7 +88,7 @@ def complete(*words, **environment):
 
 
 @pytest.mark.slow
-def test_the_shell_completes_runs_sequences_and_queries(here):
+def test_the_shell_completes_runs_sequences_and_queries(here, sample_benchmark):
     store = here / "S"
     for name in ("react-a", "react-b", "agent"):
         touch(store / "runs" / name / "run.json")
@@ -97,9 +97,6 @@ def test_the_shell_completes_runs_sequences_and_queries(here):
     # A store that cannot be read completes nothing, and says nothing.
     assert complete("observe", "s", JRDB_AVR_STORE=str(store)) == []
     assert complete("cypher", "who") == ["who_is_where"]
-
-
-def test_the_shell_completes_sequences(sample_benchmark):
     found = complete("observe", "sample", JRDB_AVR_STORE=str(sample_benchmark.path))
     assert found == sorted(sample_benchmark.manifest().sequences)
 

@@ -44,23 +44,23 @@ def test_the_glance_example_looks_once_and_asks_once(store):
     assert kinds == [{"kind": kind, "n": row["n"]} for kind in ("model", "observe", "solve")]
 
 
+MINE = """
+from jrdb_avr.schema.method import Prediction
+class Mine:
+    name = 'mine'
+    def __init__(self, chat): assert chat is None
+    def settings(self): return {'n': 1}
+    def answer(self, task): return Prediction('invalid', reason='no idea')
+"""
+
+
 def test_a_run_is_resumed_under_equal_settings_only(store, tmp_path):
     file = tmp_path / "mine.py"
-    text = "\n".join(
-        [
-            "from jrdb_avr.schema.method import Prediction",
-            "class Mine:",
-            "    name = 'mine'",
-            "    def __init__(self, chat): assert chat is None",
-            "    def settings(self): return {'n': 1}",
-            "    def answer(self, task): return Prediction('invalid', reason='no idea')",
-        ]
-    )
-    file.write_text(text)
+    file.write_text(MINE)
     ask = ("evaluate", "--store", store.path, "--method", f"{file}:Mine", "--model", "none")
     assert run(*ask)[0] == 0
     assert run(*ask, "--resume")[0] == 0
-    file.write_text(text.replace("'n': 1", "'n': 20"))
+    file.write_text(MINE.replace("'n': 1", "'n': 20"))
     code, _, err = run(*ask, "--resume")
     assert code == 1
     assert "settings" in err and err.count("\n") == 1
@@ -100,18 +100,8 @@ def test_options_that_contradict_are_a_usage_error(store):
     for method, model in (("react", "none"), ("reacts", "marker"), ("a.py:", "none")):
         code, _, err = run("evaluate", "--store", store.path, "--method", method, "--model", model)
         assert (code, "Traceback" in err) == (2, False)
-    ask = (
-        "evaluate",
-        "--store",
-        store.path,
-        "--method",
-        "react",
-        "--model",
-        "m",
-        "--base-url",
-        "http://localhost:1/v1",
-    )
-    assert run(*ask, "--marker", "wrong_box=0")[0] == 2, "given at all, whatever its value"
+    ask = ("--method", "react", "--model", "m", "--base-url", "http://localhost:1/v1", "--marker", "wrong_box=0")
+    assert run("evaluate", "--store", store.path, *ask)[0] == 2, "given at all, whatever its value"
 
 
 def test_only_evaluate_does_without_a_model(store):

@@ -41,13 +41,13 @@ def test_what_a_run_is_told(tmp_path):
 def test_a_run_is_resumed_with_a_server_that_once_did_not_tell_its_version(tmp_path):
     store = Store(tmp_path)
 
-    def terms(version, model="fake"):
-        settings = {"server_version": version, "served_model": model}
+    def terms(version, model="fake", lines=()):
+        settings = {"server_version": version, "served_model": model, "preflight": lines}
         return RunManifest("r", "react", "fake", "0", (), False, settings, "")
 
     check_manifest(store, terms(""))
     check_manifest(store, terms("0.12.0"))
-    check_manifest(store, terms(""))
+    check_manifest(store, terms("", lines=["picture: 2 of 4 drawn pictures were seen right"]))
     with pytest.raises(StoreError, match="another served model"):
         check_manifest(store, terms("", ""))
     (tmp_path / "runs" / "r" / "run.json").unlink()
@@ -91,16 +91,6 @@ def test_a_server_that_fails_a_check_is_warned_of_and_refused_only_where_it_is_w
     assert endpoint.warnings[0].startswith("schema: json_schema is not followed")
     assert endpoint.settings["preflight"] == endpoint.warnings
     assert str(caught.value).startswith("preflight: schema: json_schema is not followed")
-
-
-def test_a_run_is_resumed_whatever_the_checks_found_before(tmp_path):
-    """A model that misses a corner once is no other model."""
-
-    def terms(lines):
-        return RunManifest("r", "react", "fake", "0", (), False, {"preflight": lines}, "")
-
-    check_manifest(Store(tmp_path), terms(["picture: 2 of 4 drawn pictures were seen right"]))
-    check_manifest(Store(tmp_path), terms([]))
 
 
 def test_no_address_is_an_address_of_the_marker_alone():

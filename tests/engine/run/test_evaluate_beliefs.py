@@ -1,21 +1,17 @@
 """World models of runs: what a live run wrote, write by write, is what its record gives back, row by row."""
 
-import contextlib
 import json
-import random
 import signal
 import subprocess
 import sys
-import time
 
 import pyarrow as pa
 import pytest
 from belief_runs import ASKED, Believer, run, world_dump
 from click.testing import CliRunner
-from environment import SUPPORT, examples
 from made_tables import table_store
 from painted import write_public
-from processes import COMMAND, run_program, started
+from processes import run_program
 from scored_runs import InMemory, segment_of
 
 from jrdb_avr.engine.cli import group
@@ -171,23 +167,6 @@ def test_a_kill_leaves_a_run_whole_or_gone_and_the_command_again_ends_it(store, 
     assert of_run(dump(store.graph_path), "two") == of_run(live, "two")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("moment", range(examples(1)))
-def test_a_kill_at_any_moment_of_a_drop_leaves_a_graph_that_the_next_one_finishes(store, live, tmp_path, moment):
-    arguments, moment = (
-        ("world", "drop", "one", "two", "--store", store.path),
-        time.monotonic() + random.uniform(0.5, 1.5),
-    )
-    with started(COMMAND, *arguments, until=lambda _: time.monotonic() > moment):
-        pass
-    for name in ("one", "two"):
-        with contextlib.suppress(StoreError):
-            jrdb_avr("world", "drop", name, "--store", store.path)
-    assert not any(dump(store.graph_path).values())
-    assert jrdb_avr("world", "merge", "one", "two", "--store", store.path).exit_code == 0
-    assert dump(store.graph_path) == live
-
-
 def test_a_runs_manifest_counts_reads_and_writes_of_its_world_model(store):
     with WorldGraph.memory() as graph:
         graph.write([("CREATE (:Episode {id: 'r/q'})", {}), ("CREATE (:Episode {id: 'r/p'})", {})])
@@ -259,17 +238,8 @@ def test_what_another_process_writes_is_refused_by_name(store):
         write_public(store, ASKED, {"yard-1_0": (0, 15)})
         (store.path / "images" / "yard-1_0").mkdir(parents=True)
         (store.path / "images" / "yard-1_0" / "000000.jpg").write_bytes(b"")
-        evaluate = [
-            "evaluate",
-            "--store",
-            store.path,
-            "--method",
-            "agent",
-            "--model",
-            "marker",
-            "--images",
-            store.path / "images",
-        ]
+        evaluate = ["evaluate", "--method", "agent", "--model", "marker"]
+        evaluate += ["--store", store.path, "--images", store.path / "images"]
         for arguments, told in (
             (["cypher", "MATCH (e:Episode) RETURN count(*)", "--store", store.path], "wait for it"),
             (["world", "merge", "one", "--store", store.path], "wait for it"),
@@ -313,32 +283,3 @@ def test_a_broken_record_is_left_out_and_told(store, live):
     result = jrdb_avr("load", "--rebuild", "--store", store.path)
     assert "the world model of run two was left out: " in result.stderr
     assert dump(store.graph_path) == of_run(live, "one")
-
-
-KILLED = """
-import sys, threading, os, signal, time
-from belief_runs import ASKED, run
-from jrdb_avr.queries.store import Store
-store, after = Store(sys.argv[1]), int(sys.argv[2])
-calls, lock = [0], threading.Lock()
-def between():
-    with lock:
-        calls[0] += 1
-        if calls[0] == after:
-            os.kill(os.getpid(), signal.SIGKILL)
-run(store, "one", between=between)
-"""
-
-
-@pytest.mark.slow
-def test_killed_in_a_write_the_run_ends_as_if_it_had_not_been(template, live, tmp_path):
-    store = Store(tmp_path / "fresh")
-    run(store, "two", ASKED[3:4], path=store.graph_path)
-    here = SUPPORT
-    for after in (20, 80):
-        done = subprocess.run([sys.executable, "-c", KILLED, str(store.path), str(after)], cwd=here, check=False)
-        assert done.returncode == -signal.SIGKILL
-    assert segment_of(store.run_path("one")).read_bytes().count(b"\n") >= 1
-    run(store, "one")
-    assert dump(store.graph_path) == live
-    assert read_record(store, "one").equals(read_record(template, "one"))

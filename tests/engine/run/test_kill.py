@@ -229,9 +229,3 @@ def test_agent_killed_and_resumed(launcher, asked_world, tmp_path):
     assert made == {name: len(rows) for name, rows in in_graph(whole).items()}
     # Only the policy `driven` ranks hypotheses.
     assert {name for name, count in made.items() if not count} == {"Hypothesis", "Ranks"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("method", "script"), [("react", react), ("agent", agent)])
-def test_killed_at_twenty_points(launcher, asked_world, tmp_path, method, script):
-    kill_and_resume(launcher, asked_world, tmp_path, method, script, 20, random.randrange(1 << 30))

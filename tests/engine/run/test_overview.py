@@ -12,7 +12,6 @@ from scored_runs import BOX, ELSEWHERE, Benchmark, opened, segment_of
 from jrdb_avr.engine.report.comparison import diff
 from jrdb_avr.engine.run.journal import Finished
 from jrdb_avr.engine.run.overview import list_runs, remove_run, show_run
-from jrdb_avr.engine.run.run import Run
 from jrdb_avr.queries.runs import questions_hash, run_ids, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError, LockedError, StoreError
@@ -128,9 +127,3 @@ def test_the_command_tells_both_tables(store):
     assert code == 0 and "first: one, second: two" in out and "[" in out
     code, out, _ = run("runs", "diff", "one", "two", "-s", store.path, "--score", "answer", "--csv")
     assert code == 0 and len(out.splitlines()) == 10 and out.startswith("question_id,only,template")
-
-
-def test_a_run_of_an_older_version_is_one_line(store):
-    (store.run_path("one") / "journal.jsonl").write_bytes(b"{}")
-    with pytest.raises(StoreError, match="older version: delete it, or give another --run-id"):
-        Run(store, "one")

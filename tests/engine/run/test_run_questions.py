@@ -5,7 +5,7 @@ import json
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from painted import BLIND, QUESTIONS_ASKED, SEQUENCE, question, write_public
+from painted import QUESTIONS_ASKED, SEQUENCE, question, write_public
 from processes import run
 
 from jrdb_avr.engine.run.options import QuestionSelection
@@ -225,7 +225,3 @@ def test_an_exception_of_a_method_is_shown_with_its_place(store, evaluate, tmp_p
         (tmp_path / "mine.py").write_text(METHOD.replace("return self.deeper(task)", raising))
         err = evaluate("--resume")[2]
         assert f"so: {text}" in err and "(mine.py:8, in answer)" in err
-
-
-def test_a_question_that_no_panorama_shows_is_counted_when_named(evaluate):
-    assert "no selected question can be asked" in evaluate("--questions", BLIND.question_id)[2]
