@@ -46,7 +46,9 @@ class Calls:
         self._file: io.FileIO | None = None
         self._lines: dict[str, tuple[int, int]] = {}
         """The first byte and the length of each request's line."""
-        self._prompt_tokens = self._completion_tokens = 0
+        self._unread: set[str] = set()
+        """Requests whose lines this process has appended and not yet indexed."""
+        self._indexed = self._prompt_tokens = self._completion_tokens = 0
 
     def digest(self, request: Mapping[str, Any]) -> str:
         """Return the key of a call: the sha256 of its request in canonical JSON.
@@ -70,6 +72,9 @@ class Calls:
         """
         try:
             file = self._open()
+            if digest in self._unread:
+                with self._lock:
+                    self._index()
             if (line := self._lines.get(digest)) is None:
                 return None
             start, size = line
@@ -102,40 +107,39 @@ class Calls:
         """
         # The line begins with a line end, because the last line may have been cut short.
         line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"
-        rest = line
         try:
             file = self._open()
-            with self._lock:
-                while rest:
-                    rest = rest[file.write(rest) :]
-                # Behind an append the position is the end of what was written, whatever other processes append.
-                self._lines[digest] = file.tell() - len(line) + 1, len(line) - 1
+            # Without a lock, because a thread that waits for the interpreter after its write would hold up all others.
+            while line:
+                line = line[file.write(line) :]
+            self._unread.add(digest)
         except OSError as error:
             raise StoreError(f"cannot keep a finished call in {self._path}: {error.strerror}") from None
 
     def _open(self) -> io.FileIO:
-        with self._lock:
-            if self._file is None:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                file = io.FileIO(self._path, "a+")
-                try:
+        if self._file is None:
+            with self._lock:
+                if self._file is None:
+                    self._path.parent.mkdir(parents=True, exist_ok=True)
                     self._index()
-                except BaseException:
-                    file.close()
-                    raise
-                # Not at the interpreter's end, because a thread may still wait for its reply then.
-                weakref.finalize(self, file.close).atexit = False
-                self._file = file
-            return self._file
+                    file = io.FileIO(self._path, "a+")
+                    # Not at the interpreter's end, because a thread may still wait for its reply then.
+                    weakref.finalize(self, file.close).atexit = False
+                    self._file = file
+        return self._file
 
     def _index(self) -> None:
-        """Note the position and the tokens of each whole line of the file."""
-        start = 0
-        with self._path.open("rb") as lines:
+        """Note the position and the tokens of each line that was not indexed before."""
+        with contextlib.suppress(FileNotFoundError), self._path.open("rb") as lines:
+            lines.seek(self._indexed)
             for line in lines:
+                if not line.endswith(b"\n"):
+                    break
                 with contextlib.suppress(*_UNREADABLE):
                     entry = _ENTRY.decode(line)
-                    self._lines[entry.request] = start, len(line)
+                    # The position comes first, so that concurrent readers never miss it.
+                    self._lines[entry.request] = self._indexed, len(line)
+                    self._unread.discard(entry.request)
                     self._prompt_tokens += entry.reply.prompt_tokens
                     self._completion_tokens += entry.reply.completion_tokens
-                start += len(line)
+                self._indexed += len(line)

@@ -169,9 +169,7 @@ class _BoundedStream:
         return self._stream.read(max_bytes, self._deadline.limit(timeout))
 
     def write(self, buffer: bytes, timeout: float | None = None) -> None:
-        # In parts, because the stream waits anew for each part that the server takes.
-        for start in range(0, len(buffer), 1 << 18):
-            self._stream.write(buffer[start : start + (1 << 18)], self._deadline.limit(timeout))
+        self._stream.write(buffer, self._deadline.limit(timeout))
 
     def start_tls(
         self, ssl_context: ssl.SSLContext, server_hostname: str | None = None, timeout: float | None = None
