@@ -50,11 +50,6 @@ def read_question_rows(store: Store) -> list[QuestionRow]:
     return [QuestionRow(**{**dict.fromkeys(HIDDEN, ""), **row, "choices": tuple(row["choices"])}) for row in rows]
 
 
-def read_questions(store: Store) -> list[Question]:
-    """Read the questions as methods see them. Raises StoreError as `read_question_rows` does."""
-    return [row.to_question() for row in read_question_rows(store)]
-
-
 def read_sequences(store: Store) -> dict[str, SequenceInfo]:
     """Return the public facts of each sequence by name. Raises StoreError if the file is missing or broken."""
     rows = _public_rows(store, "sequences")

@@ -1,7 +1,4 @@
-"""Tables of the graph and of the store by name, as rows, as Mermaid diagrams and as a reference page.
-
-`python -m jrdb_avr.schema.catalog > docs/tables.md` writes the reference page.
-"""
+"""Tables of the graph and of the store by name, as rows and as Mermaid diagrams."""
 
 from __future__ import annotations
 
@@ -10,12 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import pyarrow as pa
-
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import InputError, did_you_mean
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
-from jrdb_avr.schema.tables import ABOUT, column, views
+from jrdb_avr.schema.tables import column, views
 
 _NESTED: Final = re.compile(r",\s*(?![^()]*\))")
 """A comma between columns, but not inside a struct."""
@@ -135,36 +130,3 @@ def store_diagram(tables: Iterable[CatalogTable]) -> str:
         keys = [(key, target) for key, target in _KEYS.items() if key in table.columns and target in names]
         lines += [f"  {target} ||--o{{ {table.name} : {key}" for key, target in keys if target != table.name]
     return "\n".join([*lines, ""])
-
-
-def tables_page() -> str:
-    """Return the reference page of all tables, in Markdown."""
-    lines = [
-        "# Tables of a store",
-        "",
-        "Every table is a view in `jrdb-avr sql`, which also accepts `SHOW TABLES` and `DESCRIBE intervals_actions`. A",
-        "table that does not exist yet is an empty view. `python -m jrdb_avr.schema.catalog` writes this page.",
-        "",
-        "`sightings_keypoints` is `intervals_sightings` with the column `keypoints` of `annotations_poses` at the same",
-        "frame, or null.",
-        "",
-        "Tables `annotations_...` hold the content of the files: one row per fact, with raw values. Tables",
-        "`intervals_...` hold facts derived from them, as intervals of frames that include both ends; `load --rebuild`",
-        "derives them again. `intervals_actions`, `_memberships`, `_interactions` and `_handles` are written labels;",
-        "`intervals_possible_...` are facts without a label that may hold.",
-        "",
-    ]
-    for name, schema, private in views():
-        secret = " Private: never opened by the process that talks to a model." if private else ""
-        lines += [f"## `{name}`", "", f"{ABOUT[name]}{secret}", "", "| column | type | meaning |", "|--|--|--|"]
-        lines += [f"| `{field.name}` | {_type(field)} | {column(name, field.name)[1]} |" for field in schema]
-        lines.append("")
-    return "\n".join(lines)
-
-
-def _type(field: pa.Field) -> str:
-    return f"{field.type}".replace(" not null", "").replace("item: ", "") + (" or null" if field.nullable else "")
-
-
-if __name__ == "__main__":
-    print(tables_page())

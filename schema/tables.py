@@ -152,10 +152,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "created": (_S, "start time of the run, ISO 8601"),
     "settings": (_S, "all other settings of the run, as JSON"),
     "status": (_S, "answered; invalid (answer or box missing because output could not be read); or error"),
-    "verdict": (
-        _S,
-        "support of the world model for the answer: certain, supported or guess; null without a world model",
-    ),
+    "verdict": (_S, "support by the world model: certain, supported or guess; null without a world model"),
     "evidence_frame": (_I, "frame of the evidence box"),
     "evidence_x": (_F, "left edge of the evidence box, stitched pixels"),
     "evidence_y": (_F, "upper edge of the evidence box"),
@@ -232,14 +229,8 @@ _ANNOTATIONS: Final = {
         "Boxes of people in the robot frame (x forward, y left, z up), metres.",
         "sequence frame track cx cy cz l w h rot_z distance? num_points? interpolated? no_eval?",
     ),
-    "demographics": (
-        "Gender, age and ethnicity labels, one row per label.",
-        "sequence frame track attribute value? raw difficulty?",
-    ),
-    "interactions": (
-        "Interaction labels of a person with a partner, mostly in both directions.",
-        "sequence frame track partner label raw difficulty?",
-    ),
+    "demographics": ("Gender, age and ethnicity labels.", "sequence frame track attribute value? raw difficulty?"),
+    "interactions": ("Interaction labels of two people.", "sequence frame track partner label raw difficulty?"),
     # Abbreviations of the annotators: bpc is what the bodies are on, ssc the salient surroundings.
     "group_info": (
         "Attributes of a group in a member's record: venue, aim, bpc, ssc, location, inter.",
@@ -260,10 +251,7 @@ _ANNOTATIONS: Final = {
     # Each file numbers the categories in its own way.
     "categories": ("Names of the panoptic layer's category numbers.", "sequence category_id category? raw"),
     "timestamps": ("Time of each frame by sensor: images or clouds.", "sequence sensor frame timestamp"),
-    "calibration": (
-        "Pinhole intrinsics of the cameras behind the panorama, pixels.",
-        "sequence sensor width? height? fx fy cx cy",
-    ),
+    "calibration": ("Pinhole intrinsics of the cameras, pixels.", "sequence sensor width? height? fx fy cx cy"),
 }
 ANNOTATIONS: Final = _schemas("annotations_", _ANNOTATIONS)
 
@@ -301,57 +289,39 @@ _INTERVALS: Final = {
         "Written action labels of people, as intervals of frames.",
         "sequence track action first last first_s last_s difficulty? certain",
     ),
-    "possible_actions": (
-        "Actions that people may perform without a label of that action.",
-        "sequence track action first last first_s last_s gap",
-    ),
-    "memberships": (
-        "Written group labels of people, as intervals of frames.",
-        "sequence track cluster first last first_s last_s certain",
-    ),
-    "possible_memberships": (
-        "Groups that people may belong to without a label.",
-        "sequence track cluster first last first_s last_s gap",
-    ),
+    "memberships": ("Written group labels of people.", "sequence track cluster first last first_s last_s certain"),
     # An interaction that one record states holds for both people, so it has rows in both directions.
     "interactions": (
         "Written interaction labels of two people, as intervals of frames, in both directions.",
         "sequence source target label first last first_s last_s certain",
     ),
-    "possible_interactions": (
-        "Interactions that two people may have without a label of that interaction, in both directions.",
-        "sequence source target label first last first_s last_s gap",
-    ),
     "handles": (
         "Written labels of what people do with things, as intervals of frames.",
         "sequence track object category_id verb first last first_s last_s certain",
-    ),
-    "possible_handles": (
-        "What people may do with things without a label of that verb.",
-        "sequence track object category_id verb first last first_s last_s gap",
     ),
     "objects": (
         "Things with a track, without people; category null if unknown or missing in the panoptic layer.",
         "sequence object category_id category? first_frame? last_frame?",
     ),
-    "group_info": (
-        "Votes of members' records for each attribute of their group.",
-        "sequence cluster attribute value votes chosen",
-    ),
+    "group_info": ("Votes for each attribute of a group.", "sequence cluster attribute value votes chosen"),
     # In the robot's view a row covers one keyframe. An uncertain one may have several targets.
     "beside": (
         "Place of the target seen from the source, such as 'left, close', or first to a side in the robot's view.",
         "sequence source target label first last first_s last_s certain",
     ),
-    "segments": (
-        "Stable segments of actions, which questions about starts and spans use.",
-        "sequence track action first last start end quiet_from closed",
-    ),
+    "segments": ("Stable segments of actions.", "sequence track action first last start end quiet_from closed"),
 }
-INTERVALS: Final = _schemas("intervals_", _INTERVALS)
-
 LABELED: Final = ("actions", "memberships", "interactions", "handles")
 """Interval tables of written labels. Each has a table `possible_<name>` of the facts that may hold without a label."""
+
+_POSSIBLE: Final = {
+    f"possible_{name}": (
+        f"Facts that may hold without a label, with the keys of `intervals_{name}`.",
+        _INTERVALS[name][1].replace("difficulty? ", "").replace("certain", "gap"),
+    )
+    for name in LABELED
+}
+INTERVALS: Final = _schemas("intervals_", _INTERVALS | _POSSIBLE)
 
 _QUESTIONS: Final = {
     "questions": ("The public questions.", "question_id sequence family template question choices answer_mode"),

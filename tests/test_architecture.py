@@ -5,6 +5,7 @@ from collections import defaultdict
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 
+import house
 import pytest
 from sources import ROOT, imports, parsed
 
@@ -50,8 +51,7 @@ MAY_IMPORT = {
     | {"engine.cli", "engine.pages", "engine.validate", "engine.run", "engine.integrations", "agent"},
 }
 LARGEST = 450
-SMALL = 40
-MOST_SMALL = 9
+"""Maximum number of lines of a module."""
 REPEATED = {"command", "main", "serve", "load", "generate", "validate", "evaluate", "score", "report", "diff"}
 """Public names that may repeat: click commands, which are named like their functions, and entry points of processes."""
 
@@ -110,11 +110,40 @@ def test_no_module_imports_itself_through_others():
         pytest.fail(" -> ".join(error.args[1]))
 
 
-def test_modules_are_neither_large_nor_tiny():
+def test_modules_are_not_large():
     sizes = {name: len(path.read_text("utf-8").splitlines()) for name, path in modules().items()}
     assert {name: size for name, size in sizes.items() if size > LARGEST} == {}
-    small = {name: size for name, size in sizes.items() if size < SMALL and modules()[name].name != "__init__.py"}
-    assert len(small) <= MOST_SMALL, small
+
+
+@pytest.mark.xfail(reason="the last rooms are being rewritten")
+def test_every_room_keeps_to_its_budget():
+    lines = house.rooms()
+    assert {room: count for room, count in lines.items() if count > house.BUDGETS.get(room, 0)} == {}
+    assert lines.total() <= house.TOTAL
+    assert house.lines_of_tests() <= house.TESTS
+
+
+@pytest.mark.xfail(reason="the last rooms are being rewritten")
+def test_docstrings_and_comments_are_standard_english():
+    bounds = house.PATTERNS | dict.fromkeys(house.BUDGETS, house.ROOM_HITS)
+    assert {name: rate for name, rate in house.hits().items() if rate > bounds[name]} == {}
+
+
+@pytest.mark.xfail(reason="the last rooms are being rewritten")
+def test_names_parameters_and_lines_keep_to_their_bounds():
+    assert house.weak_share() <= house.WEAK_SHARE
+    assert [module.name for module in house.modules() if module.parameters > house.PARAMETERS] == []
+    assert [module.name for module in house.modules() if module.line > house.LINE] == []
+
+
+def test_the_bounds_notice_what_exceeds_them(tmp_path, monkeypatch):
+    text = '"""Whoever stands where nobody is told."""\n\n# A note.\nimport os\ndef one(own, found):\n    return own\n'
+    (tmp_path / "agent").mkdir()
+    (tmp_path / "agent" / "new.py").write_text(text)
+    monkeypatch.setattr(house, "ROOT", tmp_path)
+    found = house.measure("agent/new.py")
+    assert (found.room, found.code, found.words, found.hits.total()) == ("agent", 2, 9, 4)
+    assert (found.identifiers, found.weak, found.parameters) == (3, 3, 2)
 
 
 def test_a_package_and_a_module_never_share_a_name():

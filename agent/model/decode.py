@@ -179,7 +179,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
 
 
 def _instead(reply: Reply) -> str:
-    """What an empty reply holds in place of an answer."""
+    """Return what an empty reply holds in place of an answer."""
     if reply.content.strip():
         return " after its thinking"
     if reply.reasoning.strip():

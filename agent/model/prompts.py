@@ -56,7 +56,7 @@ def mode_text(mode: AnswerMode, frame_count: int) -> ModeText:
 
 
 def choice_lines(choices: Sequence[str]) -> str:
-    """Number the choices of a question.
+    """Write the choices of a question with their numbers.
 
     Args:
         choices: The choices.

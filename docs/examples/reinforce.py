@@ -22,7 +22,7 @@ def probabilities(logits):
 
 
 def moves(act, drawn):
-    """An action of every environment; the box is the whole picture."""
+    """Return an action of every environment; the box is the whole picture."""
     frame, angle, first, second = PLACES[drawn].T
     count = len(drawn)
     box, numbers = np.tile([0.0, 0.0, 1.0, 1.0], (count, 1)), np.stack([first, second], axis=1)

@@ -1,7 +1,8 @@
-"""Pages of the documentation that the code itself writes: the help of the commands, and the Python API.
+"""Pages of the documentation that the code itself writes: commands, Python API, and tables.
 
     python -m jrdb_avr.engine.commands.page commands > docs/commands.md
     python -m jrdb_avr.engine.commands.page api > docs/api.md
+    python -m jrdb_avr.engine.commands.page tables > docs/tables.md
 
 Tests compare the pages with the code, so that they agree.
 """
@@ -16,9 +17,11 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import click
+import pyarrow as pa
 
 import jrdb_avr
 from jrdb_avr.engine.cli import COMMANDS, group
+from jrdb_avr.schema.tables import ABOUT, column, views
 
 NAME: Final = "jrdb-avr"
 _HOW: Final[dict[str, Any]] = {"terminal_width": 100, "max_content_width": 100, "help_option_names": ["-h", "--help"]}
@@ -121,5 +124,35 @@ def _members(value: Any) -> str:
     return "".join([*lines, "\n"] if lines else [])
 
 
+def tables_page() -> str:
+    """Return the reference page of all tables, in Markdown."""
+    lines = [
+        "# Tables of a store",
+        "",
+        "Every table is a view in `jrdb-avr sql`, which also accepts `SHOW TABLES` and `DESCRIBE intervals_actions`. A",
+        "table that does not exist yet is an empty view.",
+        "",
+        "`sightings_keypoints` is `intervals_sightings` with the column `keypoints` of `annotations_poses` at the same",
+        "frame, or null.",
+        "",
+        "Tables `annotations_...` hold the content of the files: one row per fact, with raw values. Tables",
+        "`intervals_...` hold facts derived from them, as intervals of frames that include both ends; `load --rebuild`",
+        "derives them again. `intervals_actions`, `_memberships`, `_interactions` and `_handles` are written labels;",
+        "`intervals_possible_...` are facts without a label that may hold.",
+        "",
+    ]
+    for name, schema, private in views():
+        secret = " Private: never opened by the process that talks to a model." if private else ""
+        lines += [f"## `{name}`", "", f"{ABOUT[name]}{secret}", "", "| column | type | meaning |", "|--|--|--|"]
+        lines += [f"| `{field.name}` | {_type(field)} | {column(name, field.name)[1]} |" for field in schema]
+        lines.append("")
+    lines.append("Made by `python -m jrdb_avr.engine.commands.page tables > docs/tables.md`.\n")
+    return "\n".join(lines)
+
+
+def _type(field: pa.Field) -> str:
+    return f"{field.type}".replace(" not null", "").replace("item: ", "") + (" or null" if field.nullable else "")
+
+
 if __name__ == "__main__":
-    click.echo({"commands": commands_page, "api": api_page}[sys.argv[1]](), nl=False)
+    click.echo({"commands": commands_page, "api": api_page, "tables": tables_page}[sys.argv[1]](), nl=False)

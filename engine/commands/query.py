@@ -130,7 +130,7 @@ def _statement(language: Language, query: str) -> str:
 
 
 def _unique_names(table: Any) -> Any:
-    """Number repeated column names, because a row object holds each name once."""
+    """Add numbers to repeated column names, because a row object holds each name once."""
     names: list[str] = []
     for name in table.column_names:
         numbered = (f"{name}_{number}" for number in itertools.count(2))

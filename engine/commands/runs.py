@@ -65,7 +65,7 @@ def show(run: str, store: Store, form: RowFormat) -> None:
 
 
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
-    """A value by its name, the entries of a mapping or list each on a line."""
+    """Return a value by its name, the entries of a mapping or list each on a line."""
     if isinstance(value, dict):
         return [line for key, item in value.items() for line in _lines(f"{name}.{key}", item)]
     if isinstance(value, list) and name.startswith("commonest"):

@@ -124,7 +124,7 @@ def _path(table: str) -> str:
 
 
 def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
-    """Sources of the sequences' layers; the sample world is a source."""
+    """Return the sources of the sequences' layers; the sample world is a source."""
     entries = store.manifest().sequences
     real = [name for name in sequences if not card.is_of_sample(name)]
     layers = {layer for name in real for layer in entries[name].layers}
@@ -165,7 +165,7 @@ def _counts(column: pa.ChunkedArray) -> list[tuple[str, int]]:
 
 
 def _columns(tables: Iterable[str]) -> dict[str, tuple[str, list[tuple[str, str]]]]:
-    """Description and columns of each table."""
+    """Return the description and columns of each table."""
     return {
         table: (ABOUT[table], [(name, card.sentence(column(table, name)[1])) for name in QUESTIONS[table].names])
         for table in tables

@@ -282,7 +282,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _angle(angle_deg: float) -> float:
-    """The angle in [0, 360). Raises ObserveError if it is not a finite number."""
+    """Return the angle in [0, 360). Raises ObserveError if it is not a finite number."""
     try:
         angle = math.nan if isinstance(angle_deg, str | bytes | bool) else float(angle_deg)
     except (TypeError, ValueError, OverflowError):
@@ -294,7 +294,7 @@ def _angle(angle_deg: float) -> float:
 
 
 def _short(value: object) -> str:
-    """A caller's value in a message."""
+    """Return a caller's value in a message."""
     try:
         return str(value)[:100]
     except ValueError:

@@ -96,7 +96,7 @@ def _draw_skeletons(
 
 
 def _color_key(row: dict[str, Any]) -> int:
-    """Number that selects a person's color: the group, else the track."""
+    """Return the number that selects a person's color: the group, else the track."""
     return int(row["track"] if row["cluster"] is None else row["cluster"])
 
 

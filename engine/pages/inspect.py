@@ -262,7 +262,7 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
 
 
 def _times(plan: Plan) -> list[str]:
-    """The named times of a plan in words."""
+    """Return the named times of a plan in words."""
     texts = []
     for name, time in plan.times.items():
         if time.frame is not None:
@@ -274,13 +274,13 @@ def _times(plan: Plan) -> list[str]:
 
 
 def _reads(plan: Plan) -> str:
-    """The read of a plan in words: what it takes from its target person, at named times."""
+    """Return the read of a plan in words: what it takes from its target person, at named times."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 
 
 def _perturbation(question: Inspected, name: str | None) -> str:
-    """The perturbation that makes a wrong choice true. A stop at a person begins with the person's role."""
+    """Return the perturbation that makes a wrong choice true. A stop at a person begins with the person's role."""
     stop = re.fullmatch(r"hop\.stop\((\d)\)", name or "")
     roles = list(question.people)
     if stop is not None and int(stop[1]) < len(roles):
@@ -309,13 +309,13 @@ def _strip(question: Inspected, frame: int, observer: Observer) -> View:
 
 
 def _panorama(title: str, image: Image, size: tuple[int, int], boxes: Iterable[tuple[str, Box]]) -> View:
-    """A whole panorama with boxes in stitched pixels."""
+    """Return a whole panorama with boxes in stitched pixels."""
     framed = [FramedBox(role, *part) for role, box in boxes for part in on_strip(box, WIDTH)]
     return View(title, picture_uri(image, size), WIDTH, HEIGHT, framed)
 
 
 def _moment(question: Inspected, name: str) -> str:
-    """A named time, with its frame if the frame is not annotated."""
+    """Return a named time, with its frame if the frame is not annotated."""
     frame = question.moments[name]
     return name if frame == question.annotated[name] else f"{name} (frame {frame}, between two annotated)"
 

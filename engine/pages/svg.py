@@ -129,7 +129,7 @@ def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ..
 
 
 def _timed(text: str, at: str | None, several: bool) -> str:
-    """A condition, with its time if the plan has several times."""
+    """Return a condition, with its time if the plan has several times."""
     return f"{text}, {at}" if several and at else text
 
 

@@ -122,7 +122,7 @@ def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
 def _labelled(
     role: str, kind: str, intervals: Iterable[tuple[str, Record]], in_plan: frozenset[str] | None = None
 ) -> list[TimelineRow]:
-    """A timeline row per label, labels of the plan first. Without `in_plan` all labels count as the plan's."""
+    """Return a timeline row per label, labels of the plan first. Without `in_plan` all labels count as the plan's."""
     spans: dict[str, list[Stretch]] = {}
     for label, row in intervals:
         spans.setdefault(label, []).append(Stretch(row["first"], row["last"], kind, row["certain"]))

@@ -134,7 +134,7 @@ def _frames(mode: str, text: str | None) -> list[int]:
 
 
 def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
-    """The target's (column, frame) in segments, which end if the target is out of view or crosses the seam."""
+    """Return the target's (column, frame) in segments, which end if the target is out of view or crosses the seam."""
     path: list[list[tuple[float, int]]] = []
     for frame, (x, _, w, _) in sorted(trace.target.items()):
         if not low <= frame <= high:
@@ -308,7 +308,7 @@ class _Reply(msgspec.Struct):
 
 
 def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> list[dict[str, Any]]:
-    """The steps, each with its refused writes and its look."""
+    """Return the steps, each with its refused writes and its look."""
     views = {look.step: _view(trace, look, observer, strip) for look in trace.looks[:_PICTURES]}
     for look in trace.looks[_PICTURES:]:
         views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks have pictures"}
@@ -331,7 +331,7 @@ def _step(step: StoredRow) -> dict[str, Any]:
 
 
 def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """A look with its panorama and crop as pictures; `missing` is the reason for missing pictures."""
+    """Return a look with its panorama and crop as pictures; `missing` is the reason for missing pictures."""
     view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
     try:
         if look.angle is not None:
@@ -343,7 +343,7 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
 
 
 def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """The evidence and the target's box in that frame, on the strip and in a crop around the evidence."""
+    """Return the evidence and the target's box in that frame, on the strip and in a crop around the evidence."""
     target = Box(*trace.target[frame]) if frame in trace.target else None
     angle = float(center_angle(box.x, box.w))
     view: dict[str, Any] = {
@@ -369,7 +369,7 @@ def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callab
 
 
 def _messages(text: str) -> str:
-    """The messages to a model as text, with names for images."""
+    """Return the messages to a model as text, with names for images."""
     messages = _decoded(text, list[_Message])
     return _cut(
         text if messages is text else "\n\n".join(f"[{message.role}]\n{message.content}" for message in messages)
@@ -386,7 +386,7 @@ def _reply(text: str) -> str:
 
 
 def _plain(text: str | None) -> str:
-    """A long JSON text, indented, with JSON objects in its strings; other texts unchanged."""
+    """Return a long JSON text, indented, with JSON objects in its strings; other texts unchanged."""
     if not text or len(text) <= 100:
         return text or ""
     value = _decoded(text)
@@ -400,7 +400,7 @@ def _plain(text: str | None) -> str:
 
 
 def _decoded(text: str, kind: Any = Any) -> Any:
-    """The value of a JSON text, or the text itself if it has another type."""
+    """Return the value of a JSON text, or the text itself if it has another type."""
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeError, RecursionError):

@@ -181,7 +181,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
 
 
 def _totals(run: ScoredRun) -> list[int]:
-    """The arguments of `_shares` for a whole run."""
+    """Return the arguments of `_shares` for a whole run."""
     return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
 
 

@@ -47,7 +47,7 @@ from jrdb_avr.engine.run.methods import default_policy
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.synthetic.write import plan, write
-from jrdb_avr.queries.questions import read_question_rows, read_questions
+from jrdb_avr.queries.questions import read_question_rows
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.queries.workers import map_sequences
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, iou
@@ -175,7 +175,7 @@ def measure(runs: Sequence[Run]) -> Measured:
     certain, choices, pairs, calls, tokens, asked = [0, 0], [0, 0], [0, 0, 0], 0, 0, 0
     for run in runs:
         store = Store(run.store)
-        modes = {question.question_id: question.answer_mode for question in read_questions(store)}
+        modes = {question.question_id: question.answer_mode for question in read_question_rows(store)}
         scored = report(store, [run.run_id]).scores
         predictions = read_table(store.run_path(run.run_id) / "predictions.parquet")
         rows = {row["question_id"]: row for row in predictions.to_pylist()}
@@ -208,7 +208,7 @@ def associated_pairs(run: Run) -> tuple[int, int, int]:
     that overlap nobody's by half are left out.
     """
     store = Store(run.store)
-    where = {question.question_id: question.sequence for question in read_questions(store)}
+    where = {question.question_id: question.sequence for question in read_question_rows(store)}
     table = read_table(run.path / "world.parquet")
     people = {
         sequence: _boxes_by_frame(store, sequence)

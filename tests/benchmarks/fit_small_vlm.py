@@ -26,7 +26,7 @@ from jrdb_avr.engine.report.paper import MAIN
 from jrdb_avr.engine.report.scored_runs import SCORES
 from jrdb_avr.engine.run.evaluate import evaluate
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
-from jrdb_avr.queries.questions import read_questions
+from jrdb_avr.queries.questions import read_question_rows
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import map_sequences
 
@@ -127,7 +127,7 @@ def print_fit(found: dict[str, Row], title: str) -> None:
 
 def mixed(store: Path) -> tuple[str, ...]:
     """All questions in an order that mixes their templates as they were generated."""
-    return tuple(sorted(question.question_id for question in read_questions(Store(store))))
+    return tuple(sorted(question.question_id for question in read_question_rows(Store(store))))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

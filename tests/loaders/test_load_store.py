@@ -347,7 +347,7 @@ def test_missing_and_empty_roots_are_one_line(tmp_path):
 
 
 def test_rebuild_of_nothing_is_an_error(tmp_path):
-    with pytest.raises(AvrError, match="no store"):
+    with pytest.raises(AvrError, match="is not a store"):
         loading.rebuild(Store(tmp_path / "store"), LoadRules())
 
 

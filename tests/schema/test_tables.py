@@ -5,8 +5,8 @@ import pyarrow.parquet as pq
 import pytest
 from environment import DOCS
 
+from jrdb_avr.engine.commands.page import tables_page
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.catalog import tables_page
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
 from jrdb_avr.schema.tables import (
     ABOUT,
@@ -84,7 +84,7 @@ def test_the_scene_names_its_ends():
 
 
 def test_the_reference_page_is_current():
-    assert (DOCS / "tables.md").read_text("utf-8") == tables_page() + "\n"
+    assert (DOCS / "tables.md").read_text("utf-8") == tables_page()
     known = {(name, field) for name, schema, _ in views() for field in schema.names}
     assert set(SPECIAL) <= known
     assert set(COLUMNS) <= {field for _, field in known}

@@ -161,17 +161,6 @@ def test_the_reward_is_the_judges_where_asked_for(small_demo, by_evaluate, make)
         make(reward="combined")
 
 
-def test_environments_run_side_by_side(public_store):
-    import gymnasium
-
-    store, images = public_store
-    envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync", store=str(store.path), images=images, budget=1)
-    observations, info = envs.reset(seed=[1, 2])
-    assert observations["image"].shape == (2, 480, 480, 3) and len(set(info["question_id"])) == 2
-    envs.step({name: np.stack([part] * 2) for name, part in action(LOOK).items()})
-    envs.close()
-
-
 @pytest.mark.parametrize("wrong", [{"frame": np.array(np.nan)}, {"box": np.full(4, 2.0)}, {"act": np.int64(2)}])
 def test_an_action_outside_its_space_is_an_error_and_no_move(make, wrong):
     env = make()

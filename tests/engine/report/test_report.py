@@ -2,19 +2,12 @@
 
 import csv
 import io
-import json
-import os
 import re
-import subprocess
-import sys
 from itertools import combinations
-from pathlib import Path
 
 import msgspec
 import numpy as np
-import processes
 import pytest
-from environment import SUPPORT
 from scored_runs import BOX, CASES, ELSEWHERE, Benchmark, stored_failures, table
 
 from jrdb_avr.engine.console import csv_text
@@ -25,7 +18,6 @@ from jrdb_avr.engine.report.formats import cell, latex, markdown, with_intervals
 from jrdb_avr.engine.report.paper import ABLATION, GROUPS
 from jrdb_avr.engine.report.scored_runs import ScoredRun
 from jrdb_avr.engine.report.tables import (
-    TABLES,
     ablation_rows,
     breakdown_rows,
     main_rows,
@@ -354,58 +346,3 @@ def test_a_p_value_is_not_rounded_to_nothing():
     rows = [{"p": value} for value in (0.0375, 2.0**-40, 1.0, None)]
     assert [line.strip("| ") for line in markdown(rows).splitlines()[2:]] == ["0.0375", "&lt;0.0001", "1.0000", "n/a"]
     assert [row["p"] for row in with_intervals(rows)] == ["0.0375", "<0.0001", "1.0000", "n/a"]
-
-
-# -- the same twice ---------------------------------------------------------------------------------------------------
-
-
-def write_every_format(path, folder):
-    """Reports of a store, as the files of a new folder."""
-    folder = Path(folder)
-    folder.mkdir()
-    calls = {form: ("--table", "all", f"--{form}") for form in ("markdown", "latex", "json")}
-    # The rows of a table as CSV are those of the JSON: one of them is enough.
-    calls |= {"csv": ("--table", "template", "--csv")}
-    for name, options in calls.items():
-        code, text, err = processes.run("report", "--store", path, "--paper", *options)
-        assert code == 0, err
-        (folder / name).write_text(text)
-    assert processes.run("report", "--store", path, "--paper", "--html", folder / "html")[0] == 0
-
-
-@pytest.mark.slow
-def test_a_report_is_the_same_under_any_hash_seed(tmp_path):
-    benchmark, run, store = stored_failures(tmp_path / "S")
-    predictions = benchmark.written["predictions"].to_pylist()
-    right = predictions[0]
-    for number, method in enumerate(("agent", "react")):
-        name = f"{method}-run"
-        # One answers wrongly, and differently from question to question, so that every table has rows.
-        rows = [
-            row | {"run_id": name, "answer": json.dumps({"choice": 2 + (place + number) % 3})}
-            for place, row in enumerate(predictions)
-        ]
-        rows[0] |= {"answer": right["answer"]}
-        store.write_run(name, "predictions", table(rows, RUNS["predictions"]))
-        store.write_run(name, "steps", table([], RUNS["steps"]))
-        manifest = msgspec.structs.replace(
-            run.manifest,
-            run_id=name,
-            method=method,
-            questions_sha256=questions_hash(store),
-            settings={"x": {"a": number}},
-        )
-        write_run_manifest(store, manifest)
-    write_every_format(store.path, tmp_path / "here")
-    seed = "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
-    again = f"from test_report import *; write_every_format({str(store.path)!r}, {str(tmp_path / 'again')!r})"
-    environment = os.environ | {
-        "PYTHONHASHSEED": seed,
-        "PYTHONPATH": os.pathsep.join([str(SUPPORT), str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]),
-    }
-    subprocess.run([sys.executable, "-c", again], env=environment, check=True)
-    here, there = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("here", "again"))
-    assert here.keys() == {"markdown", "latex", "json", "csv", "html"} and all(here.values())
-    # Nobody played, and no run has epochs.
-    assert {row["table"] for row in json.loads(here["json"])} == {*TABLES} - {"people", "epochs"}
-    assert here == there
