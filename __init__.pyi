@@ -55,4 +55,5 @@ from jrdb_avr.schema.errors import EndpointError as EndpointError
 from jrdb_avr.schema.errors import RunStoppedError as RunStoppedError
 from jrdb_avr.schema.errors import AvrWarning as AvrWarning
 
+__all__: list[str]
 __version__: str

@@ -10,10 +10,13 @@ import functools
 import ipaddress
 import math
 import os
+import queue
 import re
 import threading
 import time
-from collections.abc import Iterable, Sequence
+import weakref
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
@@ -61,6 +64,11 @@ class Connections:
 
         self._bounds = bounds
         self._deadline = _Deadline()
+        # 64 calls of a megabyte at a time take half the time if other threads than the callers' exchange them. An
+        # executor's threads are no daemons: an interrupt would wait for replies.
+        self._tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._idle = threading.Semaphore(0)
+        weakref.finalize(self, self._tasks.put, None)
         environment = not _is_loopback(base_url)
         try:
             self._http = httpx2.Client(
@@ -96,6 +104,15 @@ class Connections:
                 one (decompression bomb).
             httpx2.HTTPError: The server cannot be reached, or the reply breaks off or does not end in time.
         """
+        done: Future[tuple[httpx2.Response, bytes]] = Future()
+        self._tasks.put((functools.partial(self._exchange, timeout_s, method, url, request), done))
+        if not self._idle.acquire(blocking=False):
+            threading.Thread(target=_serve, args=(self._tasks, self._idle), daemon=True).start()
+        return done.result()
+
+    def _exchange(
+        self, timeout_s: float, method: str, url: str, request: Mapping[str, Any]
+    ) -> tuple[httpx2.Response, bytes]:
         import httpx2
 
         self._deadline.end = time.monotonic() + timeout_s
@@ -117,6 +134,23 @@ class Connections:
                     size = self._bounds.reply_bytes / (1 << 20)
                     raise EndpointError(f"the reply is longer than {size:.3g} MB: is this a chat server?")
             return response, bytes(data)
+
+
+def _serve(tasks: queue.SimpleQueue[Any], idle: threading.Semaphore) -> None:
+    """Carry out tasks until the connections are collected."""
+    while (task := tasks.get()) is not None:
+        work, done = task
+        finish: Callable[[], None]
+        try:
+            finish = functools.partial(done.set_result, work())
+        except BaseException as error:
+            finish = functools.partial(done.set_exception, error)
+        # Idle before the caller goes on, which may have another call at once.
+        idle.release()
+        finish()
+        # Results and the connections must not stay alive while the thread waits.
+        del task, work, done, finish
+    tasks.put(None)
 
 
 @functools.cache

@@ -70,6 +70,10 @@ def test_questions_of_one_sequence_are_drawn_together():
     found = interval(sums, mean_ratio((0, 1)))
     # By hand: in 4 of 4^4 draws of sequences no 1 is drawn ... the 2.5 % quantile is one 1 in four.
     assert (found.value, found.low, found.high) == (0.75, 0.25, 1.0)
+    # The difference of two runs, the first of which scores nothing, is the second's share.
+    runs = [np.zeros((40, 1), np.int8), scores[:, None]]
+    difference = compare(np.repeat([5, 2, 9, 0], 10), runs, [(0, 1)])[0][0][-1]
+    assert (difference.value, difference.low, difference.high) == (0.75, 0.25, 1.0)
 
 
 def test_a_draw_is_seeded_and_of_as_many_clusters():
