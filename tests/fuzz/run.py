@@ -1,4 +1,4 @@
-"""Fuzz the program from outside: replies of models, plans, statements of users, prediction files.
+"""Fuzz the program from outside: replies of models and prediction files.
 
     python tests/fuzz/run.py                                     about a minute, as the gate runs it
     python tests/fuzz/run.py --replies 100000  for half an hour and more
@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-KINDS = {"replies": 10_000, "plans": 200, "statements": 600, "predictions": 1500}
+KINDS = {"replies": 10_000, "predictions": 1500}
 """What is fuzzed, each a module with a function `run_case`; and how many items are tried if nothing else is said."""
 
 MEMORY = 2 << 30

@@ -25,12 +25,3 @@ def sample_store(folder):
             stored_failures(place / "store")
         _made[str(folder)] = Store(place / "store")
     return _made[str(folder)], name
-
-
-def contents(folder):
-    """Name, size and time of change of every file below a folder: what a reader may not touch."""
-    return {
-        str(path): (path.stat().st_size, path.stat().st_mtime_ns)
-        for path in sorted(Path(folder).rglob("*"))
-        if path.is_file()
-    }
