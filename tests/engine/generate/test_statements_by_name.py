@@ -109,6 +109,7 @@ def reached(found, rule):
 # -- candidates -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LISTED)
 def test_the_rows_of_a_generator_are_the_candidates_of_its_sequence_with_their_judgement(sequences, name):
     rows = 0
@@ -125,6 +126,7 @@ def test_the_rows_of_a_generator_are_the_candidates_of_its_sequence_with_their_j
     assert rows >= 10
 
 
+@pytest.mark.slow
 def test_the_hops_of_later_pose_are_judged_by_a_statement_of_their_own(sequences):
     judged = 0
     for sequence in sequences:
@@ -154,6 +156,7 @@ def check_judgement(sequence, name, table, rows):
                 assert outcome(texts[place], answers[row]) == proofs[row], column
 
 
+@pytest.mark.slow
 def test_presence_is_the_product_of_who_is_described_and_when_somebody_is_present(sequences):
     for sequence in sequences:
         found, wait = sequence.found("presence"), frames(sequence.context.rules.min_wait_s)
@@ -176,6 +179,7 @@ def test_presence_is_the_product_of_who_is_described_and_when_somebody_is_presen
             assert database.execute("SELECT count(*) FROM listed").fetchone()[0] == len(found) > 1000
 
 
+@pytest.mark.slow
 def test_people_counted_are_those_whom_an_encounter_meets(sequences):
     for sequence in sequences:
         assert sequence.rows("gap_count_people").equals(sequence.context.people_met)
@@ -185,6 +189,7 @@ def test_people_counted_are_those_whom_an_encounter_meets(sequences):
 # -- doors ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TEXTS)
 def test_a_pasted_statement_gives_the_rows_of_its_name_with_numbers_sorted_before_texts(sequences, name):
     """The engine misplaces rows where a text is sorted by before a number."""
@@ -196,6 +201,7 @@ def test_a_pasted_statement_gives_the_rows_of_its_name_with_numbers_sorted_befor
     assert texts == sorted(texts)
 
 
+@pytest.mark.slow
 def test_a_statement_runs_in_a_process_of_its_own(sequences, own_processes):
     rows = sequences[1].store.cypher("two_hop", sequence=sequences[1].context.scene.sequence)
     assert rows.equals(sequences[1].rows("two_hop"))
