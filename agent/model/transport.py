@@ -193,7 +193,7 @@ class _BoundedBackend:
 
 
 class _BoundedStream:
-    """A network stream whose waits end at the deadline."""
+    """A network stream with waits that end at the deadline."""
 
     def __init__(self, stream: Any, deadline: _Deadline) -> None:
         self._stream, self._deadline = stream, deadline
@@ -262,7 +262,7 @@ def address_of(base_url: str, path: str) -> str:
     """Join a path to a base address.
 
     Args:
-        base_url: The address, whose query stays at the end.
+        base_url: The address; its query stays at the end.
         path: The path, beginning with a slash.
 
     Returns:
@@ -340,7 +340,7 @@ def secret_pattern(secrets: Sequence[str]) -> re.Pattern[bytes] | None:
         secrets: The secrets; short ones are left out.
 
     Returns:
-        The pattern; None without a long secret. Its group 1 matches an escaped backslash, whose second half would
+        The pattern; None without a long secret. Its group 1 matches an escaped backslash; its second half would
         otherwise look like the escape of a secret.
     """
     long = ["".join(map(_forms, secret)) for secret in secrets if len(secret) >= _SECRET]
