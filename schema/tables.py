@@ -340,7 +340,7 @@ _QUESTIONS: Final = {
         "sequence track frame x y w h",
     ),
     "rejected": (
-        "Numbers of refused candidates by sequence, template and rule, each with an example.",
+        "Numbers of refused candidates by sequence, template and rule, each with up to 100 examples.",
         "kind sequence family template rule candidates target_track? plan? detail?",
     ),
     "reviews": ("Decisions of reviewers to accept or reject a question.", "question_id reviewer decision reason"),
