@@ -46,8 +46,8 @@ def map_sequences(
 ) -> Iterator[tuple[int, R]]:
     """Call a function for each sequence, and yield (index, result) pairs in order of completion.
 
-    A sequence whose Ray worker dies is run again. So the function must write files whole (`write_atomic`), or return
-    its results.
+    If the Ray worker of a sequence dies, the sequence is run again. So the function must write files whole
+    (`write_atomic`), or return its results.
 
     Args:
         function: Function of one sequence; the errors it raises are raised here.

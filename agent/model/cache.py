@@ -47,7 +47,7 @@ class Calls:
         self._lines: dict[str, tuple[int, int]] = {}
         """The first byte and the length of each request's line."""
         self._unread: set[str] = set()
-        """Requests whose lines this process has appended and not yet indexed."""
+        """Requests with lines that this process has appended and not yet indexed."""
         self._indexed = self._prompt_tokens = self._completion_tokens = 0
 
     def digest(self, request: Mapping[str, Any]) -> str:

@@ -1,6 +1,6 @@
 """Find how a model writes boxes, from its boxes of drawn rectangles.
 
-The model gets pictures with a marked rectangle whose box is known, and writes that box in the contract's own words.
+The model gets pictures with a marked rectangle with a known box, and writes that box in the contract's own words.
 Each reading (order of the numbers, scale) of each key is compared with the known boxes. A reading is chosen only if it
 explains the replies and no other reading does nearly as well. No question and no true box of a question is involved.
 """
@@ -37,7 +37,7 @@ LEAST_REPLIES: Final = 10
 LEAST_READABLE: Final = 0.5
 """Minimum share of all replies that hold a box."""
 CLEAR: Final = 0.4
-"""Minimum share of a key's replies whose box, under the chosen reading, has an IoU of at least 0.5."""
+"""Minimum share of a key's replies with a box of an IoU of at least 0.5 under the chosen reading."""
 LEAD: Final = 0.2
 """Minimum lead of that share over every reading that gives other boxes."""
 _SAME: Final = 0.9

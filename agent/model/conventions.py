@@ -92,7 +92,7 @@ class Convention:
 
 
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
-"""The convention of a model whose family declares none."""
+"""The convention of a model from a family without a declared convention."""
 
 # The default budget is 280 soft tokens of 48 x 48 pixels: a whole panorama shrinks to some 60 % a side.
 _GEMMA_4: Final = Convention(

@@ -35,7 +35,7 @@ def box_key(entry: object, convention: Convention = CONTRACT, requested: str = C
 
     Args:
         entry: An object of a reply.
-        convention: The convention, whose keys are accepted too.
+        convention: The convention; its keys are accepted too.
         requested: The key that the prompt requests.
 
     Returns:

@@ -53,7 +53,7 @@ def picture_of(seen: Observation | Panorama) -> Picture:
     """Return an observation as a picture.
 
     Args:
-        seen: A crop, which is encoded as JPEG of quality 95, or a panorama, whose stored bytes are sent.
+        seen: A crop, which is encoded as JPEG of quality 95, or a panorama, sent as its stored bytes.
 
     Returns:
         The picture.

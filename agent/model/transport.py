@@ -165,7 +165,7 @@ class Credentials:
         # The longest first, because a word is a part of its value.
         self._secrets = sorted(filter(None, [key, *words]), key=len, reverse=True)
         long = ["".join(map(_forms, secret)) for secret in self._secrets if len(secret) >= _SECRET]
-        # The last pattern is an escaped backslash, whose second half would otherwise look like the escape of a secret.
+        # The last pattern is an escaped backslash; its second half would otherwise look like the escape of a secret.
         self._in_json = re.compile("|".join([*long, r"(\\\\)"]).encode())
 
     def hide(self, text: str) -> str:
@@ -238,7 +238,7 @@ def address_of(base_url: str, path: str) -> str:
     """Join a path to a base address.
 
     Args:
-        base_url: The address, whose query stays at the end.
+        base_url: The address; its query stays at the end.
         path: The path, beginning with a slash.
 
     Returns:

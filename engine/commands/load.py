@@ -42,7 +42,7 @@ def command(root: Path | None, store: Store, strict: bool, workers: Executor, fo
 
     The layers are stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses, panoptic
     segments, timestamps, calibration and panoramas. Any layer may be missing. Broken files and broken records are
-    refused and listed, and the rest loads. A layer whose frame numbers differ from the 2D boxes is refused.
+    refused and listed, and the rest loads. A layer with frame numbers that differ from the 2D boxes is refused.
 
     Example:
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store

@@ -31,7 +31,7 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
     """Make one run of all shards of a run. The shards stay.
 
     Args:
-        store: The store, or its folder, whose folder `runs` holds the shards.
+        store: The store, or its folder; its folder `runs` holds the shards.
         run_ids: The runs of the shards.
         run_id: The id of the new run.
 

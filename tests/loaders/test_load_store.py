@@ -102,6 +102,7 @@ def same(store, expected):
     assert answers(store) == remembered(expected)
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_does_not_show(tmp_path, loaded_world):
     store = Store(tmp_path / "store")
     loading.load(find_root(loaded_world.path.parent / "root"), store, LoadRules(), 2)

@@ -322,6 +322,7 @@ def described(site, step=15):
                     break
 
 
+@pytest.mark.slow
 def test_postures_presence_and_distance_are_read_or_unknown(sites):
     seen = Counter()
     names = {(True, True): "both times", (True, False): "only at the first time"}
@@ -444,6 +445,7 @@ def test_the_next_posture_follows_at_once_and_lasts_or_is_unknown(sites):
     assert min(seen[kind] for kind in ("follows", "passes", "nothing")) >= 3, seen
 
 
+@pytest.mark.slow
 def test_people_are_counted_where_everybody_who_could_be_met_certainly_is(sites):
     seen = Counter()
     for site in sites:

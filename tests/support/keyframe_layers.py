@@ -6,14 +6,13 @@ with layers_in_memory(): generate(store, rules, workers=1)      # of a store wit
 """
 
 import contextlib
-import shutil
 
 import pyarrow as pa
 import pytest
 
 from jrdb_avr.engine.generate import run
 from jrdb_avr.engine.generate.context import LayerJob, SearchContext
-from jrdb_avr.engine.generate.keyframe_graph import derived_tables, ensure_layer
+from jrdb_avr.engine.generate.keyframe_graph import derived_tables
 from jrdb_avr.engine.generate.keyframes import keyframe_tables
 from jrdb_avr.engine.generate.scene import load_scene
 from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
@@ -22,7 +21,6 @@ from jrdb_avr.queries.keyframes import SPAN
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, table_ddl
 from jrdb_avr.schema.panorama import CROP, Box, crop_left, to_crop
-from jrdb_avr.schema.rules import Rules
 
 WORLDS = 40
 """Scenes in one graph: to make a graph takes as long as to fill it, and so does to copy into a large one."""
@@ -114,20 +112,6 @@ def all_steps(context):
                     WHEN bitwise_and(a.open, bit) > 0 THEN 'unknown' ELSE 'empty' END AS outcome, b.track AS target
         ORDER BY frame, source, relation"""
     return context.graph.query(text, {"low": context.low})
-
-
-LAX_RULES = Rules(min_wait_s=2.0, long_wait_s=4.0, search_wait_s=1.0, turn_deg=8.5, gap_min_s=1.0, count_min=2)
-"""Under which half a minute of the sample holds candidates of every template."""
-
-
-def lax_sample(once, benchmark):
-    """The store; `once` and `benchmark` are the fixtures `once` and `sample_benchmark`. Not to be written to."""
-
-    def make(folder):
-        shutil.copytree(benchmark.path, folder / "store", ignore=shutil.ignore_patterns("questions"))
-        ensure_layer(Store(folder / "store"), LAX_RULES, 1)
-
-    return Store(once("lax", make) / "store")
 
 
 def visible_share(box: Box, angle_deg: float) -> float:

@@ -316,7 +316,8 @@ def check_survived(store, made, made_rows):
 
 
 @pytest.mark.parametrize(
-    "step", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow), 4]
+    "step",
+    [1, *(pytest.param(step, marks=pytest.mark.slow) for step in (2, 3, 4))],
 )
 def test_a_kill_while_the_graph_is_published_leaves_a_sound_one(loaded, made, made_rows, tmp_path, step):
     store = copied(loaded, tmp_path)

@@ -150,6 +150,7 @@ def test_default_run_ids_are_names():
 # -- several runs -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_epochs_are_runs_of_their_own(store):
     options = ("--epochs", "3", "--limit", "4", "--marker", "wrong_attribute=0.6", "--json")
     rows = json.loads(evaluate(store, *options).stdout)

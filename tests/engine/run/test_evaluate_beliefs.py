@@ -151,7 +151,10 @@ main()
 """
 
 
-@pytest.mark.parametrize(("what", "step"), [("drop", 3), ("drop", 7), ("merge", 9)])
+@pytest.mark.parametrize(
+    ("what", "step"),
+    [("drop", 3), pytest.param("drop", 7, marks=pytest.mark.slow), pytest.param("merge", 9, marks=pytest.mark.slow)],
+)
 def test_a_kill_leaves_a_run_whole_or_gone_and_the_command_again_ends_it(store, live, what, step):
     """Six statements take a run away, the seventh is the COMMIT, or the first of those that copy."""
     done = run_program(KILLED_AT, step, "world", what, "one", "--store", store.path)

@@ -135,6 +135,7 @@ def test_every_method_plays_and_keeps_nothing_private(full):
         assert "error" not in table["status"].to_pylist(), table["reason"].to_pylist()
 
 
+@pytest.mark.slow
 def test_who_opens_a_private_file_waits_for_ever(full):
     """So the runs above, which came to their end, have not."""
     read = "import sys, pyarrow.parquet as pq; print('here', flush=True); pq.ParquetFile(sys.argv[1])"
@@ -146,12 +147,14 @@ def test_who_opens_a_private_file_waits_for_ever(full):
         process.kill()
 
 
+@pytest.mark.slow
 def test_nothing_private_is_sent(full, marker):
     sent = [text for body in marker[1] for text in said(body)]
     assert len(sent) > 25
     assert not [secret for secret in SECRETS if any(secret in text for text in sent)]
 
 
+@pytest.mark.slow
 def test_no_request_names_a_sequence(full, marker):
     assert not [text for body in marker[1] for text in said(body) if SEQUENCE in text]
 
@@ -181,6 +184,7 @@ def test_opaque_runs_answer_and_never_hold_the_real_name(opaque, full):
         assert here.drop_columns(["seconds"]).equals(there.drop_columns(["seconds"])), method
 
 
+@pytest.mark.slow
 def test_what_is_said_of_a_picture_is_what_its_observation_says(full, marker):
     announced = [
         json.loads(found[1])
@@ -192,6 +196,7 @@ def test_what_is_said_of_a_picture_is_what_its_observation_says(full, marker):
     assert set().union(*announced) <= METADATA
 
 
+@pytest.mark.slow
 def test_a_folder_without_labels_gives_the_same_predictions(full, marker, asked_world, tmp_path):
     """Two files of questions and the panoramas; the world model in a graph of its own."""
     store, _ = full
