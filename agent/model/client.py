@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import urljoin
 
 import msgspec
 
@@ -24,7 +24,7 @@ from jrdb_avr.agent.model.cache import Calls
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message, fingerprint, wire
-from jrdb_avr.agent.model.options import DEFAULTS, EndpointOptions
+from jrdb_avr.agent.model.options import AUTO, DEFAULTS, EndpointOptions
 from jrdb_avr.agent.model.reply import ErrorReply, Reply, answer_text, read_completion
 from jrdb_avr.agent.model.transport import BOUNDS, Bounds, Connections, Credentials, address_of, checked_url
 from jrdb_avr.schema.errors import EndpointError, RunStoppedError
@@ -198,10 +198,9 @@ class Client:
         """Return the version that the server reports at `/version`, as vLLM does, or ""."""
         import httpx2
 
-        parts = urlsplit(self.base_url)
         timeout_s = min(self.options.timeout_s, _VERSION_TIMEOUT_S)
         try:
-            response, data = self._connections.exchange(timeout_s, "GET", f"{parts.scheme}://{parts.netloc}/version")
+            response, data = self._connections.exchange(timeout_s, "GET", urljoin(self.base_url, "/version"))
             version = msgspec.json.decode(data, type=dict[str, Any]).get("version")
         except (httpx2.HTTPError, EndpointError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return ""
@@ -216,7 +215,7 @@ class Client:
             # Encoded once, because a request may hold megabytes of pictures.
             return self._repeat(msgspec.json.encode(request), probe)
         except EndpointError as error:
-            if longer or not self.options.names_itself or _LONGER_NAME not in str(error):
+            if longer or self.options.token_parameter != AUTO or _LONGER_NAME not in str(error):
                 raise
         self._longer_name = True
         return self._send(request, probe=probe)
@@ -242,7 +241,7 @@ class Client:
             stop=stop_after_attempt(retries + 1),
         )
         try:
-            return repeating(waiting, self._try, body, timeout_s)
+            return repeating(lambda: waiting(self._try, body, timeout_s))
         except _BrokenError as broken:
             # If no other call got through meanwhile, the next question would fare no better.
             kind = RunStoppedError if broken.fault.passing and self._replies == replies else EndpointError
