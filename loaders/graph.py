@@ -82,8 +82,9 @@ def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) 
     Raises:
         StoreError: the disk refuses.
     """
-    for source in _SOURCES:
-        stage_rows(store.path / STAGE, source, sequence, _shape(source, intervals))
+    for source, (kind, _) in _SOURCES.items():
+        if intervals[kind].num_rows:
+            stage_rows(store.path / STAGE, source, sequence, _shape(source, intervals))
 
 
 def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:

@@ -336,7 +336,7 @@ _QUESTIONS: Final = {
         "sequence track frame x y w h",
     ),
     "rejected": (
-        "Refused candidates: counts by sequence, template and rule, and an example of each.",
+        "Refused candidates: counts by sequence, template and rule, and up to 100 examples of each.",
         "kind sequence family template rule candidates target_track? plan? detail?",
     ),
     "reviews": ("Decisions of reviewers about questions.", "question_id reviewer decision reason"),

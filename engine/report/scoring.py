@@ -2,7 +2,7 @@
 
 Each question of a run has one row: the score of its answer under its answer mode, the score of its evidence box
 against the target's box, and the product of both. Missing, unreadable and failed predictions score 0, so that n stays
-the number of questions. `schema/answers.py` compares answers. `box_ious` equals `iou` of `schema/panorama.py`.
+the number of questions. `schema/answer_modes.py` compares answers. `box_ious` equals `iou` of `schema/panorama.py`.
 """
 
 from __future__ import annotations

@@ -444,7 +444,7 @@ def test_a_line_that_the_disk_took_in_part_is_none(tmp_path):
         journal.append(entry("a"))
         resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, hard))
         try:
-            with pytest.raises(StoreError, match="File too large; then run again with --resume"):
+            with pytest.raises(StoreError, match="File too large; mend it, then run again with --resume"):
                 journal.append(entry("b"))
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
