@@ -58,7 +58,7 @@ Answer = Choice | FrameAnswer | Span | FrameViewpoint | Number
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Box that shows the person whom the answer is about: (x, y, w, h) in stitched pixels of one frame."""
+    """Box round the person that the answer is about: (x, y, w, h) in stitched pixels of one frame."""
 
     frame: _Frame
     box: tuple[float, float, float, float]

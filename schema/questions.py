@@ -37,7 +37,7 @@ class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Box of a person whom a method must see to answer the question.
+    """Box of a person that a method must see to answer the question.
 
     Attributes:
         node: Name of the person in the plan.
