@@ -117,7 +117,7 @@ class Observer:
             A read-only RGB image (480, 3760, 3).
 
         Raises:
-            ObserveError: As a call.
+            ObserveError: If as a call.
         """
         return self._strip(sequence, self._check(sequence, frame_index)).whole()
 
@@ -132,7 +132,7 @@ class Observer:
             The panorama; its JPEG has been checked.
 
         Raises:
-            ObserveError: As a call.
+            ObserveError: If as a call.
         """
         frame = self._check(sequence, frame_index)
         return Panorama(

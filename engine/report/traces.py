@@ -116,7 +116,7 @@ class Trace(Transcript):
         """Read a question of a run.
 
         Raises:
-            StoreError: As `Transcript`, and if a private file is missing.
+            StoreError: If as `Transcript`, and if a private file is missing.
             InputError: If the run does not have the question.
         """
         questions, answers, sequences, evidence = store.question_tables("questions", "answers", "sequences", "evidence")
