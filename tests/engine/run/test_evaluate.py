@@ -323,7 +323,7 @@ def test_a_run_that_reaches_its_cost_stops_and_goes_on_with_more(store, tmp_path
         (("--max-cost", "3"), "--prices FILE"),
         (("--extra-body", "[1]"), "must be a JSON object"),
         (("--extra-body", "{"), "no JSON"),
-        (("--extra-body", '{"model": "x"}'), "give --model"),
+        (("--extra-body", '{"model": "x"}'), "give its option"),
         (("--header", "novalue"), "NAME=ENV"),
         (("--header", "Host=MINE"), "no header of this name"),
         (("--temperature", "warm"), "nor 'none'"),
