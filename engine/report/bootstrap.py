@@ -84,7 +84,7 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
         seed: Seed of the draws.
 
     Returns:
-        One interval per statistic. A draw in which a statistic is undefined does not count for its interval.
+        One interval per statistic. If a statistic is undefined in a draw, its interval ignores the draw.
     """
     total = sums.sum(axis=0, keepdims=True)
     values = [float(statistic(total)[0]) if len(sums) else math.nan for statistic in statistics]

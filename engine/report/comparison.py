@@ -262,14 +262,14 @@ class RunDifference(Displayed):
         ]
 
     def questions(self, score: str = "combined") -> list[Row]:
-        """Return the questions for which exactly one of the runs has the score.
+        """Return the questions that exactly one of the runs has right under a score.
 
         Args:
             score: A name of `SCORES`.
 
         Returns:
-            One row per question: its id, template and sequence, the run that has the score (`only`), and what each run
-            has right. Questions of the first run come first.
+            One row per question: its id, template and sequence, the run that has it right (`only`), and whether each
+            run has the answer and the evidence right. Questions that only the first run has right come first.
 
         Raises:
             InputError: If no score has this name.

@@ -23,8 +23,8 @@ def epoch_rows(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
     Returns:
         One row per run and k, in percent of the questions that all epochs have. `answer`, `evidence` and `combined` are
         pass@k: the share of questions that at least one of k epochs has right, averaged over all choices of k epochs.
-        `majority` is the share of questions for which the most frequent answer of the first k epochs is right. Of
-        equally frequent answers, the one that was given first counts.
+        `majority` is the share of questions that the most frequent answer of the first k epochs has right. If several
+        answers are equally frequent, the first of them counts.
     """
     return [row for name, epochs in _groups(runs).items() if len(epochs) > 1 for row in _rows(name, epochs)]
 

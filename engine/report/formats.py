@@ -90,8 +90,8 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
         rows: The rows of the table.
 
     Returns:
-        The rows with all values as text. The table `main` has no macro averages. Its rows are grouped by model, in the
-        order in which the models first appear.
+        The rows with all values as text. The table `main` has no macro averages. Its rows are grouped by model. The
+        model of the first row comes first.
     """
     printed: list[dict[str, Any]] = with_intervals(rows)
     if name != "main":

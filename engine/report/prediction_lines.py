@@ -1,4 +1,4 @@
-"""Predictions as lines of JSON, the format in which predictions are exported from and imported into a store.
+"""Predictions as lines of JSON. Predictions are exported from a store and imported into a store in this format.
 
 Each line is one JSON object. Only the key `question_id` is required. A line without `answer` and `evidence` means that
 the question was asked and not answered.

@@ -1,4 +1,4 @@
-"""The input of all reports: the scores of runs for each question, and the labels by which questions are grouped."""
+"""The input of all reports: the scores of runs for each question, and labels that group the questions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
 _SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
-"""Names of the properties by which questions are grouped. `time_gap_s` and `separation_deg` are grouped into bins."""
+"""Names of the properties that group questions. `time_gap_s` and `separation_deg` are grouped into bins."""
 
 _TEXTS: Final = ("family", "template", "answer_mode", "sequence")
 """Dimensions that are columns of `questions`."""
@@ -38,7 +38,7 @@ class Labels(NamedTuple):
     """One label per question.
 
     Attributes:
-        names: The distinct labels, in the order in which tables list them.
+        names: The distinct labels, in the order of the rows of tables.
         numbers: For each question the index of its label in `names`.
     """
 
@@ -129,7 +129,7 @@ def _labels(texts: pa.ChunkedArray) -> Labels:
 
 
 def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
-    """Return labels in which each old name has a new name, sorted. Names that no question has are removed."""
+    """Replace each name of labels by a new name, and sort the names. Names that no question has are removed."""
     used = {names[index] for index in np.unique(labels.numbers).tolist()}
     order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
     indexes = {name: index for index, name in enumerate(order)}
@@ -150,7 +150,7 @@ Path = tuple[str, ...]
 
 
 def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
-    """Summarise the settings in which runs of the same method and model differ.
+    """Summarise the settings that differ between runs of the same method and model.
 
     The address of the server and the results of the server's checks are left out, because they change when the server
     restarts.

@@ -232,7 +232,7 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
 
 
 def _policy(run: ScoredRun) -> str:
-    """Return the policy by which the agent of a run chose its looks."""
+    """Return the policy of an agent's run, which says who chose the looks."""
     return str(run.manifest.settings.get("method", {}).get("policy", "model"))
 
 

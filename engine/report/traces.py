@@ -57,7 +57,7 @@ class Written:
 
     Attributes:
         row: The write's row of the table `world`.
-        step: Number of the step in which the write was made.
+        step: Number of the step that made the write.
         until: Number of the step whose write replaced this one, or `ALWAYS`.
         fact: The written fact.
     """
