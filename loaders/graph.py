@@ -69,7 +69,7 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         for sequence in sequences:
             if not (stage / "Sequence" / f"{safe_sequence(sequence)}.parquet").exists():
                 stage_scene(store, sequence, {kind: store.interval(kind, sequence) for kind in INTERVALS})
-        # Because a transaction per table would write to the disk once per table.
+        # A transaction per table would write to the disk once per table.
         with graph.transaction():
             for statement in scene_ddl():
                 graph.execute(statement)
@@ -115,7 +115,7 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
     try:
         if rows.num_rows:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Because the engine scans a whole row group for every null, groups of 256 rows take a third of the time.
+            # The engine scans a whole row group for every null, so groups of 256 rows take a third of the time.
             at_once = 256 if source == "Object SeenIn" else None
             pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
     except OSError as error:
@@ -144,7 +144,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         copied[table] += 0
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in NODES:
-                # Because the engine reads files in parallel, in any order, and numbers nodes as it reads them.
+                # The engine reads files in parallel and numbers nodes as it reads them. One table keeps their order.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
                 graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())

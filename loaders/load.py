@@ -122,8 +122,8 @@ def load(
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in them every box of legal "
-                "size counts as a clear view, also the box of a hidden person; generate --require-occlusion skips them",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in these, every box of "
+                "permitted size counts as a clear view, even of hidden people; generate --require-occlusion skips them",
                 AvrWarning,
                 stacklevel=2,
             )
@@ -350,18 +350,20 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
     with build_graph(store.graph_path) as graph:
         rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
-        # Because a store without a manifest is refused, no reader uses a store with only some of its new tables.
+        # A store without a manifest is refused, so no reader uses a store with only some of its new tables.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
 
 
 def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
+    """Fill a new graph. Return its number of rows by table, and a line per run that is left out."""
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))
 
 
 def _swap(path: Path, new: Path, old: Path) -> None:
+    """Rename `path`, if it exists, to `old`, and rename `new` to `path`."""
     if path.exists():
         path.rename(old)
     new.rename(path)
@@ -378,6 +380,7 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
 
 
 def _nothing(root: Root, reports: list[SequenceReport]) -> str:
+    """Return the message for a root without a loaded sequence, with the first problem."""
     first = next((problem for report in reports for problem in report.problems), None)
     why = f"; first: {first.reason}" if first else ""
     return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"

@@ -73,7 +73,7 @@ def shorten(value: object, length: int = 60) -> str:
     if not isinstance(value, bytes | str):
         try:
             text = repr(value)
-        except (RecursionError, ValueError):  # nested beyond reason, or an int of thousands of digits
+        except (RecursionError, ValueError):  # The value is nested too deeply, or is an int of thousands of digits.
             text = type(value).__name__
     text = "".join(c if c.isprintable() else " " for c in text[: length + 1])
     return text if len(text) <= length else text[: length - 1] + "…"

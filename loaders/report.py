@@ -44,7 +44,7 @@ class FrameRange(msgspec.Struct):
 
 
 class ShiftCheck(msgspec.Struct):
-    """Comparison of the frame numbers of a layer with those of the 2D layer, by the people in both."""
+    """Result of the check whether a layer numbers its frames like the 2D layer, by the people in both layers."""
 
     layer: str
     result: str
@@ -144,19 +144,19 @@ def sequence_warnings(
     lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
         lines.append(
-            f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in copies of the "
-            "train sequences the two are known to be off by 2 frames, which no file states; look with "
+            f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in some copies of "
+            "the train sequences the two are off by 2 frames, and no file says so. Compare them with "
             "observe --panorama --boxes"
         )
     if heading and heading.moves >= MIN_MOVES and heading.median_deg is not None and heading.median_deg > MAX_TURN_DEG:
         lines.append(
-            f"moving people face {heading.median_deg:.0f} degrees away from their direction: the headings of the 3D "
-            "boxes may have another sign or zero than JRDB's"
+            f"the headings of moving people are {heading.median_deg:.0f} degrees off their direction of motion: the "
+            "rotations of the 3D boxes may have another sign or zero direction than in JRDB"
         )
     if cameras and not cameras.agrees:
         lines.append(
-            f"the cameras' medians fy {cameras.fy:.1f} and cy {cameras.cy:.1f} are far from {cameras.focal_rows} and "
-            f"{cameras.horizon_row}, which rows of the panorama are computed with: is it another robot's calibration?"
+            f"the cameras' medians fy {cameras.fy:.1f} and cy {cameras.cy:.1f} differ from {cameras.focal_rows} and "
+            f"{cameras.horizon_row}, the constants for rows of the panorama: are these the cameras of another robot?"
         )
     return lines
 

@@ -165,7 +165,7 @@ class _Search:
         named = [name for name in entries if name.lower().endswith(".json") and not _ONE_CAMERA.fullmatch(name[:-5])]
         if not named:
             self.notes.append(f"{self._shown(folder)} holds no label files of sequences")
-        # Because X.json is preferred to X.JSON, it is sorted first.
+        # X.json is preferred to X.JSON, so it is sorted first.
         names: dict[str, str] = {}
         for name in sorted(named, key=lambda name: (name[:-5], not name.endswith(".json"), name)):
             if names.setdefault(name[:-5], name) != name:
@@ -241,5 +241,5 @@ def image_frames(folder: str | None) -> list[int]:
 def _is_file(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_file()
-    except OSError:  # a circular link
+    except OSError:  # The entry is a circular link.
         return False

@@ -132,10 +132,10 @@ class Images:
         for image in images:
             (frame, reason), field = _frame_of(image.file_name, sequence), "images.file_name"
             if frame is not None and len(frames[image.id]) > 1:
-                # Because an annotation with this id may belong to either image.
+                # An annotation with this id may belong to either image.
                 reason, field = "two images with this id, neither is kept", "images.id"
             elif frame is not None and frame in number_of:
-                reason = "frame listed twice, the first is kept"
+                reason = "frame has two images, the first is kept"
             if reason:
                 name = shorten(image.file_name)
                 problems.add("frame", reason, frame=name, field=field, value=image.id)
@@ -153,7 +153,7 @@ class Images:
             frame = np.where(self.ids[row] == image_id, self.frame[row], -1)
         if len(lost := np.flatnonzero(frame < 0)):
             first = annotations[lost[0]]
-            reason, name = "its image is not in the file, or was refused", f"annotation {shorten(bytes(first.id), 30)}"
+            reason, name = "image of the annotation is missing or refused", f"annotation {shorten(bytes(first.id), 30)}"
             problems.add("record", reason, frame=name, field="image_id", value=first.image_id, count=len(lost))
         return frame
 
@@ -163,7 +163,7 @@ def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
     *folders, name = file_name.replace("\\", "/").split("/")
     match = _FRAME.fullmatch(name)
     if match is None:
-        return None, "file name is not six digits and jpg/jpeg/png"
+        return None, "file name is not six digits with the suffix jpg/jpeg/png"
     if any(_SEQUENCE.fullmatch(folder) and folder != sequence for folder in folders):
         return None, "image of another sequence"
     return int(match[1]), ""
@@ -184,7 +184,7 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
     names: Categories = {}
     ambiguous: set[int] = set()
     if file.categories is None:
-        problems.add("file", "there is no list of categories: what things are is unknown", field="categories")
+        problems.add("file", "there is no list of categories, so things have no category", field="categories")
     for chunk in read_chunks(file.categories or [], "category", _CATEGORIES, problems):
         for category in chunk:
             try:
@@ -196,7 +196,7 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
             if names.setdefault(category.id, (raw, usual if usual in OBJECTS else None))[0] == raw:
                 continue
             if normal_category(names[category.id][0]) != usual:
-                # Because an annotation with this id may belong to either category.
+                # An annotation with this id may belong to either category.
                 ambiguous.add(category.id)
                 problems.add("record", "two categories with this id, neither is kept", field="categories", value=raw)
     kept = {category_id: names[category_id] for category_id in sorted(names) if category_id not in ambiguous}

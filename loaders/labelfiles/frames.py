@@ -81,7 +81,7 @@ def decode_file(path: Path, form: type[_F]) -> _F:
     data = read_file(path)
     try:
         if not data.isascii():
-            # Because msgspec does not check whether raw values are UTF-8.
+            # msgspec does not check whether raw values are UTF-8.
             data.decode()
         return msgspec.json.decode(data, type=form)
     except msgspec.ValidationError as error:
@@ -182,7 +182,7 @@ def gather(
         try:
             records, whole = reader.read(raw, problems, lambda _, key=key: key)  # type: ignore[misc]
         except BROKEN as error:
-            problems.add("frame", "frame is no list of records", frame=key, value=str(error))
+            problems.add("frame", "frame is not a list of records", frame=key, value=str(error))
             continue
         if len(records) > MAX_RECORDS:
             problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=key)
@@ -209,9 +209,9 @@ def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterat
     for key, raw in decode_file(path, LabelFile).labels.items():
         match = form.fullmatch(key)
         if match is None:
-            problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
+            problems.add("frame", "frame key is not six digits with suffix " + "/".join(suffixes), frame=shorten(key))
         elif int(match[1]) in listed:
-            problems.add("frame", "frame key twice, the first is kept", frame=key)
+            problems.add("frame", "frame key is repeated, the first is kept", frame=key)
         else:
             listed.add(int(match[1]))
             yield key, int(match[1]), raw

@@ -70,7 +70,7 @@ ERRORS_AWAY: Final = 6.0
 NO_BOXES: Final = "the 2D layer has no boxes to compare with"
 NO_COMMON_PERSON: Final = "no person is in both layers"
 TOO_STILL: Final = "too few of the people in both layers move enough to tell"
-FOREIGN: Final = "the boxes fit the 2D boxes at no shift of up to 2 frames"
+FOREIGN: Final = "no shift of up to 2 frames makes the boxes fit the 2D boxes"
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
 
 
 def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCheck:
-    """Compare the frame numbers of a layer with those of the 2D layer.
+    """Check whether a layer numbers its frames like the 2D layer.
 
     Args:
         layer: name of the layer.
@@ -206,7 +206,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     Args:
         tracks: people of the layer.
         reference: people of the 2D layer.
-        moved: frames by which the layer is moved before the comparison.
+        moved: number of frames to add to the frames of the layer before the comparison.
 
     Returns:
         The shift and its standard error, or None if too few people move to estimate both.
@@ -244,6 +244,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
 
 
 def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
+    """Return the result for a known shift. `slope` is its estimate from motion, or None if boxes were equal."""
     if shift:
         about = "about " if slope else ""
         reason = f"agrees with the 2D boxes only when moved by {about}{shift:+d} frames: renumber it or load without it"
@@ -257,7 +258,7 @@ def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
 
 def _tracks_2d(table: pa.Table) -> Tracks:
     box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
-    # Because the centre of a box that is cut off at the seam is not the centre of the person, the box is left out.
+    # A box that is cut off at the seam is left out, because its centre is not the centre of the person.
     whole = (box[:, 0] > SAME) & (box[:, 0] + box[:, 2] < WIDTH - SAME)
     return _sorted(table, box[:, 0] + box[:, 2] / 2, box, whole)
 
@@ -268,6 +269,7 @@ def _tracks_3d(table: pa.Table) -> Tracks:
 
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:
+    """Return the usable rows, sorted by track and frame."""
     tracks = Tracks(whole_numbers(table, "frame"), whole_numbers(table, "track"), column, box)
     order = ascending(tracks.track, tracks.frame)
     return tracks.at(order[usable[order]])
@@ -282,6 +284,7 @@ def _difference(a: Floats, b: Floats) -> Floats:
 
 
 def _without_means(values: Floats, track: Ints) -> Floats:
+    """Subtract from each value the mean over its track."""
     _, group = rank_values(track)
     return values - (np.bincount(group, values) / np.bincount(group))[group]
 

@@ -151,6 +151,7 @@ def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
 
 
 def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.Table:
+    """Return the rows of the table `listed` for the people with a whole list, which the mask `whole` marks."""
     columns = {"frame": people.frame[whole], "track": people.track[whole]}
     return pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns})
 
