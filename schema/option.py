@@ -1,4 +1,4 @@
-"""Declare options: each field of an options class states once what a command line and a TOML file need."""
+"""Declaration of options: a field of an options class holds all that the command line and a TOML file need."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def option(
     """Declare an option as a field of a dataclass.
 
     Args:
-        default: The default value; a mapping must be empty.
-        text: The help text.
-        flag: The long name without dashes; by default the name of the field.
-        minimum: The smallest allowed number.
-        maximum: The largest allowed number.
-        choices: The allowed texts; by default all.
-        metavar: The placeholder of the value in help texts.
+        default: The default value. A default mapping must be empty.
+        text: The help text of the option.
+        flag: The long name on the command line, without dashes. Default: the name of the field, with hyphens.
+        minimum: The smallest allowed number; None for no minimum.
+        maximum: The largest allowed number; None for no maximum.
+        choices: The allowed values; if empty, any value is allowed.
+        metavar: The placeholder of the value in help texts; None for the default of the value's type.
 
     Returns:
-        The field, with the other arguments as its metadata.
+        A dataclass field with this default. Its metadata holds the other arguments.
     """
     limits = {"minimum": minimum, "maximum": maximum, "choices": choices}
     metadata = {"text": text, "flag": flag, "metavar": metavar, **limits}
