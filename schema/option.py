@@ -1,4 +1,7 @@
-"""Declaration of options: a field of an options class holds all that the command line and a TOML file need."""
+"""Declaration of options as fields of a dataclass.
+
+The command line and the reader of TOML files both take names, limits and help texts from this declaration.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +23,16 @@ def option(
     """Declare an option as a field of a dataclass.
 
     Args:
-        default: The default value. A default mapping must be empty.
-        text: The help text of the option.
-        flag: The long name on the command line, without dashes. Default: the name of the field, with hyphens.
-        minimum: The smallest allowed number; None for no minimum.
-        maximum: The largest allowed number; None for no maximum.
-        choices: The allowed values; if empty, any value is allowed.
-        metavar: The placeholder of the value in help texts; None for the default of the value's type.
+        default: Default value. If it is a mapping, it must be empty.
+        text: Help text.
+        flag: Name of the option on the command line, without dashes. If it is "", the name of the field is used.
+        minimum: Smallest allowed number; None for no limit.
+        maximum: Largest allowed number; None for no limit.
+        choices: Allowed texts. If there are none, every text is allowed.
+        metavar: Placeholder for the value in help texts; None for the default of the command line.
 
     Returns:
-        A dataclass field with this default. Its metadata holds the other arguments.
+        The dataclass field, with all arguments except `default` as metadata.
     """
     limits = {"minimum": minimum, "maximum": maximum, "choices": choices}
     metadata = {"text": text, "flag": flag, "metavar": metavar, **limits}

@@ -17,24 +17,12 @@ ResponseFormat = Literal["json_schema", "json_object", "none"]
 Thinking = Literal["off", "on", "template"]
 TokenParameter = Literal["auto", "max_tokens", "max_completion_tokens"]
 
-RESPONSE_FORMATS: Final[tuple[ResponseFormat, ...]] = get_args(ResponseFormat)
-THINKING: Final[tuple[Thinking, ...]] = get_args(Thinking)
-TOKEN_PARAMETERS: Final[tuple[TokenParameter, ...]] = get_args(TokenParameter)
-
-KEY_VARIABLE: Final = "OPENAI_API_KEY"
 AUTO: Final = "auto"
 
-_OWNED: Final = {
-    "model": "--model",
-    "messages": "",
-    "stream": "",
-    "n": "",
-    "temperature": "--temperature",
-    "max_tokens": "--max-tokens",
-    "max_completion_tokens": "--max-tokens and --token-parameter",
-    "response_format": "--response-format",
-}
-"""Keys that `extra_body` must not hold, each with the option that sets it; empty if no option does."""
+_OWNED: Final = frozenset(
+    ("model", "messages", "stream", "n", "temperature", "max_tokens", "max_completion_tokens", "response_format")
+)
+"""Keys that `extra_body` must not hold, because the program sets them."""
 
 _HEADER: Final = re.compile(r"[A-Za-z0-9!#$%&'*+.^_`|~-]+")
 _OWN_HEADERS: Final = ("content-type", "content-length", "host", "accept-encoding", "transfer-encoding", "connection")
@@ -56,10 +44,12 @@ class EndpointOptions:
         "json_schema",
         "How a request demands JSON. 'json_schema': it holds the JSON schema of the reply. 'json_object': it demands a "
         "JSON object, but holds no schema. 'none': only the prompt demands JSON.",
-        choices=RESPONSE_FORMATS,
+        choices=get_args(ResponseFormat),
     )
     thinking: Thinking = option(
-        "off", "Whether replies begin with thinking; 'template' keeps the chat template's default.", choices=THINKING
+        "off",
+        "Whether replies begin with thinking; 'template' keeps the chat template's default.",
+        choices=get_args(Thinking),
     )
     max_tokens: int = option(2048, "Maximum tokens of a reply, including thinking.", minimum=16, maximum=1 << 20)
     timeout_s: float = option(300.0, "Maximum seconds to wait for a reply.", flag="timeout", minimum=1, maximum=86_400)
@@ -68,13 +58,13 @@ class EndpointOptions:
     token_parameter: TokenParameter = option(
         AUTO,
         "Name of the limit --max-tokens in requests. 'auto' tries max_tokens first, then max_completion_tokens.",
-        choices=TOKEN_PARAMETERS,
+        choices=get_args(TokenParameter),
     )
     extra_body: Mapping[str, Any] = option({}, "JSON object with keys to add to every request.")
     headers: Mapping[str, str] = option(
         {}, "Header of every request. The environment variable ENV holds its value. May be repeated.", flag="header"
     )
-    api_key_env: str = option(KEY_VARIABLE, "Environment variable that holds the key of the server.")
+    api_key_env: str = option("OPENAI_API_KEY", "Environment variable that holds the key of the server.")
     rpm: int | None = option(None, "Maximum number of requests per minute.", minimum=1)
     tpm: int | None = option(None, "Maximum number of tokens per minute, in prompts and replies.", minimum=1)
     price: Price | None = option(
@@ -93,12 +83,8 @@ class EndpointOptions:
     def __post_init__(self) -> None:
         if self.temperature is not None and not 0 <= self.temperature < math.inf:
             raise InputError("--temperature is a number from 0, or none", field="temperature")
-        for key in self.extra_body:
-            if key in _OWNED:
-                raise InputError(
-                    f"--extra-body must not hold {key!r}" + (f": give {_OWNED[key]}" if _OWNED[key] else ""),
-                    field="extra_body",
-                )
+        for key in _OWNED & self.extra_body.keys():
+            raise InputError(f"--extra-body must not hold {key!r}: leave it out or give its option", field="extra_body")
         for name in self.headers:
             if not _HEADER.fullmatch(name) or name.lower() in _OWN_HEADERS:
                 raise InputError(f"--header {name!a}: no header of this name can be set", field="headers")
@@ -108,11 +94,6 @@ class EndpointOptions:
             raise InputError("--max-cost is a number of dollars above 0", field="max_cost")
         if self.max_cost is not None and self.price is None:
             raise InputError("--max-cost needs the model's price: name it in a file, --prices FILE", field="max_cost")
-
-    @property
-    def names_itself(self) -> bool:
-        """Whether the client itself finds out which name of the token limit the server takes."""
-        return self.token_parameter == AUTO
 
     def settings(self, convention: Convention) -> dict[str, Any]:
         """Return the options without the address, as plain JSON for the manifest of a run.
@@ -137,7 +118,7 @@ class EndpointOptions:
         Returns:
             The values by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.
         """
-        name = "max_tokens" if self.names_itself else self.token_parameter
+        name = "max_tokens" if self.token_parameter == AUTO else self.token_parameter
         request: dict[str, Any] = {"model": model}
         if self.temperature is not None:
             # Finished calls are looked up by the bytes of the request, so 0 and 0.0 must give the same bytes.
@@ -146,7 +127,13 @@ class EndpointOptions:
         request[name] = self.max_tokens
         if template := self.template(convention):
             request["chat_template_kwargs"] = template
-        return request | dict(self.extra_body) | ({} if schema is None else self.response(schema))
+        request |= self.extra_body
+        if schema is not None and self.response_format != "none":
+            request["response_format"] = {"type": self.response_format}
+            if self.response_format == "json_schema":
+                form = {"name": "reply", "schema": dict(schema), "strict": True}
+                request["response_format"]["json_schema"] = form
+        return request
 
     def thinks(self, convention: Convention) -> bool | None:
         """Return whether the options or the convention declare that replies hold thinking.
@@ -172,22 +159,6 @@ class EndpointOptions:
         thinks = self.thinking == "on"
         changes = convention.switches and self.thinking != "template" and convention.thinks != thinks
         return {"enable_thinking": thinks} if changes else {}
-
-    def response(self, schema: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the `response_format` of a request.
-
-        Args:
-            schema: The JSON schema of the reply.
-
-        Returns:
-            The key `response_format` with its value, or an empty dictionary if only the prompt demands JSON.
-        """
-        if self.response_format == "none":
-            return {}
-        form: dict[str, Any] = {"type": self.response_format}
-        if self.response_format == "json_schema":
-            form["json_schema"] = {"name": "reply", "schema": dict(schema), "strict": True}
-        return {"response_format": form}
 
 
 DEFAULTS: Final = EndpointOptions()

@@ -1,4 +1,4 @@
-"""Options of a run, in one class per subject. `evaluate`, the command line and `runs.toml` all fill these classes."""
+"""Options of a run, grouped by subject. `evaluate`, the command line and `runs.toml` all fill these classes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class QuestionSelection:
-    """Options that select the questions of a run. By default, all questions are selected.
+    """Options that select the questions of a run. The default is all questions.
 
-    If several of `questions`, `families`, `templates` and `sequences` are given, a question must match each of them.
-    Equal options always select the same questions of a store. A larger `limit` or `per_template` adds questions and
-    removes none, so that a run can grow.
+    A question must match every non-empty tuple of names. The same selection from the same store always gives the same
+    list. A larger `limit` or `per_template` only adds questions to the list, so that a run can grow.
     """
 
     questions: tuple[str, ...] = option((), "Ids of questions, separated by commas, or a file with one id per line.")
@@ -50,17 +49,17 @@ class QuestionSelection:
 
     @classmethod
     def of(cls, questions: QuestionSelection | Iterable[str] | None, limit: int | None = None) -> QuestionSelection:
-        """Make a selection.
+        """Make a selection from ids or from another selection.
 
         Args:
-            questions: A selection, ids of questions, or None for all questions.
-            limit: A maximum number of questions that replaces the `limit` of the selection; None keeps it.
+            questions: A selection, the ids of questions, or None for all questions.
+            limit: Maximum number of questions, in place of the maximum of the selection. None keeps that maximum.
 
         Returns:
             The selection.
 
         Raises:
-            InputError: If ids are given, but there are none of them.
+            InputError: If `questions` has no id.
         """
         if not isinstance(questions, QuestionSelection):
             ids = None if questions is None else tuple(dict.fromkeys(questions))
@@ -70,7 +69,7 @@ class QuestionSelection:
         return questions if limit is None else replace(questions, limit=limit)
 
     def record(self) -> dict[str, Any]:
-        """Return the options that are given, by name, as plain JSON. The dictionary is empty for all questions."""
+        """Return the options that differ from their defaults, as plain JSON. It is empty for all questions."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         given = {name: value for name, value in values.items() if value not in (None, ())}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
@@ -109,8 +108,8 @@ class MethodOptions:
 class RunOptions:
     """Options of the run itself: its name, its files, and how it proceeds.
 
-    `epoch` is the number of this run among runs that answer the same questions, from 1 on; None for a single run. It is
-    appended to the name of the run, and changes the seed of the simulated model.
+    Runs that answer the same questions several times differ in `epoch`, which counts from 1. The name of such a run
+    ends in its epoch, and each epoch gives the simulated model another seed.
     """
 
     run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL. A non-default --policy is added.")

@@ -108,7 +108,7 @@ def test_what_cannot_be_asked_is_counted(images):
         select_questions(WORDS, QuestionSelection(limit=1), images)
     with pytest.raises(StoreError, match="no selected question can be asked"):
         select_questions(WORDS, QuestionSelection(sequences=("c",)), images)
-    with pytest.raises(StoreError, match="choose fewer"):
+    with pytest.raises(StoreError, match="select by fewer options"):
         select_questions(WORDS[:9], QuestionSelection(sequences=("a",), questions=(WORDS[5].question_id,)), images)
 
 
