@@ -123,7 +123,7 @@ class Bench:
         return Task(question, info, self.observer, self.observer.stored, record, record_write)
 
     def episode(self, question_id: str, *, budget: int = BUDGET, record: Record = lambda step: None) -> Episode:
-        """Return a new episode, in which a player answers a question move by move.
+        """Return a new episode, so that a player can answer a question move by move.
 
         Args:
             question_id: The id of the question.

@@ -28,7 +28,7 @@ class Endpoint:
     """A model server that has been checked (preflight).
 
     Attributes:
-        convention: The way in which the model writes boxes.
+        convention: How the model writes boxes.
         client: The client that sends requests to the server.
         settings: Plain JSON for the manifest of a run. A run can be resumed only with equal settings.
         warnings: One line for each check that failed.

@@ -53,7 +53,7 @@ from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreErr
 from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
-"""Columns of `predictions` of which `RunResult.row` returns the sums."""
+"""Columns of `predictions` that `RunResult.row` sums up."""
 _TOKENS: Final = ("prompt_tokens", "completion_tokens")
 
 

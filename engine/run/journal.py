@@ -230,7 +230,7 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
 
 class Journal(contextlib.ExitStack):
-    """Journal of a run. It has a file per sequence, with a line for each question in the order in which they finished.
+    """Journal of a run. It has a file per sequence. A file has one line per question, the first to finish on top.
 
     If a question has several lines, the last line counts.
     """
@@ -337,7 +337,7 @@ def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
     Args:
         run_id: The id of the run.
         name: "predictions", "steps" or "world".
-        entries: The entries, in the order in which the table has their rows.
+        entries: The entries. The rows of the table are in the same order.
 
     Returns:
         The table.

@@ -96,7 +96,7 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
 
 
 def _rename_world(entry: Finished, old: str, new: str) -> Finished:
-    """Return a copy of an entry in which the keys of all facts begin with the new run id."""
+    """Return a copy of an entry. The keys of its facts begin with the new run id instead of the old one."""
     world = [{**row, "fact": _rename_fact(row["fact"], old, new)} for row in entry.world]
     return msgspec.structs.replace(entry, world=world)
 

@@ -43,7 +43,7 @@ METHODS: Final = (
 )
 
 POLICIES: Final = ("model", "guided", "driven")
-"""Policies, the ways in which an agent chooses its looks."""
+"""Names of the policies. A policy says whether the program or the model chooses an agent's looks."""
 
 DRIVABLE: Final = ("agent", "agent-no-world")
 """Methods that accept any policy. By default the program chooses their looks (policy `driven`)."""
@@ -99,7 +99,7 @@ def make_method(
     Args:
         name: A name of `METHODS`.
         chat: The client of the model.
-        convention: The way in which the model writes boxes.
+        convention: How the model writes boxes.
         world: The world model, which a method of `WORLD_METHODS` needs.
         policy: The policy of an agent. Default: `default_policy`.
         history: Maximum number of pictures that a method of `CHATS` sends in a turn. None sends all.

@@ -1,4 +1,4 @@
-"""Make runs in which a person, or an agent outside this program, answers questions move by move."""
+"""Make runs of a person, or of an agent outside this program, who answers questions move by move."""
 
 from __future__ import annotations
 

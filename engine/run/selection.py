@@ -108,7 +108,7 @@ def _count(counts: Counter[str], name: str) -> int:
 
 
 def _draw(seed: int | None, question: QuestionRow) -> bytes:
-    """Return the key by which a seeded draw sorts a question. The key does not depend on any other question."""
+    """Return the sort key of a question in a seeded draw. The key does not depend on any other question."""
     return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 
