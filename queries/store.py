@@ -66,10 +66,7 @@ def write_json(path: Path, value: msgspec.Struct) -> None:
 
 
 class Store(Displayed):
-    """Store in a folder.
-
-    The constructor does not check the folder. `manifest()` raises StoreError if nothing has been loaded.
-    """
+    """Store in a folder. The constructor checks nothing; `manifest()` raises StoreError if nothing is loaded."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -133,15 +130,7 @@ class Store(Displayed):
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the facts of one kind in a sequence that labels state, and those that may be true without a label.
-
-        Args:
-            kind: A name in `LABELED`, such as "actions".
-            sequence: Name of the sequence.
-
-        Returns:
-            The rows of `intervals_<kind>`, then the rows of `intervals_possible_<kind>` with `certain` false.
-        """
+        """Return the rows of `intervals_<kind>`, then `intervals_possible_<kind>` with `certain` false in each row."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
@@ -161,9 +150,6 @@ class Store(Displayed):
             names: Names of the tables.
             columns: Columns to read, by the name of the table. All columns of other tables are read.
 
-        Returns:
-            The tables in the order of `names`.
-
         Raises:
             StoreError: If a table is missing or broken, or the tables come from different runs of `generate`.
         """
@@ -178,12 +164,8 @@ class Store(Displayed):
     def training_set(self) -> dict[str, str]:
         """Return how a training set was made, or an empty dictionary if the questions are a benchmark.
 
-        Returns:
-            The `profile` of the training set, and in `disjoint_from` the generation of the held-out questions that the
-            training set avoids, "" if there are none.
-
-        Raises:
-            StoreError: If the file of questions is missing or broken.
+        `disjoint_from` is the generation of the held-out questions that the training set avoids. Raises StoreError if
+        the file of questions is missing or broken.
         """
         metadata = self.questions("questions", []).schema.metadata or {}
         keys = (PROFILE_KEY, DISJOINT_KEY)
@@ -264,20 +246,9 @@ class Store(Displayed):
     def query(
         self, language: Literal["cypher", "sql"], query: str, params: Mapping[str, Any], timeout_s: float = 60.0
     ) -> pa.Table:
-        """Run a statement or a named query in one of the two languages.
+        """Run a statement or a named query, as `cypher` and `sql` do, and return its rows.
 
-        Args:
-            language: "cypher" or "sql".
-            query: Statement, or the name of a query.
-            params: Values of the parameters, by name.
-            timeout_s: Maximum time in seconds, after which the statement is stopped.
-
-        Returns:
-            The rows that the statement returns.
-
-        Raises:
-            QueryError: If the statement is refused, fails, or takes longer than `timeout_s`.
-            StoreError: If the store lacks the tables or the graph layer that the statement needs.
+        The statement is stopped after `timeout_s` seconds. Then, or if it is refused or fails, QueryError is raised.
         """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
@@ -398,19 +369,9 @@ def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[s
 def write_groups(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, metadata: dict[str, str] | None = None
 ) -> str:
-    """Write several tables to one Parquet file atomically, with only one table in memory at a time.
+    """Write tables to one file, as `write_table` does for one table. Return the sha256 of the file, in hex.
 
-    Args:
-        path: File to write.
-        groups: Tables. Each table becomes a row group of the file.
-        schema: Schema that readers of the file see.
-        metadata: Texts by key, to be stored in the file.
-
-    Returns:
-        The sha256 of the file, in hex.
-
-    Raises:
-        StoreError: If the file cannot be written.
+    Each table becomes a row group of the file. Only one table is in memory at a time.
     """
     return _write(path, groups, schema, schema, metadata)
 
@@ -464,18 +425,8 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 def read_rows(path: Path, column: str, value: str) -> pa.Table:
     """Read those rows of a Parquet table that have a given value in a column.
 
-    If a row group does not have the value, the other columns of the group are not read.
-
-    Args:
-        path: File of the table.
-        column: Name of the column.
-        value: Required value.
-
-    Returns:
-        The rows in the order of the file, with all columns.
-
-    Raises:
-        StoreError: If the file is missing or broken.
+    If a row group does not have the value, the other columns of the group are not read. Raises StoreError if the file
+    is missing or broken.
     """
     with _parquet(path) as file:
         parts = [file.schema_arrow.empty_table()]

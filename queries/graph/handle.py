@@ -73,10 +73,7 @@ _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
 
 
 class Graph:
-    """Session on a graph. Use it as a context manager.
-
-    `Graph.open` makes a session on a file, and `Graph.memory` on a new graph in memory.
-    """
+    """Session on a graph file (`Graph.open`) or on a new graph in memory (`Graph.memory`). A context manager."""
 
     def __init__(self, shared: SharedDatabase, read_only: bool = False, prepares: bool = False) -> None:
         self.path = shared.path
@@ -106,9 +103,6 @@ class Graph:
             prepares: Whether the session parses a statement with parameters only at its first use. This saves a third
                 of the time of small statements.
 
-        Returns:
-            The session.
-
         Raises:
             StoreError: If the file is missing or damaged, or has another version.
             LockedError: If another process writes the file, or another process reads it and this session writes.
@@ -118,15 +112,7 @@ class Graph:
 
     @classmethod
     def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False) -> Graph:
-        """Open a session on a new, empty graph in memory.
-
-        Args:
-            buffer_bytes: Maximum size of the engine's page cache, in bytes.
-            prepares: Whether the session parses a statement with parameters only at its first use.
-
-        Returns:
-            The session.
-        """
+        """Open a session on a new, empty graph in memory. `open` describes the arguments."""
         return cls(create_memory_database(buffer_bytes), prepares=prepares)
 
     def close(self) -> None:
@@ -181,16 +167,7 @@ class Graph:
             return self._run(text, values, timeout_s)
 
     def prepare(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> None:
-        """Check and parse a statement that only reads, so that its first run takes less time.
-
-        Args:
-            cypher: Statement.
-            params: Values with the types of later uses, by the name of the parameter.
-            ordered: Whether to refuse the statement if it returns several rows without an ORDER BY.
-
-        Raises:
-            QueryError: If the statement is refused.
-        """
+        """Check and parse a statement for `query` before its first run. Raises QueryError if it is refused."""
         text, values = bind(cypher, params)
         with self._lock:
             self._check_read(text, values, ordered)
@@ -229,18 +206,7 @@ class Graph:
         return counts
 
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
-        """Return the engine's plan of a statement, without running the statement.
-
-        Args:
-            cypher: Statement.
-            params: Values of the parameters, by name.
-
-        Returns:
-            The plan.
-
-        Raises:
-            QueryError: If the statement is not valid.
-        """
+        """Return the engine's plan of a statement, without a run. Raises QueryError if the statement is not valid."""
         text, values = bind(cypher, params or {})
         with self._lock:
             return self._plan(text, values)
@@ -248,14 +214,7 @@ class Graph:
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
-        """Run one statement that may write. Outside `transaction()`, it is a transaction of its own.
-
-        Args:
-            cypher: Statement. `$name` stands for the value of the parameter `name`.
-            params: Values of the parameters, by name.
-
-        Returns:
-            The rows that the statement returns. The table is empty if the statement returns nothing.
+        """Run one statement that may write, and return its rows. Outside `transaction()`, it is its own transaction.
 
         Raises:
             QueryError: If the statement is refused or fails, or the session only reads.
@@ -272,16 +231,9 @@ class Graph:
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
-        """Append rows to a table of the graph.
+        """Append rows to a table of the graph, with the columns in the order of the table.
 
-        Args:
-            table: Name of the table.
-            rows: Rows, with the columns in the order of the table. For a relationship table, two columns come first:
-                the key of the node at the start, and the key of the node at the end.
-
-        Raises:
-            QueryError: If the rows do not fit the table, or the session only reads.
-            StoreError: If the disk is full.
+        The first two columns of an edge are the keys of the nodes at its start and at its end.
         """
         # The engine uses importlib.util, but does not import it.
         import importlib.util  # noqa: F401
@@ -303,8 +255,7 @@ class Graph:
                 several pairs of node tables.
 
         Raises:
-            QueryError: If a file name is not plain, the rows do not fit the table, or the session only reads.
-            StoreError: If the disk is full.
+            QueryError: If a file name is not plain, or the rows do not fit the table.
         """
         if any(not re.fullmatch(r"[A-Za-z0-9._-]+", name) for name in names):
             raise QueryError("a file to copy from needs a plain name")
@@ -357,10 +308,8 @@ class Graph:
         return plan
 
     def _complaint(self, text: str, values: Mapping[str, Any]) -> str:
-        """Return the engine's error message for a statement, "" if there is no error.
-
-        The statement runs on a new connection, because an error would end the transaction of this session.
-        """
+        """Return the engine's error message for a statement, or "" if it is valid."""
+        # Use a new connection, because an error ends the transaction of its connection.
         with engine().Connection(self._shared.database) as connection:
             try:
                 connection.execute(f"EXPLAIN {text}", dict(values))
@@ -377,10 +326,9 @@ class Graph:
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
-        """Return the prepared statement for a text, or the text if it is not to be prepared.
+        """Return the prepared statement for a text, or the text if it must not be prepared.
 
-        A statement with an Arrow table as a parameter is never prepared, because the engine would use the rows of the
-        first call again in all later calls.
+        The engine would use an Arrow table of the first call again in later calls. So such statements stay texts.
         """
         rows = any(isinstance(value, pa.Table) for value in values.values())
         if not (self._prepares and values) or rows or text.startswith("EXPLAIN"):
@@ -426,17 +374,7 @@ def open_worker_graph(path: Path) -> Iterator[Graph]:
     """Yield a session for reading that prepares statements.
 
     A worker process keeps the session open for its next sequence, because opening a graph and planning statements take
-    longer than most statements. In other processes, the session is closed when the `with` block ends.
-
-    Args:
-        path: Graph file.
-
-    Yields:
-        The session.
-
-    Raises:
-        StoreError: If the file is missing or damaged, or has another version.
-        LockedError: If another process writes the file.
+    longer than most statements. Other processes close it when the `with` block ends. Raises the errors of `Graph.open`.
     """
     with contextlib.ExitStack() as closing:
         graph = _left_open.get(path)
@@ -456,18 +394,7 @@ def hold_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManag
     """Return a context manager that keeps a graph open in this process if the process handles all sequences itself.
 
     Then the file is opened only once. With several workers, the context manager does nothing, because an open graph
-    takes 150 MB of memory.
-
-    Args:
-        path: Graph file.
-        workers: Number of processes, or the address of a Ray cluster.
-
-    Returns:
-        The context manager.
-
-    Raises:
-        StoreError: If the file is missing or damaged, or has another version.
-        LockedError: If another process writes the file.
+    takes 150 MB of memory. Raises the errors of `Graph.open`.
     """
     return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()
 
@@ -482,9 +409,6 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     Args:
         path: Graph file to create or replace.
         extend: Whether the temporary file begins as a copy of the file at `path`, instead of empty.
-
-    Yields:
-        The session.
 
     Raises:
         LockedError: If the file at `path` is open in this process, or another process uses it.
