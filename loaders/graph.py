@@ -35,7 +35,7 @@ from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.tables import INTERVALS
 
 STAGE: Final = "scene"
-"""Folder inside the store for the staged rows. It is deleted when the graph is built."""
+"""Folder inside the store for the staged rows. It is deleted after the graph is built."""
 
 NODES: Final = SCENE_NODES | KEYFRAME_NODES
 """Tables of nodes of the scene and of the keyframe layer."""
@@ -276,8 +276,8 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
 }
 """Interval table of each source, and functions for the columns that the interval table lacks. Nodes come first.
 
-The source of nodes is the name of their table. The source of edges is the table of their start, and the name of their
-table. `Action` is missing, because its rows come from all sequences together.
+A source of nodes is the name of their table. A source of edges is two names: the table of nodes from which they start,
+and their own table. `Action` is missing, because its rows come from all sequences together.
 """
 
 

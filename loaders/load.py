@@ -1,7 +1,7 @@
 """Load a JRDB root into a store, or rebuild a store's intervals and graph from its annotation tables.
 
-A load writes all tables into a staging folder inside the store. Then it builds the graph and counts its rows. Last it
-moves the new tables and then the manifest into the store. If a load fails, the old store is unchanged.
+A load writes all tables into a staging folder inside the store. Then it builds the graph and counts its rows. Finally
+it moves the new tables and then the manifest into the store. If a load fails, the old store is unchanged.
 
 If a load is killed, the next load deletes the staging folder. If the load was killed while it moved the tables, the
 next writer finishes the moves. The tables therefore survive a kill at any moment.
@@ -253,7 +253,7 @@ class RebuildShard:
 
     @property
     def weight(self) -> int:
-        """Return the scheduling weight: larger sequences start first."""
+        """Return the bytes of the file of 2D boxes. It is a scheduling weight: larger sequences start first."""
         path = Store(self.store).annotation_path("boxes_2d", self.sequence)
         return path.stat().st_size if path.exists() else 0
 
@@ -296,7 +296,10 @@ def _write(
 
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
-    """Yield an empty staging folder, and delete it when the block ends. The caller must hold the writer's lock."""
+    """Yield an empty staging folder, and delete it afterwards unless tables must still be moved out of it.
+
+    The caller must hold the writer's lock.
+    """
     staging = Store(store.path / STAGING)
     try:
         _finish_moves(store)

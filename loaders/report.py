@@ -48,7 +48,7 @@ class ShiftCheck(msgspec.Struct):
 
     layer: str
     result: str
-    """`agrees`, `shifted` or `not tested`. A shifted layer is refused. A layer is not tested without evidence."""
+    """`agrees`, `shifted` (the layer is refused), or `not tested` (there is too little evidence for either)."""
     reason: str
     frames: float | None = None
     """Shift in frames that makes the layer fit the 2D layer, or None without an estimate."""
@@ -57,10 +57,12 @@ class ShiftCheck(msgspec.Struct):
 
 
 class Stamps(msgspec.Struct):
-    """Summary of the timestamps of a sequence: the number of stamps of images and of point clouds."""
+    """Summary of the timestamps of a sequence."""
 
     images: int
+    """Number of stamps of images."""
     clouds: int
+    """Number of stamps of point clouds."""
     fps: float | None
     """Median frames per second of the images, or None for fewer than two stamps."""
 

@@ -29,7 +29,10 @@ LABEL_DIRS: Final[dict[str, tuple[str, ...]]] = {
     "pose": ("labels_2d_pose_stitched_coco", "pose_stitched"),
     "panoptic": ("labels_2d_panoptic_stitched_CW*", "labels_2d_panoptic_stitched_OW*"),
 }
-"""Names of the folders with files `<sequence>.json`, by layer, in order of preference. A star matches any suffix."""
+"""Names of the folders with files `<sequence>.json`, by layer, in order of preference.
+
+A star stands for any suffix. A folder without a suffix is preferred.
+"""
 
 TIMESTAMPS: Final = "timestamps"
 CALIBRATION: Final = "calibration"

@@ -43,7 +43,7 @@ READERS: Final[dict[str, Callable[[Path, Problems], LayerTables]]] = {
 """Loader by layer. The reasoning layer is missing, because its loader also needs to know about the social file."""
 
 SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
-"""Layers of the table `frames` that social files give, and reasoning files too."""
+"""Layers of the table `frames` that both social files and reasoning files can give."""
 NOT_LABELS: Final = ("timestamps", "images")
 """Layers without labels. A frame that only these layers have is not annotated."""
 

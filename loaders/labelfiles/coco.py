@@ -1,9 +1,9 @@
 """Reader of label files in the COCO format: lists of images, annotations and categories.
 
 Each annotation refers to its image and its category by their ids. These ids have a meaning only inside one file.
-The frame of an image is therefore read from the base name of its `file_name`, and not computed from the image id, which
-depends on the release. `width` and `height` are not read, because they describe another camera. An image is
-refused, together with its annotations, if it belongs to another sequence or if two files share its id.
+The frame of an image is read from the base name of its `file_name`. It is not computed from the image id, because
+releases number their images differently. `width` and `height` are not read, because they describe another camera. An
+image is refused, together with its annotations, if it belongs to another sequence or if two images share its id.
 Categories are identified by name. A name outside the vocabulary of `schema/things.py` is kept as written and reported.
 """
 
@@ -32,7 +32,7 @@ from jrdb_avr.schema.things import OBJECTS, normal_category
 MAX_LISTED: Final = 400_000
 """Maximum length of each list of a file. JRDB's largest sequence has half as many boxes of people."""
 CHUNK: Final = 1000
-"""Number of records that are decoded together. The decoded records of a chunk fit into the processor's cache."""
+"""Number of records that are decoded together. A decoded chunk fits into the processor's cache."""
 
 ImageId = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 """Id of an image, unique within its file."""
@@ -145,7 +145,7 @@ class Images:
         self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
-        """Return the frame of each annotation's image. It is -1, and counted, if the image is missing or refused."""
+        """Return the frame of each annotation's image. If the image is missing or refused, count it and return -1."""
         image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
         frame = np.full(len(image_id), -1, np.int64)
         if len(self.ids):
@@ -172,7 +172,7 @@ def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
 # -- categories ----------------------------------------------------------------------------------------------------
 
 Categories = dict[int, tuple[str, str | None]]
-"""Names of each category by category id: as written in the file, and in the vocabulary (None if it is not there)."""
+"""Two names by category id: the name as written, and the name in the vocabulary or None."""
 
 
 def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Counter[tuple[str, str]]]:

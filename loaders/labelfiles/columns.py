@@ -163,7 +163,7 @@ class LayerTables:
     boxes: pa.Table | None = None
     """2D boxes in a file that does not give the 2D layer, or None: columns frame, track, x, y, w, h.
 
-    A comparison of them with the boxes of the 2D layer shows whether both files number their frames alike."""
+    Comparing these boxes with the 2D layer shows whether both files number their frames alike."""
 
     def of(self, sequence: str) -> LayerTables:
         """Return a copy with the column `sequence` in every annotation table, cast to the schema of its name."""

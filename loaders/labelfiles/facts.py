@@ -247,7 +247,13 @@ def check_size(facts: int) -> None:
 
 
 def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals) -> None:
-    """Count the issues of each code once per row with the code. `codes` holds the code of each row."""
+    """Count each issue of a raw value as often as there are rows with the value.
+
+    Args:
+        codes: code of the raw value of each row.
+        issues: issues of the raw values by code.
+        refusals: counter.
+    """
     if not issues:
         return
     distinct, first, counts = np.unique(codes, return_index=True, return_counts=True)

@@ -27,12 +27,11 @@ from jrdb_avr.schema.errors import InputError
 MAX_FILE: Final = 320 << 20
 """Maximum bytes of a file. The largest file of JRDB has half as many."""
 MAX_RECORDS: Final = 1000
-"""Maximum records of a frame. JRDB's fullest frames have about 100. The number of pairs of people grows
-quadratically."""
+"""Maximum records of a frame, which bounds the number of pairs of people. JRDB's fullest frames have about 100."""
 MAX_GATHERED: Final = 400_000
 """Maximum records of a file. JRDB's largest sequence has half as many boxes."""
 BATCH: Final = 1000
-"""Number of records that are turned into columns together. So many records fit into the processor's cache."""
+"""Number of records that are turned into columns together. A batch fits into the processor's cache."""
 
 _LIST: Final = msgspec.json.Decoder(list[msgspec.Raw])
 _MISSING: Final = re.compile("Object missing required field `(.*)`")
@@ -73,7 +72,7 @@ def read_file(path: Path) -> bytes:
 
 
 def decode_file(path: Path, form: type[_F]) -> _F:
-    """Decode a JSON file into a type.
+    """Decode a JSON file into an object of the type `form`.
 
     Raises:
         InputError: If the file is unreadable, is not JSON, or does not fit the type `form`.

@@ -125,7 +125,7 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Return a mask and its reason for each fault of a box. `box` has the shape (n, 4)."""
+    """Return a mask of faulty boxes and the reason for each kind of fault. `box` has the shape (n, 4)."""
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
         (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),

@@ -4,10 +4,11 @@ Files of the train sequences use two numberings that are two frames apart, and n
 of a layer at frame f are compared with the 2D boxes at frame f + s. There are two tests:
 
 - Equal boxes, for layers that repeat the 2D boxes. The shift is the s with the most equal boxes.
-- Motion, for 3D boxes. They equal no 2D box, and may be too far left or right in every frame. Camera and lidar are read
-  up to 40 ms apart, and standing people show no shift. Therefore the horizontal distance between a person's 3D box and
-  2D box is regressed on the person's horizontal speed in the panorama. The slope is the shift in frames. Its standard
-  error is the larger of two estimates: from blocks of frames of each person, and from blocks of frames of all people.
+- Motion, for 3D boxes. A 3D box cannot equal a 2D box, and may be too far left or right in every frame. Camera and
+  lidar are read up to 40 ms apart, and standing people show no shift. Therefore the horizontal distance between a
+  person's 3D box and 2D box is regressed on the person's horizontal speed in the panorama. The slope is the shift in
+  frames. Its standard error is the larger of two estimates: from blocks of frames of each person, and from blocks of
+  frames of all people.
 
 The column of a person is the horizontal centre of the person in pixels of the panorama. For a 3D box at the azimuth a
 it is 3760 * (0.5 - a / 2 pi).
@@ -36,7 +37,7 @@ MAX_ROWS: Final = 20_000
 SAME: Final = 1.0
 """Maximum difference in pixels between the coordinates of equal boxes."""
 MIN_LEAD: Final = 20
-"""Minimum lead of the best shift over the second best, in equal boxes."""
+"""Minimum difference between the numbers of equal boxes at the best and at the second best shift."""
 SHIFTED_SHARE: Final = 0.9
 """Minimum share of equal boxes among the compared boxes for the result "shifted"."""
 AGREEING_SHARE: Final = 0.5
@@ -63,7 +64,11 @@ CLOCK: Final = 0.7
 MIN_RESPONSE: Final = 0.5
 """Minimum value of `response_of` for the result "agrees"."""
 ERRORS_BEYOND: Final = 3.0
-"""Margin in standard errors: above `CLOCK` for the result "shifted", below the response for "agrees"."""
+"""Minimum margin in standard errors.
+
+For the result "shifted", a shift must exceed `CLOCK` by the margin. For the result "agrees", it must stay below the
+value of `response_of` by the margin.
+"""
 ERRORS_AWAY: Final = 6.0
 """Minimum size of a shift in standard errors for the result "shifted"."""
 
