@@ -18,9 +18,9 @@ failed check only if the run's method needs it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, get_args
 
 from jrdb_avr.agent.methods.episode import BUDGET
 from jrdb_avr.agent.methods.react import react_turn_schema
@@ -28,6 +28,7 @@ from jrdb_avr.agent.methods.requests import PANORAMAS, panorama_parts
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import closed_object, reply_object
 from jrdb_avr.agent.model.messages import Message, Part
+from jrdb_avr.agent.model.options import ResponseFormat
 from jrdb_avr.agent.model.probes import (
     CORNER_LINE,
     CORNERS,
@@ -59,10 +60,11 @@ SENDERS: Final = {
 """The methods that need each of the largest requests. A policy other than the method's own is part of the name."""
 
 _LONGER_REMEDY: Final = "give a larger --max-tokens"
-_SHAPE: Final = {"sea_state_q7": ["amber-41", "cobalt-17"]}
-"""A key and its values that no model would write by itself: such a reply shows that the schema was followed."""
+_KEY: Final = "sea_state_q7"
+_VALUES: Final = ["amber-41", "cobalt-17"]
+"""Values of a key that no model would write by itself: such a reply shows that the schema was followed."""
 
-_SHAPE_SCHEMA: Final = closed_object({key: {"type": "string", "enum": values} for key, values in _SHAPE.items()})
+_KEY_SCHEMA: Final = closed_object({_KEY: {"type": "string", "enum": _VALUES}})
 _CORNER_SCHEMA: Final = closed_object({"corner": {"type": "string", "enum": list(CORNERS)}})
 _SEEN_CORNERS: Final = 3
 """Minimum of corners to name right. A server that drops pictures gets four equal requests, so one reply is right."""
@@ -122,116 +124,110 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
     return [check.line for check in checks if not check.passed]
 
 
-@dataclass(frozen=True)
+class _Probe(NamedTuple):
+    """The result of a request.
+
+    reply: None if the server refuses the request. value: the JSON object of the reply, empty if it cannot be read.
+    fault: the reason for no object. remedy: the remedy, if only one can help.
+    """
+
+    reply: Reply | None
+    value: Mapping[str, Any] = {}
+    fault: str = ""
+    remedy: str = ""
+
+
+@dataclass
 class _Prober:
     """Sends requests, with a system message if the server takes one."""
 
     client: Client
     system: bool = True
 
-    def send(self, *parts: Part, schema: Mapping[str, Any] | None = None) -> Reply | EndpointError:
-        """Send one user message. Return the reply or the error."""
+    def send(self, *parts: Part, schema: Mapping[str, Any] | None = None) -> _Probe:
+        """Send one user message."""
         before = [Message("system", (render("preflight_system"),))] if self.system else []
         try:
-            return self.client.probe([*before, Message("user", parts)], schema)
+            reply = self.client.probe([*before, Message("user", parts)], schema)
         except EndpointError as error:
-            return error
-
-    def read(self, reply: Reply | EndpointError) -> dict[str, Any] | _Fault:
-        """Read the JSON object of a reply. Return the object or the fault."""
-        if isinstance(reply, EndpointError):
-            return _Fault(f"refused ({reply})")
+            return _Probe(None, fault=f"refused ({error})")
         try:
-            return reply_object(reply, self.client.convention)
+            return _Probe(reply, reply_object(reply, self.client.convention))
         except DecodeError as error:
             # A reply that ends at the token limit is a fault of neither the server nor the schema.
             cut = reply.finish_reason == "length"
-            return _Fault(str(error), _LONGER_REMEDY) if cut else _Fault(f"not followed ({error})")
-
-
-class _Fault(NamedTuple):
-    """The fault of a reply in words, and its remedy if only one can help."""
-
-    seen: str
-    remedy: str = ""
+            return _Probe(reply, {}, str(error) if cut else f"not followed ({error})", _LONGER_REMEDY if cut else "")
 
 
 def _checks(client: Client) -> Iterator[Check]:
     text = client.probe([Message("user", (render("preflight_text"),))])
-    yield _text(client, text)
+    yield _text(text)
     prober = _Prober(client)
     answered = prober.send(render("preflight_text"))
-    prober = replace(prober, system=isinstance(answered, Reply))
+    prober.system = answered.reply is not None
     yield Check(
         "system",
         prober.system,
-        "a system message is " + ("taken" if prober.system else f"refused ({answered})"),
+        "a system message is " + ("taken" if prober.system else answered.fault),
         "give the server a chat template that takes the system role: every method sends a system message",
     )
     strict = client.options.response_format == "json_schema"
-    shaped = prober.send(render("preflight_schema" if strict else "preflight_object"), schema=_SHAPE_SCHEMA)
-    yield _schema(prober, shaped)
-    if strict and isinstance(shaped, EndpointError):
+    shaped = prober.send(render("preflight_schema" if strict else "preflight_object"), schema=_KEY_SCHEMA)
+    yield _schema(client, shaped)
+    if strict and shaped.reply is None:
         # Each picture would be refused for the same reason.
         return
     picture = _picture(prober)
     yield picture
-    yield from _largest_requests(prober, picture.passed, strict)
-    yield _thinking(client, text, shaped)
+    if picture.passed:
+        yield from _many_pictures(prober)
+    # A schema is refused only if it is sent.
+    if strict:
+        content, keys = "the schema of a plan ($ref at the root)", set(Plan.__struct_fields__)
+        probe = prober.send(render("preflight_plan"), schema=plan_form())
+        yield _largest_request("plan", content, probe, set(probe.value) == keys)
+    yield _thinking(client, text, shaped.reply)
     yield Check(
         "finish",
         bool(text.finish_reason),
-        f"finish_reason {text.finish_reason!a}"[:80] if text.finish_reason else "no finish_reason",
+        f"finish_reason {text.finish_reason!a}"[:80],
         "use a server that sends finish_reason: without it a reply that was cut off looks like any other",
     )
-    counted = text.prompt_tokens > 0 and text.completion_tokens > 0
     yield Check(
         "tokens",
-        counted,
-        f"{text.prompt_tokens} + {text.completion_tokens} tokens" if counted else "no token counts",
+        text.prompt_tokens > 0 and text.completion_tokens > 0,
+        f"{text.prompt_tokens} + {text.completion_tokens} tokens",
         "have the server send usage; until then the run counts 0 tokens",
         needed=False,
     )
     yield Check(
         "model",
         text.model == client.model,
-        f"the server names {text.model!a}"[:120] if text.model else "the server names no model",
+        f"the server names {text.model!a}"[:120],
         f"the request names {client.model!a}; the run records the server's name",
         needed=False,
     )
 
 
-def _text(client: Client, reply: Reply) -> Check:
-    if reply.finish_reason == "length":
-        most = client.options.max_tokens
-        return Check("text", False, f"no word within {most} tokens", _LONGER_REMEDY)
-    if reply.content.strip() and not reply.refusal:
-        return Check("text", True, f"replied {reply.content.strip()[:40]!a}", "")
-    if reply.reasoning:
-        where = " at the server" if client.options.thinking == "off" else ""
-        return Check("text", False, "nothing but reasoning", f"switch thinking off{where}, or {_LONGER_REMEDY}")
-    return Check("text", False, "an empty or refused reply", "use a chat model that follows instructions")
+def _text(reply: Reply) -> Check:
+    cut, words = reply.finish_reason == "length", reply.content.strip()
+    remedy = "use a chat model that follows instructions"
+    if cut or reply.reasoning:
+        remedy = _LONGER_REMEDY if cut else f"switch thinking off at the server, or {_LONGER_REMEDY}"
+    seen = f"replied {words[:40]!a}" + (" after its reasoning" if reply.reasoning else "")
+    return Check("text", bool(words) and not cut and not reply.refusal, seen, remedy)
 
 
-def _schema(prober: _Prober, reply: Reply | EndpointError) -> Check:
-    declared = prober.client.options.response_format
-    remedy = {
-        "json_schema": "use a server that keeps to response_format json_schema, or declare --response-format "
-        "json_object or none",
-        "json_object": "declare --response-format none, or use a model that replies in JSON",
-        "none": "use a model that replies in JSON, or declare --response-format json_schema",
-    }[declared]
-    client, read = prober.client, prober.read(reply)
-    if isinstance(read, _Fault):
-        if isinstance(reply, EndpointError) and declared != "none" and client.options.thinks(client.convention):
-            # llama.cpp refuses a schema if it cannot separate the template's thinking from the reply.
-            remedy = f"declare --thinking off; else {remedy}"
-        return Check("schema", False, f"{declared} is {read.seen}", read.remedy or remedy)
-    pairs = [(key, value in _SHAPE.get(key, ())) for key, value in read.items()]
-    follows = declared != "json_schema" or pairs == [(key, True) for key in _SHAPE]
-    return Check(
-        "schema", follows, f"{declared} is {'followed' if follows else 'ignored: another object came'}", remedy
-    )
+def _schema(client: Client, shaped: _Probe) -> Check:
+    declared = client.options.response_format
+    others = " or ".join(form for form in get_args(ResponseFormat) if form != declared)
+    remedy = f"use a model and a server that keep to {declared}, or declare --response-format {others}"
+    if shaped.reply is None and declared != "none" and client.options.thinks(client.convention):
+        # llama.cpp refuses a schema if it cannot separate the template's thinking from the reply.
+        remedy = f"declare --thinking off; else {remedy}"
+    ignored = declared == "json_schema" and (list(shaped.value) != [_KEY] or shaped.value[_KEY] not in _VALUES)
+    fault = shaped.fault or ("ignored: another object came" if ignored else "")
+    return Check("schema", not fault, f"{declared} is {fault or 'followed'}", shaped.remedy or remedy)
 
 
 def _picture(prober: _Prober) -> Check:
@@ -239,97 +235,63 @@ def _picture(prober: _Prober) -> Check:
     right = 0
     for corner, box in CORNERS.items():
         parts = (render("preflight_picture"), drawn_picture(CROP_SIZE, box), CORNER_LINE)
-        reply = prober.send(*parts, schema=_CORNER_SCHEMA)
-        read = prober.read(reply)
-        if isinstance(read, _Fault) and (read.remedy or isinstance(reply, EndpointError)):
-            return Check("picture", False, f"a picture is {read.seen}", read.remedy or remedy)
-        right += isinstance(read, dict) and read.get("corner") == corner
+        probe = prober.send(*parts, schema=_CORNER_SCHEMA)
+        if probe.remedy or probe.reply is None:
+            return Check("picture", False, f"a picture is {probe.fault}", probe.remedy or remedy)
+        right += probe.value.get("corner") == corner
     seen = f"{right} of {len(CORNERS)} drawn pictures were seen right"
     return Check("picture", right >= _SEEN_CORNERS, seen, remedy)
 
 
-def _largest_requests(prober: _Prober, sees: bool, strict: bool) -> Iterator[Check]:
+def _many_pictures(prober: _Prober) -> Iterator[Check]:
+    """Yield the checks of the most pictures in one request.
+
+    The marked picture is neither the first nor the last, because a server may pass only one of them on.
+    """
     question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
-    # A model that does not see one picture does not see many. The marked one is neither the first nor the last, because
-    # a server may pass only one of them on.
-    if sees:
-        panoramas = [
-            Panorama("drawn", n, f"{n:06d}", float(n), drawn_picture(PANORAMA_SIZE, box).data)
-            for n in range(1, PANORAMAS + 1)
-            for box in [Box(1500, 130, 180, 240) if n == 5 else None]
-        ]
-        yield _largest_request(
-            prober,
-            "panoramas",
-            f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)",
-            (render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE),
-            graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA),
-            lambda reply: _last_answer(reply) == 5,
-        )
-        crops: list[Part] = []
-        for n in range(1, CROPS + 1):
-            box = CORNERS["upper left"] if n == 14 else None
-            crops += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
-        yield _largest_request(
-            prober,
-            "crops",
-            f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)",
-            (render("preflight_crops", n=CROPS), *crops, CROP_LINE),
-            react_turn_schema(question),
-            lambda reply: reply.get("frame_id") == "000014",
-        )
-    # A schema is refused only if it is sent.
-    if strict:
-        content, parts, keys = (
-            "the schema of a plan ($ref at the root)",
-            (render("preflight_plan"),),
-            Plan.__struct_fields__,
-        )
-        yield _largest_request(prober, "plan", content, parts, plan_form(), lambda reply: set(reply) == set(keys))
-
-
-def _last_answer(reply: Mapping[str, Any]) -> object:
-    match reply:
-        case {"calls": [*_, {"answer": answer}]}:
-            return answer
-    return None
-
-
-def _largest_request(
-    prober: _Prober,
-    name: str,
-    content: str,
-    parts: Sequence[Part],
-    schema: Mapping[str, Any],
-    is_right: Callable[[Mapping[str, Any]], bool],
-) -> Check:
-    reply, methods = prober.send(*parts, schema=schema), SENDERS[name]
-    read = prober.read(reply)
-    if isinstance(read, dict) and is_right(read):
-        return Check(name, True, f"{content}: taken", "")
-    remedy = "use a model that replies in the form of the prompt"
-    if isinstance(reply, EndpointError):
-        remedy = "let the server take such requests (vLLM: --limit-mm-per-prompt), or declare --response-format none"
-    fault = read if isinstance(read, _Fault) else _Fault("taken, but the reply is wrong")
-    remedy = fault.remedy or f"{remedy}; else do without {', '.join(methods)}"
+    panoramas = [
+        Panorama("drawn", n, f"{n:06d}", float(n), drawn_picture(PANORAMA_SIZE, box).data)
+        for n in range(1, PANORAMAS + 1)
+        for box in [Box(1500, 130, 180, 240) if n == 5 else None]
+    ]
+    content = f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)"
+    parts = [render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE]
+    probe = prober.send(*parts, schema=graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA))
+    calls = probe.value.get("calls")
+    last = calls[-1] if isinstance(calls, list) and calls else None
+    right = isinstance(last, dict) and last.get("answer") == 5
+    yield _largest_request("panoramas", content, probe, right)
+    content = f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)"
+    parts = [render("preflight_crops", n=CROPS)]
+    for n in range(1, CROPS + 1):
+        box = CORNERS["upper left"] if n == 14 else None
+        parts += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
+    probe = prober.send(*parts, CROP_LINE, schema=react_turn_schema(question))
     # A model that loses count among many crops can still answer: most questions need a few.
-    needed = name != "crops" or isinstance(read, _Fault)
-    return Check(name, False, f"{content}: {fault.seen}", remedy, needed, methods)
+    yield _largest_request("crops", content, probe, probe.value.get("frame_id") == "000014", needed=bool(probe.fault))
 
 
-def _thinking(client: Client, text: Reply, shaped: Reply | EndpointError) -> Check:
+def _largest_request(name: str, content: str, probe: _Probe, right: bool, needed: bool = True) -> Check:
+    remedy = "use a model that replies in the form of the prompt"
+    if probe.reply is None:
+        remedy = "let the server take such requests (vLLM: --limit-mm-per-prompt), or declare --response-format none"
+    remedy = probe.remedy or f"{remedy}; else do without {', '.join(SENDERS[name])}"
+    seen = f"{content}: {probe.fault or ('taken' if right else 'taken, but the reply is wrong')}"
+    return Check(name, right, seen, remedy, needed, SENDERS[name])
+
+
+def _thinking(client: Client, text: Reply, shaped: Reply | None) -> Check:
     declared = client.options.thinks(client.convention)
     free = bool(thinking_text(text, client.convention))
     # The run's replies have a response format, which may keep a model from thinking.
-    thinks = free if isinstance(shaped, EndpointError) else bool(thinking_text(shaped, client.convention))
-    kept = free and not thinks
+    thinks = free if shaped is None else bool(thinking_text(shaped, client.convention))
     if declared is None:
-        seen = f"replies hold {'' if free or thinks else 'no '}thinking; nothing is declared"
-        return Check("thinking", True, seen, "")
-    if not declared:
-        seen = "declared off, " + ("but there" if thinks else "there in free text alone" if kept else "none there")
-        return Check("thinking", not thinks, seen, "switch it off at the server, or declare --thinking on")
+        return Check("thinking", True, "nothing is declared", "")
+    seen = "declared " + ("on" if declared else "off")
+    seen += ", and there" if thinks else ", there in free text alone" if free else ", none there"
     remedy = "declare --thinking off, or give the server a reasoning parser and a template that thinks"
-    if kept:
+    if not declared:
+        remedy = "switch it off at the server, or declare --thinking on"
+    elif free:
         remedy = "the response format keeps the model from thinking: declare --thinking off, or --response-format none"
-    return Check("thinking", thinks, "declared on, " + ("and there" if thinks else "but not there"), remedy)
+    return Check("thinking", thinks == declared, seen, remedy)

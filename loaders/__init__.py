@@ -1,1 +1,1 @@
-"""JRDB files to annotation tables, time-stamped intervals and the graph; the sample world."""
+"""Readers that turn JRDB files into annotation tables, intervals and the graph of a store, and the sample world."""

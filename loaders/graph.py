@@ -1,10 +1,16 @@
-"""Interval tables -> the scene tables of the graph, by COPY, with a count of the rows of each table afterwards.
+"""Construction of the graph's scene tables from the interval tables of a store.
 
 The graph is only an index. It holds the content of `intervals/` with keys for traversal, and can be built again at any
-time. The process that has the interval tables of a sequence stages their rows as Parquet files, one per table of the
-graph. The engine then reads all files of a table of edges in one COPY, because every further COPY rewrites the table:
-950,000 sightings in four COPY statements took twice the time of one. Arrow tables in memory took half a gigabyte more.
-The key points of poses stay in `annotations/poses`, because they would take most of the bytes of the graph.
+time. It is built in two steps:
+
+1. The process that derives the interval tables of a sequence writes their rows to Parquet files, one per table of the
+   graph. This is called staging.
+2. One process copies the staged rows of all sequences into the graph with COPY statements. It then counts the rows of
+   each table.
+
+A table of edges is copied with as few statements as possible, because every further COPY rewrites the table: four
+statements for 950,000 sightings took twice as long as one. Rows are passed in files, because Arrow tables in memory
+took half a gigabyte more. Key points of poses are left out, because they would be the largest part of the graph.
 """
 
 from __future__ import annotations
@@ -29,40 +35,41 @@ from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.tables import INTERVALS
 
 STAGE: Final = "scene"
-"""Folder of the staged files inside the store. It is deleted after the graph is built."""
+"""Folder inside the store for the staged rows. It is deleted after the graph is built."""
 
 NODES: Final = SCENE_NODES | KEYFRAME_NODES
+"""Tables of nodes of the scene and of the keyframe layer."""
 RELS: Final = SCENE_RELS | KEYFRAME_RELS
 """Tables of edges of the scene and of the keyframe layer."""
 
 R = TypeVar("R")
 
 BATCH_ROWS: Final = 1_200_000
-"""Maximum rows per COPY, unless one sequence has more. A row takes about 700 bytes of the engine's memory."""
+"""Maximum rows per COPY, unless a single file has more. A row takes about 700 bytes of the engine's memory."""
 
 
 def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[str, int | str]:
-    """Fill an empty graph from interval tables.
+    """Fill an empty graph with the scenes of sequences.
 
     The function changes the working folder of the process while it runs.
 
     Args:
         graph: empty graph.
         store: store with the interval tables.
-        sequences: names of sequences. The function stages a sequence that is not staged yet.
+        sequences: names of sequences. If a sequence is not staged yet, the function stages it.
 
     Returns:
-        The rows per table, and the storage version.
+        The number of rows by table of the graph, and `storage_version`.
 
     Raises:
-        StoreError: the graph has other row counts than the tables.
+        StoreError: If a table of the graph has another number of rows than was copied into it.
     """
     stage = store.path / STAGE
     try:
         for sequence in sequences:
             if not (stage / "Sequence" / f"{safe_sequence(sequence)}.parquet").exists():
                 stage_scene(store, sequence, {kind: store.interval(kind, sequence) for kind in INTERVALS})
-        # In one transaction the tables are written to disk together.
+        # A transaction per table would write to the disk once per table.
         with graph.transaction():
             for statement in scene_ddl():
                 graph.execute(statement)
@@ -77,10 +84,15 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
 
 
 def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) -> None:
-    """Write the rows of one sequence into the stage of a store, one file per table except `Action` and empty tables.
+    """Stage the rows of one sequence for every table of the graph except `Action`.
+
+    Args:
+        store: store that has the stage.
+        sequence: name of the sequence.
+        intervals: interval tables of the sequence by name.
 
     Raises:
-        StoreError: the disk refuses.
+        StoreError: If a file cannot be written.
     """
     for source, (kind, _) in _SOURCES.items():
         if intervals[kind].num_rows:
@@ -88,16 +100,22 @@ def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) 
 
 
 def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
-    """Write the rows of one sequence from a source into a stage. No rows make no file.
+    """Write the rows of one sequence to a file in a stage. Write no file if there are no rows.
+
+    Args:
+        stage: folder of the staged rows.
+        source: table of the graph, such as "Person". For edges, the table of their start comes first: "Person SeenIn".
+        sequence: name of the sequence.
+        rows: rows with the columns of the table.
 
     Raises:
-        StoreError: the disk refuses.
+        StoreError: If the file cannot be written.
     """
     path = stage / source / f"{safe_sequence(sequence)}.parquet"
     try:
         if rows.num_rows:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # For every null the engine scans the row group: groups of 256 rows take a third of the time.
+            # The engine scans a whole row group for every null, so groups of 256 rows take a third of the time.
             at_once = 256 if source == "Object SeenIn" else None
             pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
     except OSError as error:
@@ -105,13 +123,19 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
 
 
 def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
-    """Copy the staged rows of sources into the graph, nodes first, and count them, because the engine has no checksums.
+    """Copy staged rows into the graph, and compare the number of rows afterwards.
+
+    Args:
+        graph: graph with empty tables.
+        stage: folder of the staged rows.
+        sources: sources as in `stage_rows`, in the order of copying. Nodes must come before their edges.
+        sequences: names of the sequences to copy.
 
     Returns:
-        The rows per table.
+        The number of copied rows by table of the graph.
 
     Raises:
-        StoreError: the graph has other row counts.
+        StoreError: If a table of the graph has another number of rows than was copied into it.
     """
     copied: Counter[str] = Counter()
     for source in sources:
@@ -120,7 +144,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         copied[table] += 0
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in NODES:
-                # The engine reads files in parallel and numbers nodes in reading order, so nodes are copied in order.
+                # The engine reads files in parallel and numbers nodes as it reads them. One table keeps their order.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
                 graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())
@@ -135,10 +159,17 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
 
 
 def write_graph(store: Store, write: Callable[[], R]) -> R:
-    """Call a function that writes the graph of a store in a separate process, because the engine may abort it.
+    """Run a function that writes a graph in a separate process, because the engine may abort the process.
+
+    Args:
+        store: store of the graph. If the process dies, its unfinished graph files are deleted.
+        write: function without arguments, which must be importable in another process.
+
+    Returns:
+        The result of the function.
 
     Raises:
-        StoreError: the process died.
+        StoreError: If the process died.
     """
     try:
         return processes.run_alone(write)
@@ -152,7 +183,15 @@ def write_graph(store: Store, write: Callable[[], R]) -> R:
 
 
 def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[str], int]]:
-    """Yield batches of names with their rows. A batch has at most `most` rows, or one name."""
+    """Split named files into batches.
+
+    Args:
+        sizes: name and number of rows of each file.
+        most: maximum rows of a batch. A file with more rows is a batch alone.
+
+    Yields:
+        The names of a batch, and its number of rows.
+    """
     batch: list[str] = []
     rows = 0
     for name, more in sizes:
@@ -166,14 +205,14 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 
 
 def column_names(table: str) -> list[str]:
-    """Return the columns of a table of the graph. Nodes begin with their key, edges with their two keys."""
+    """Return the columns of a table of the graph. Nodes begin with their key, edges with `from` and `to`."""
     if table in RELS:
         return ["from", "to", *(column.split()[0] for column in RELS[table][2])]
     return [column.split()[0] for column in NODES[table].split(", ")]
 
 
 def with_wide_integers(rows: pa.Table) -> pa.Table:
-    """Return the rows with all whole numbers as 64 bits, as the graph stores them."""
+    """Cast all columns of whole numbers to 64 bits, because the graph stores them so."""
     fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in rows.schema]
     return rows.cast(pa.schema(fields))
 
@@ -181,10 +220,11 @@ def with_wide_integers(rows: pa.Table) -> pa.Table:
 # -- shapes ------------------------------------------------------------------------------------------------------
 
 Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
+"""Function that makes a column of a table of the graph from an interval table."""
 
 
 def _number_key(name: str) -> Column:
-    """Return a function for the key of a person or a group, `<sequence>/<number>`."""
+    """Return a function that makes keys `<sequence>/<id>` of people or groups from the column `name`."""
     return lambda rows: pc.binary_join_element_wise(rows["sequence"], rows[name].cast(pa.string()), "/")
 
 
@@ -234,13 +274,15 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Person MayHandle": ("possible_handles", _HANDLES),
     "Person Beside": ("beside", _PAIR),
 }
-"""Kind of intervals, and columns that the intervals lack, per table of the graph except `Action`, nodes first. The name
-of a table of edges follows the name of the table of their start.
+"""Interval table of each source, and functions for the columns that the interval table lacks. Nodes come first.
+
+A source of nodes is the name of their table. A source of edges is two names: the table of nodes from which they start,
+and their own table. `Action` is missing, because its rows come from all sequences together.
 """
 
 
 def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
-    """Return the rows of one sequence from a source. Columns that only people have are null for things."""
+    """Return the rows of a source for one sequence. In sightings of things, the columns of people are null."""
     kind, made = _SOURCES[source]
     rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if source == "SocialGroup" else intervals[kind]
     if source == "Object SeenIn":
@@ -250,13 +292,13 @@ def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
 
 
 def _actions(names: set[str]) -> pa.Table:
-    """Return the nodes `Action`: the vocabulary, and further actions in the labels."""
+    """Return the rows of the table `Action`: all actions of the vocabulary and all actions in `names`."""
     actions = sorted(names | set(ACTIONS))
     return pa.table({"name": actions, "pose": [name in POSES for name in actions]})
 
 
 def _groups(memberships: pa.Table, group_info: pa.Table) -> pa.Table:
-    """Return one row per cluster with a member, with the chosen attributes, null for attributes without a choice."""
+    """Return one row per group with a member. An attribute is null if no value was chosen for the group."""
     clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
     chosen = group_info.filter(group_info["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
     for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):

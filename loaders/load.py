@@ -1,11 +1,12 @@
-"""Load a JRDB root into a store, or rebuild a store's derived parts from its annotation tables.
+"""Load a JRDB root into a store, or rebuild a store's intervals and graph from its annotation tables.
 
-A load writes everything into a staging folder inside the store, builds the graph, counts its rows, moves the new parts
-into the store, and writes the manifest last. A load that fails leaves the old store unchanged. After a kill, the next
-load deletes the staging folder under the writer's lock. If the kill came between the moves, the next writer finishes
-them, so that the tables survive a kill at any moment.
+A load writes all tables into a staging folder inside the store. Then it builds the graph and counts its rows. Finally
+it moves the new tables and then the manifest into the store. If a load fails, the old store is unchanged.
 
-The new graph also holds the world models of the finished runs of the store.
+If a load is killed, the next load deletes the staging folder. If the load was killed while it moved the tables, the
+next writer finishes the moves. The tables therefore survive a kill at any moment.
+
+The new graph also holds the world models of the store's finished runs.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 STAGING: Final = ".loading"
-"""Folder inside the store for the files of an unfinished load."""
+"""Folder inside the store for the new files of a load until they are moved."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Arguments of a worker that loads one sequence."""
+    """Arguments of `load_shard`, which loads one sequence in a worker process."""
 
     files: SequenceFiles
     staging: str
@@ -67,7 +68,7 @@ class Shard:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """Result of a worker: the report, and the entry of the manifest (None if no file could be loaded)."""
+    """Result of `load_shard`: the report, and the entry of the manifest (None if the sequence could not be loaded)."""
 
     report: SequenceReport
     entry: SequenceEntry | None
@@ -84,23 +85,24 @@ def load(
 ) -> LoadResult:
     """Load a JRDB root into a store: annotation tables, intervals and the scene graph.
 
-    An AvrWarning gives the number of sequences without occlusion attributes.
+    If sequences lack occlusion attributes, an AvrWarning gives the number of these sequences.
 
     Args:
-        root: folder of the label files.
-        store: folder of the store, which is made if it does not exist.
-        rules: load rules; None for the defaults.
+        root: folder of a JRDB root, or a root that `find_root` has returned.
+        store: store or its folder. The folder is made if it does not exist.
+        rules: load rules, or None for the defaults.
         workers: number of processes that share the sequences, or an executor. The result does not depend on it.
-        layer_dirs: folders of a layer's files, in the root or absolute. An empty list leaves the layer out.
+        layer_dirs: by layer, folders that replace the usual ones, relative to the root or absolute. An empty list
+            leaves the layer out.
         progress: display of the progress.
 
     Returns:
-        A report per sequence.
+        One report per sequence. Reports without a sequence hold the problems and notes of the whole root.
 
     Raises:
-        InputError: no sequence can be loaded. The store is unchanged.
-        StoreError: the store cannot be written. It is unchanged.
-        LockedError: another process writes the store.
+        InputError: If no sequence can be loaded. The store is unchanged.
+        StoreError: If the store cannot be written. The store is unchanged.
+        LockedError: If another process writes the store.
     """
     store, rules = Store.of(store), rules or LoadRules()
     if not isinstance(root, Root):
@@ -120,8 +122,8 @@ def load(
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in them every box of legal "
-                "size counts as a clear view, also the box of a hidden person; generate --require-occlusion skips them",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in these, every box of "
+                "permitted size counts as a clear view, even of hidden people; generate --require-occlusion skips them",
                 AvrWarning,
                 stacklevel=2,
             )
@@ -131,10 +133,10 @@ def load(
 def rebuild(
     store: Store, rules: LoadRules, workers: Executor = 2, progress: Progress | None = None
 ) -> dict[str, SequenceEntry]:
-    """Derive intervals and graph again from the annotation tables of a store.
+    """Derive the intervals and the graph of a store again from its annotation tables.
 
-    An AvrWarning names each run with a world model that is left out of the graph. If a load was killed between its
-    moves, call `resume` first.
+    If the world model of a run cannot be put into the new graph, an AvrWarning names the run. If a load was killed
+    while it moved its tables, call `resume` first.
 
     Args:
         store: store to rebuild.
@@ -143,10 +145,12 @@ def rebuild(
         progress: display of the progress.
 
     Returns:
-        The entries of the manifest by sequence.
+        The new entries of the manifest by sequence.
 
     Raises:
-        StoreError: an annotation file is missing, unreadable or not the loaded one.
+        StoreError: If an annotation file is missing, unreadable or changed since the load, or if the store cannot be
+            written.
+        LockedError: If another process writes the store.
     """
     with store.writing("load --rebuild"), _staging(store) as staging:
         manifest = store.manifest()
@@ -166,13 +170,13 @@ def rebuild(
 
 
 def resume(store: Store) -> None:
-    """Finish the moves of a load that was killed between them. Do nothing to any other store.
+    """Finish a load that was killed while it moved its tables. Do nothing if the store has no such load.
 
-    The graph is removed because it may be the old one; a rebuild makes it again.
+    The graph is deleted, because it may be from the load before. `rebuild` makes it again.
 
     Raises:
-        LockedError: another process writes the store.
-        StoreError: the store cannot be written.
+        LockedError: If another process writes the store.
+        StoreError: If the store cannot be written.
     """
     if _half_moved(store):
         with store.writing("load"):
@@ -228,7 +232,7 @@ def load_shard(shard: Shard) -> ShardResult:
 
 @contextlib.contextmanager
 def _one_heap() -> Iterator[None]:
-    """Let Arrow allocate from the heap of numpy, so that each reuses memory that the other has freed."""
+    """Let Arrow and numpy share a heap while the block runs, so that each reuses memory that the other has freed."""
     before = pa.default_memory_pool()
     pa.set_memory_pool(pa.system_memory_pool())
     try:
@@ -239,7 +243,7 @@ def _one_heap() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class RebuildShard:
-    """Arguments of a worker that rebuilds one sequence."""
+    """Arguments of `rebuild_shard`, which rebuilds one sequence in a worker process."""
 
     sequence: str
     entry: SequenceEntry
@@ -249,7 +253,7 @@ class RebuildShard:
 
     @property
     def weight(self) -> int:
-        """Return the scheduling weight: larger sequences start first."""
+        """Return the bytes of the file of 2D boxes. It is a scheduling weight: larger sequences start first."""
         path = Store(self.store).annotation_path("boxes_2d", self.sequence)
         return path.stat().st_size if path.exists() else 0
 
@@ -265,7 +269,7 @@ def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
 
 
 def _loaded_table(store: Store, layer: str, shard: RebuildShard) -> pa.Table:
-    """Return an annotation table. Raise StoreError if its file is not the loaded one."""
+    """Return an annotation table. Raise StoreError if its file has changed since the load."""
     path = store.annotation_path(layer, shard.sequence)
     table = store.annotation(layer, shard.sequence)
     if file_hash(path) != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
@@ -292,7 +296,10 @@ def _write(
 
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
-    """Yield the empty staging folder, and delete it afterwards. The caller holds the writer's lock."""
+    """Yield an empty staging folder, and delete it afterwards unless tables must still be moved out of it.
+
+    The caller must hold the writer's lock.
+    """
     staging = Store(store.path / STAGING)
     try:
         _finish_moves(store)
@@ -315,7 +322,7 @@ def _finish(
     entries: dict[str, SequenceEntry],
     parts: Sequence[str],
 ) -> list[str]:
-    """Build the graph, move the staged parts, and the manifest last. Return why runs were left out of the graph."""
+    """Build the graph, then move the staged parts and the manifest. Return a line per run that the graph leaves out."""
     manifest = Manifest(image_root and store.relative(image_root), rules, rules_hash(rules), entries, {})
     left_out = write_graph(store, partial(_build, store, staging, manifest))
     _move(store, staging, parts)
@@ -329,12 +336,12 @@ def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
 
 
 def _half_moved(store: Store) -> bool:
-    """Return whether a load ended after it removed the old manifest and before it wrote the new one."""
+    """Return whether a load was killed after it deleted the old manifest and before it moved the new one."""
     return (store.path / STAGING / "store.json").exists() and not (store.path / "store.json").exists()
 
 
 def _finish_moves(store: Store) -> None:
-    """Do the work of `resume` under the writer's lock."""
+    """Do the work of `resume`. The caller must hold the writer's lock."""
     if _half_moved(store):
         staging = Store(store.path / STAGING)
         remove_graph(store.graph_path)
@@ -342,22 +349,24 @@ def _finish_moves(store: Store) -> None:
 
 
 def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
-    """Stage the manifest, remove the old one, and rename the new graph. Return a line per run that was left out."""
+    """Build the graph, stage its manifest, and delete the old manifest. Return a line per run that is left out."""
     with build_graph(store.graph_path) as graph:
         rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
-        # Without a manifest no reader takes a half-moved store for a complete one.
+        # A store without a manifest is refused, so no reader uses a store with only some of its new tables.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
 
 
 def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
+    """Fill a new graph. Return its number of rows by table, and a line per run that is left out."""
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))
 
 
 def _swap(path: Path, new: Path, old: Path) -> None:
+    """Rename `path`, if it exists, to `old`, and rename `new` to `path`."""
     if path.exists():
         path.rename(old)
     new.rename(path)
@@ -374,6 +383,7 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
 
 
 def _nothing(root: Root, reports: list[SequenceReport]) -> str:
+    """Return the message for a root without a loaded sequence, with the first problem."""
     first = next((problem for report in reports for problem in report.problems), None)
     why = f"; first: {first.reason}" if first else ""
     return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"

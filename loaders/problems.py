@@ -1,7 +1,7 @@
-"""Refused and skipped parts of files, counted by reason with the first example of each.
+"""Counters of the parts of files that are refused or skipped, with the first example for each reason.
 
-No content of a file may vanish silently: every file, frame, record or field that cannot be used is counted here, and
-the load report prints the sums. A *refused* part gives no fact. A refused field leaves the rest of its record.
+No content of a file may vanish silently. Each file, frame, record or field that cannot be used is counted here, and
+the load report shows the counts. A *refused* part gives no fact. If a field is refused, the rest of its record is used.
 """
 
 from __future__ import annotations
@@ -10,19 +10,21 @@ import msgspec
 
 
 class Problem(msgspec.Struct):
-    """One reason with its count and its first example."""
+    """Number of parts that were refused or skipped for one reason, with the first of them as an example."""
 
     kind: str
-    """Unit that was lost each time: sequence, file, frame, record or field."""
+    """What each counted part is: "sequence", "file", "frame", "record" or "field"."""
     reason: str
     count: int
     file: str
     frame: str
+    """Frame key or record of the example, or "" if there is none."""
     field: str
+    """Field of all counted parts, or "" if there is none."""
     detail: str
-    """Offending value of the first example, shortened."""
+    """Offending value of the example, shortened."""
     layer: str = ""
-    """Layer of the file, if it is known."""
+    """Layer of the file, or "" if it is not known."""
 
 
 class Problems:
@@ -36,7 +38,16 @@ class Problems:
     def add(
         self, kind: str, reason: str, *, frame: str = "", field: str = "", value: object = "", count: int = 1
     ) -> None:
-        """Count a problem. Problems of one kind, reason and field are one entry."""
+        """Count refused or skipped parts. Parts of the same kind, reason and field are counted together.
+
+        Args:
+            kind: "sequence", "file", "frame", "record" or "field".
+            reason: reason of the refusal.
+            frame: frame key or name of the first part. Only the first call for a reason sets the example.
+            field: name of the offending field.
+            value: offending value of the first part.
+            count: number of parts.
+        """
         problem = self._problems.get((kind, reason, field))
         if problem is not None:
             problem.count += count
@@ -45,7 +56,7 @@ class Problems:
         self._problems[kind, reason, field] = example
 
     def without(self, reported: Problems) -> None:
-        """Remove the problems that another reader of the same file has counted as often."""
+        """Remove the problems that another reader of the same file has reported with the same count."""
         counted = {(problem.reason, problem.field, problem.count) for problem in reported.listed()}
         for key, problem in list(self._problems.items()):
             if (problem.reason, problem.field, problem.count) in counted:
@@ -57,12 +68,12 @@ class Problems:
 
 
 def shorten(value: object, length: int = 60) -> str:
-    """Return the value as printable text of at most `length` characters."""
+    """Return a value as text of at most `length` characters, with blanks for unprintable characters."""
     text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
     if not isinstance(value, bytes | str):
         try:
             text = repr(value)
-        except (RecursionError, ValueError):  # nested beyond reason, or an int of thousands of digits
+        except (RecursionError, ValueError):  # The value is nested too deeply, or is an int of thousands of digits.
             text = type(value).__name__
     text = "".join(c if c.isprintable() else " " for c in text[: length + 1])
     return text if len(text) <= length else text[: length - 1] + "…"

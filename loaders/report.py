@@ -1,4 +1,4 @@
-"""The load report: loaded and refused parts per sequence."""
+"""Records of the load report: what was loaded and what was refused in each sequence."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy.typing as npt
 from jrdb_avr.loaders.problems import Problem
 
 MIN_MOVES: Final = 100
+"""Minimum number of displacements for a warning about headings."""
 MAX_TURN_DEG: Final = 90.0
-"""Maximum plausible median angle between heading and displacement. A moving robot blurs the angle."""
+"""Maximum median angle between heading and displacement without a warning, in degrees."""
 
 
 class UnknownLabel(msgspec.Struct):
-    """A label outside the vocabulary, in its normal spelling."""
+    """Label outside the vocabulary, in the spelling of the tables, with the number of its occurrences."""
 
     field: str
     label: str
@@ -24,16 +25,18 @@ class UnknownLabel(msgspec.Struct):
 
 
 class Heading(msgspec.Struct):
-    """Self-check of the heading convention: people faster than 0.5 m/s should face their direction of motion."""
+    """Check of the heading convention: people faster than 0.5 m/s should face their direction of motion."""
 
     moves: int
-    """Number of displacements over one second."""
+    """Number of displacements over one second that were compared."""
     median_deg: float | None
-    """Median angle between heading and displacement: near 0 if the convention holds, near 180 if it is reversed."""
+    """Median angle between heading and displacement in degrees, or None without displacements.
+
+    It is near 0 if the convention holds, and near 180 if it is reversed."""
 
 
 class FrameRange(msgspec.Struct):
-    """First, last and number of present frames."""
+    """First frame, last frame and number of frames that have labels or images. Frames between may be missing."""
 
     first: int
     last: int
@@ -41,68 +44,76 @@ class FrameRange(msgspec.Struct):
 
 
 class ShiftCheck(msgspec.Struct):
-    """Comparison of the frame numbers of a layer with the 2D boxes, by the people in both."""
+    """Result of the check whether a layer numbers its frames like the 2D layer, by the people in both layers."""
 
     layer: str
     result: str
-    """`agrees`; `shifted`: the layer is refused; `not tested`: there is no evidence either way."""
+    """`agrees`, `shifted` (the layer is refused), or `not tested` (there is too little evidence for either)."""
     reason: str
     frames: float | None = None
-    """Shift in frames at which the layer fits the 2D layer, estimated from moving people."""
+    """Shift in frames that makes the layer fit the 2D layer, or None without an estimate."""
     error: float | None = None
-    """Standard error of that estimate."""
+    """Standard error of the shift in frames, or None without an estimate."""
 
 
 class Stamps(msgspec.Struct):
-    """Summary of the timestamps."""
+    """Summary of the timestamps of a sequence."""
 
     images: int
+    """Number of stamps of images."""
     clouds: int
+    """Number of stamps of point clouds."""
     fps: float | None
-    """Median frames per second of the images' stamps."""
+    """Median frames per second of the images, or None for fewer than two stamps."""
 
 
 class Cameras(msgspec.Struct):
-    """Medians over the cameras, and the constants for rows of the panorama, in pixels."""
+    """Comparison of the cameras of a root with the constants for rows of the panorama. Lengths are in pixels."""
 
     cameras: int
+    """Number of cameras."""
     fy: float
+    """Median vertical focal length of the cameras."""
     focal_rows: float
+    """Constant to compare with `fy`."""
     cy: float
+    """Median row of the optical centre of the cameras."""
     horizon_row: float
+    """Constant to compare with `cy`."""
     agrees: bool
 
 
 class Disagreement(msgspec.Struct):
-    """Disagreement between the frames of a person, or between the records of the members of a group."""
+    """Attribute with different values in the frames of one person, or in the records of the members of one group."""
 
     subject: str
-    """`person 12` or `group 7`."""
+    """Person or group, such as `person 12` or `group 7`."""
     attribute: str
     votes: dict[str, int]
-    """Frames or records with each value."""
+    """Number of frames or records by value."""
     stated: int
     """Number of frames or records with the attribute."""
 
 
 class SequenceReport(msgspec.Struct):
-    """One row of the report. A row without a sequence describes the root as a whole.
-
-    The layers are the layers of the `frames` table. Images and timestamps have no annotation step.
-    """
+    """Report of one sequence. A report without a sequence describes the root as a whole."""
 
     sequence: str
+    """Name of the sequence, or "" for the root as a whole."""
     problems: list[Problem]
     layers: list[str] = []
+    """Layers with frames, as in the table `frames`. Empty if the sequence could not be loaded."""
     steps: dict[str, int] = {}
-    """Frames between annotated frames: 1, or 15 for one per second."""
+    """Distance between annotated frames by layer of labels: 1, or 15 for one frame per second."""
     files: dict[str, str] = {}
-    """Folder and name of the file of each layer."""
+    """Folder and name of the file by layer."""
     frames: int = 0
     """Number of frames of all layers together."""
     people: int = 0
     boxes: int = 0
+    """Number of 2D boxes of people."""
     boxes_3d: int = 0
+    """Number of 3D boxes of people."""
     unknown_labels: list[UnknownLabel] = []
     heading: Heading | None = None
     label_frames: FrameRange | None = None
@@ -111,11 +122,11 @@ class SequenceReport(msgspec.Struct):
     stamps: Stamps | None = None
     cameras: Cameras | None = None
     disagreements: list[Disagreement] = []
-    """Demographics and group information that differ between frames or members."""
+    """Demographics that differ between frames of a person, and group information that differs between members."""
     absent_partners: int = 0
-    """Interactions without a fact, because one of the two people has no 2D box in the frame."""
+    """Number of interactions that give no fact, because one of the two people has no 2D box in the frame."""
     warnings: list[str] = []
-    """Warnings for a person to check. Nothing was refused because of them."""
+    """Warnings for the user to check. They cause no refusal."""
 
     @property
     def refused(self) -> int:
@@ -124,36 +135,36 @@ class SequenceReport(msgspec.Struct):
 
 
 def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
-    """Return the range of ascending frames, or None without frames."""
+    """Return the range of frames, which must be ascending, or None if there are none."""
     return FrameRange(int(frames[0]), int(frames[-1]), len(frames)) if len(frames) else None
 
 
 def sequence_warnings(
     labels: FrameRange | None, images: FrameRange | None, heading: Heading | None, cameras: Cameras | None
 ) -> list[str]:
-    """Return warnings for a person to check."""
+    """Return the warnings that the user should check, from the checks of a sequence."""
     lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
         lines.append(
-            f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in copies of the "
-            "train sequences the two are known to be off by 2 frames, which no file states; look with "
+            f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in some copies of "
+            "the train sequences the two are off by 2 frames, and no file says so. Compare them with "
             "observe --panorama --boxes"
         )
     if heading and heading.moves >= MIN_MOVES and heading.median_deg is not None and heading.median_deg > MAX_TURN_DEG:
         lines.append(
-            f"moving people face {heading.median_deg:.0f} degrees away from their direction: the headings of the 3D "
-            "boxes may have another sign or zero than JRDB's"
+            f"the headings of moving people are {heading.median_deg:.0f} degrees off their direction of motion: the "
+            "rotations of the 3D boxes may have another sign or zero direction than in JRDB"
         )
     if cameras and not cameras.agrees:
         lines.append(
-            f"the cameras' medians fy {cameras.fy:.1f} and cy {cameras.cy:.1f} are far from {cameras.focal_rows} and "
-            f"{cameras.horizon_row}, which rows of the panorama are computed with: is it another robot's calibration?"
+            f"the cameras' medians fy {cameras.fy:.1f} and cy {cameras.cy:.1f} differ from {cameras.focal_rows} and "
+            f"{cameras.horizon_row}, the constants for rows of the panorama: are these the cameras of another robot?"
         )
     return lines
 
 
 def totals(reports: list[SequenceReport]) -> str:
-    """Return one line about all sequences."""
+    """Return one line with the sums over all loaded sequences."""
     loaded = [report for report in reports if report.layers]
     sums = {name: sum(getattr(report, name) for report in loaded) for name in ("frames", "people", "boxes", "boxes_3d")}
     unknown = len({(label.field, label.label) for report in loaded for label in report.unknown_labels})

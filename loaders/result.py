@@ -1,4 +1,4 @@
-"""The result of a load, as tables and lines."""
+"""Result of a load, which the user sees as lines and tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _Row = dict[str, Any]
 
 @dataclass(frozen=True, repr=False)
 class LoadResult(Displayed):
-    """Reports of a load, one per sequence, by name. A report without a sequence describes the whole root."""
+    """Reports of a load: one per sequence, sorted by name. Reports without a sequence describe the whole root."""
 
     reports: list[SequenceReport]
 
@@ -28,12 +28,12 @@ class LoadResult(Displayed):
         return sum(report.refused for report in self.reports)
 
     def rows(self) -> list[_Row]:
-        """Return each report as a JSON object."""
+        """Return one JSON object per report, with the fields of `SequenceReport`."""
         rows: list[_Row] = msgspec.to_builtins(self.reports)
         return rows
 
     def parts(self) -> Iterator[str | tuple[str, list[_Row]]]:
-        """Yield lines, and tables with titles: sequences, checks, refused parts, unknown labels and warnings."""
+        """Yield the parts of the displayed report in order: a line of text, or a title with the rows of its table."""
         loaded = [report for report in self.reports if report.sequence]
         yield "Loaded", [_summary(report) for report in loaded]
         for layers, names in _shared((_layers(report), report.sequence) for report in loaded):
@@ -42,8 +42,8 @@ class LoadResult(Displayed):
         filled = [name for name in (checks[0] if checks else ()) if any(row[name] for row in checks)]
         yield "Checks", [{name: row[name] for name in filled} for row in checks]
         yield from dict.fromkeys(
-            f"Cameras: median fy {cameras.fy:.1f} (rows of the panorama are computed with {cameras.focal_rows}), "
-            f"median cy {cameras.cy:.1f} ({cameras.horizon_row})"
+            f"Cameras: median fy {cameras.fy:.1f}, median cy {cameras.cy:.1f} "
+            f"(constants for rows of the panorama: {cameras.focal_rows} and {cameras.horizon_row})"
             for cameras in (report.cameras for report in loaded)
             if cameras is not None
         )
@@ -68,7 +68,7 @@ class LoadResult(Displayed):
 
 
 def _shared(lines: Iterable[tuple[str, str]]) -> list[tuple[str, list[str]]]:
-    """Return each text once, with its sequences."""
+    """Return each distinct text with the sequences that have it. `lines` holds pairs of text and sequence."""
     sequences: dict[str, list[str]] = {}
     for text, sequence in lines:
         sequences.setdefault(text, []).append(sequence)
@@ -85,7 +85,7 @@ def _summary(report: SequenceReport) -> _Row:
 
 
 def _layers(report: SequenceReport) -> str:
-    """Return the layers by the step of their annotated frames."""
+    """Return a text that lists the layers, grouped by the distance between their annotated frames."""
     steps: dict[str, list[str]] = {}
     for layer in report.layers:
         step = report.steps.get(layer)
@@ -115,7 +115,7 @@ def _range(frames: FrameRange | None) -> str:
 
 
 def _problems(reports: list[SequenceReport]) -> list[_Row]:
-    """Return the problems of each kind in all sequences together, with their number and the first example."""
+    """Return one row per kind of problem, with the count in all sequences and the first example."""
     kinds: dict[tuple[str, ...], list[tuple[str, Problem]]] = {}
     for report in reports:
         for problem in report.problems:
@@ -134,6 +134,6 @@ def _problems(reports: list[SequenceReport]) -> list[_Row]:
 
 
 def _place(sequence: str, problem: Problem) -> str:
-    """Return file, frame, field and value of a problem, with the sequence if the file name lacks it."""
+    """Return file, frame, field and value of a problem as one text. The sequence is added if the file name lacks it."""
     file = problem.file if sequence in problem.file else f"{sequence}/{problem.file}"
     return " ".join(part for part in (file, problem.frame, problem.field, problem.detail) if part)

@@ -1,8 +1,9 @@
-"""The layout of a JRDB root: the folders of the layers, and the sequences.
+"""Search for the label files of a JRDB root, by layer and by sequence.
 
-Releases differ. Some have a `labels/` level, some name the folders of train and test differently, and the stitched 2D
-boxes are also part of the richer label files. Folders are chosen per sequence: if the first folder of a layer lacks a
-sequence, the next one serves it. All other folders of a root are ignored, such as folders of single cameras.
+The layout of a root depends on the release. Some releases have a folder `labels/`, and some name the folders of train
+and test differently. The stitched 2D boxes are also in the social and the reasoning files. The folder of a layer is
+chosen per sequence: if the first folder lacks the sequence, the next folder is used. Further folders of a root, such as
+folders of single cameras, are ignored.
 """
 
 from __future__ import annotations
@@ -28,38 +29,40 @@ LABEL_DIRS: Final[dict[str, tuple[str, ...]]] = {
     "pose": ("labels_2d_pose_stitched_coco", "pose_stitched"),
     "panoptic": ("labels_2d_panoptic_stitched_CW*", "labels_2d_panoptic_stitched_OW*"),
 }
-"""Names of the folders of files `<sequence>.json` per layer. A star matches a suffix; no suffix is preferred."""
+"""Names of the folders with files `<sequence>.json`, by layer, in order of preference.
+
+A star stands for any suffix. A folder without a suffix is preferred.
+"""
 
 TIMESTAMPS: Final = "timestamps"
 CALIBRATION: Final = "calibration"
 LAYER_FILES: Final = (*LABEL_DIRS, TIMESTAMPS, CALIBRATION)
-"""Layers by their files, in reading order."""
+"""Layers that have files, in the order of reading. The 2D layer must be first, because it is the reference."""
 
 BOXES_ELSEWHERE: Final = ("social", "reasoning")
-"""Layers with the records of the 2D layer in their files. They serve a sequence without a file of 2D boxes."""
+"""Layers with files that also hold the 2D records. Such a file is read if a sequence has no file of 2D boxes."""
 
 CAMERAS_FILE: Final = "cameras.yaml"
 IMAGE_DIRS: Final = ("images/image_stitched", "image_stitched")
 
 _IMAGE: Final = re.compile(r"([0-9]{6})\.jpg")
 _ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
-"""Names of the files of single cameras, which some releases keep beside the stitched files."""
+"""Names of label files of single cameras, which some releases keep in the same folder as the stitched files."""
 
 
 @dataclass(frozen=True)
 class SequenceFiles:
-    """The files of one sequence by layer, and its folder of panoramas, as plain paths for worker processes.
-
-    The path of `timestamps` is a folder. All sequences of a root share the file of `calibration`.
-    """
+    """Paths of the label files and of the panoramas of one sequence. Paths are strings, to be sent to workers."""
 
     sequence: str
     labels: dict[str, str]
+    """File by layer. For `timestamps` it is a folder. For `calibration` it is a file that all sequences share."""
     images: str | None
+    """Folder of the panoramas, or None."""
 
     @property
     def weight(self) -> int:
-        """Return the scheduling weight, the bytes of the readable label files: larger sequences start first."""
+        """Return the total bytes of the label files. It is a scheduling weight: larger sequences start first."""
         sizes = 0
         for path in self.labels.values():
             with contextlib.suppress(OSError):
@@ -69,15 +72,15 @@ class SequenceFiles:
 
 @dataclass(frozen=True)
 class Root:
-    """The content of a JRDB root."""
+    """Files of a JRDB root, as `find_root` has found them."""
 
     path: Path
     image_root: str | None
-    """Folder with one folder of panoramas per sequence, or None."""
+    """Folder that has a folder of panoramas for each sequence, or None."""
     sequences: tuple[SequenceFiles, ...]
     """Sequences, sorted by name."""
     problems: tuple[Problem, ...]
-    """Unreadable folders, and label files with a name that cannot be a sequence name."""
+    """Problems of the search, such as unreadable folders and file names that cannot be sequence names."""
     notes: tuple[str, ...]
     """Notes about folders without label files."""
 
@@ -87,11 +90,14 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
 
     Args:
         path: folder of the root.
-        layer_dirs: folders per layer in place of the usual ones, relative to the root or absolute. An empty list leaves
-            the layer out.
+        layer_dirs: by layer, folders that replace the usual ones, relative to the root or absolute. An empty list
+            leaves the layer out.
+
+    Returns:
+        The sequences with their files, and the problems of the search.
 
     Raises:
-        InputError: the root or a given folder is missing, the root has no label files, or a layer is unknown.
+        InputError: If the root or a given folder is missing, if the root has no label files, or if a layer is unknown.
     """
     root = Path(path)
     search = _Search(root)
@@ -128,7 +134,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
 
 
 class _Search:
-    """A search through folders, with the problems and notes for the report."""
+    """Search through the folders of a root. It collects problems and notes for the load report."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -137,7 +143,7 @@ class _Search:
         self._names = {base: self._listing(base) or frozenset() for base in (root / "labels", root)}
 
     def chosen(self, layer: str, names: Sequence[str]) -> list[Path]:
-        """Return the given folders of a layer. Raise InputError for an unknown layer or a missing folder."""
+        """Return the given folders of a layer. Raise InputError if the layer is unknown or a folder is missing."""
         if layer not in LAYER_FILES:
             raise InputError(f"there is no layer {layer}: choose from {', '.join(LAYER_FILES)}")
         folders = [self.root / name for name in names]
@@ -147,7 +153,7 @@ class _Search:
         return folders
 
     def usual(self, layer: str) -> list[Path]:
-        """Return the existing folders of a layer, the preferred one first."""
+        """Return the existing folders of a layer under their usual names, in order of preference."""
         folders = []
         for name in LABEL_DIRS[layer]:
             fits = {entry for entries in self._names.values() for entry in fnmatch.filter(entries, name)}
@@ -155,14 +161,14 @@ class _Search:
         return folders
 
     def label_files(self, folder: Path) -> list[Path]:
-        """Return the .json (or .JSON) files of stitched labels in a folder, one per sequence, by name."""
+        """Return the stitched label files (.json or .JSON) in a folder: one per sequence, sorted by name."""
         entries = self._listing(folder)
         if entries is None:
             return []
         named = [name for name in entries if name.lower().endswith(".json") and not _ONE_CAMERA.fullmatch(name[:-5])]
         if not named:
             self.notes.append(f"{self._shown(folder)} holds no label files of sequences")
-        # X.json goes before X.JSON.
+        # X.json is preferred to X.JSON, so it is sorted first.
         names: dict[str, str] = {}
         for name in sorted(named, key=lambda name: (name[:-5], not name.endswith(".json"), name)):
             if names.setdefault(name[:-5], name) != name:
@@ -170,7 +176,7 @@ class _Search:
         return [folder / name for name in names.values()]
 
     def sequence(self, file: Path) -> str | None:
-        """Return the sequence of a label file. Count the file and return None if its name cannot be a sequence name."""
+        """Return the sequence of a label file, or refuse it and return None if its name cannot be a sequence."""
         try:
             return safe_sequence(file.stem)
         except InputError:
@@ -178,7 +184,7 @@ class _Search:
             return None
 
     def is_folder(self, path: Path) -> bool:
-        """Return whether there is a folder. Count the path and return False if it cannot be examined."""
+        """Return whether `path` is a folder. If it cannot be examined, report it and return False."""
         try:
             return path.is_dir()
         except OSError as error:
@@ -186,7 +192,7 @@ class _Search:
             return False
 
     def exists(self, path: Path) -> bool:
-        """Return whether the path exists, also as a dangling link. A path that cannot be examined counts as present."""
+        """Return whether `path` exists. A dangling link, and a path that cannot be examined, count as existing."""
         try:
             path.lstat()
         except (FileNotFoundError, NotADirectoryError):
@@ -196,7 +202,7 @@ class _Search:
         return True
 
     def _listing(self, folder: Path) -> frozenset[str] | None:
-        """Return the names in a folder, none if it is missing. Count it and return None if it cannot be read."""
+        """Return the names in a folder, or none if it is missing. If it is unreadable, report it and return None."""
         try:
             with os.scandir(folder) as entries:
                 return frozenset(entry.name for entry in entries)
@@ -216,10 +222,13 @@ class _Search:
 
 
 def image_frames(folder: str | None) -> list[int]:
-    """Return the frame numbers of the panoramas `000000.jpg`, ... in a folder, ascending.
+    """Return the frames that have a panorama (`000000.jpg`, ...) in a folder, ascending.
+
+    Args:
+        folder: folder of the panoramas of a sequence, or None for no frames.
 
     Raises:
-        InputError: the folder cannot be read.
+        InputError: If the folder cannot be read.
     """
     if folder is None:
         return []
@@ -235,5 +244,5 @@ def image_frames(folder: str | None) -> list[int]:
 def _is_file(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_file()
-    except OSError:  # a circular link
+    except OSError:  # The entry is a circular link.
         return False

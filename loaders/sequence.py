@@ -1,7 +1,7 @@
-"""The files of one sequence -> its annotation tables.
+"""Conversion of all files of one sequence into its annotation tables.
 
-Each layer has its own loader. If the boxes of a layer show other frame numbers than the 2D boxes, the layer is refused.
-The reasoning file gives the social facts only if there is no usable social file.
+Each layer has its own loader. If a comparison of boxes shows that a layer numbers its frames differently from the 2D
+layer, the layer is refused. Social facts are read from the reasoning file only if the social file gives none.
 """
 
 from __future__ import annotations
@@ -40,18 +40,19 @@ READERS: Final[dict[str, Callable[[Path, Problems], LayerTables]]] = {
     "timestamps": load_timestamps,
     "calibration": load_calibration,
 }
-"""Loaders of single files. The loader of the reasoning file depends on the social file, so it is missing."""
+"""Loader by layer. The reasoning layer is missing, because its loader also needs to know about the social file."""
 
 SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
+"""Layers of the table `frames` that both social files and reasoning files can give."""
 NOT_LABELS: Final = ("timestamps", "images")
-"""Layers without labels: their frames are not annotated by them."""
+"""Layers without labels. A frame that only these layers have is not annotated."""
 
 
 class Annotated:
-    """All annotation tables of a sequence, and the results for the load report.
+    """All annotation tables of a sequence, and the results of its checks for the load report.
 
-    tables: every table of `ANNOTATIONS`, empty if no record could be read. frames: per layer, its frames and the number
-    of records in each; empty if no label file could be used.
+    tables: tables by name, with every table of `ANNOTATIONS`. A table is empty if no record for it was read.
+    frames: by layer, the frames and the number of records in each frame. It is empty if no label file was usable.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class Annotated:
         frames: dict[str, tuple[Ints, Ints]] = {}
         unknown: Counter[tuple[str, str]] = Counter()
         for reading in readings.values():
-            # Two files may have a table `listed`: the lists of interactions, and the lists of things.
+            # Both the social and the reasoning file may give a table `listed`, so their rows are joined.
             both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
             tables |= reading.tables
             if both:
@@ -87,20 +88,20 @@ class Annotated:
 
     @property
     def label_frames(self) -> Ints:
-        """Return the frames of all layers of labels together, ascending."""
+        """Return the distinct frames of all layers of labels, ascending."""
         listed = [frames for layer, (frames, _) in self.frames.items() if layer not in NOT_LABELS]
         return np.unique(np.concatenate(listed)) if listed else np.empty(0, np.int64)
 
 
 def stamps_of(table: pa.Table) -> Stamps | None:
-    """Return a summary of the annotation table `timestamps`, or None for an empty table."""
+    """Return a summary of an annotation table `timestamps`, or None if the table is empty."""
     images = table.filter(pc.equal(table["sensor"], "images"))
     rate = frame_rate(images["frame"].to_numpy(), images["timestamp"].to_numpy())
     return Stamps(len(images), len(table) - len(images), rate) if len(table) else None
 
 
 def annotate(files: SequenceFiles) -> Annotated:
-    """Read every file of a sequence. A file that cannot be used as a whole is a problem, not an error."""
+    """Read every file of a sequence. If a file as a whole cannot be used, it is counted as a problem and left out."""
     readings: dict[str, LayerTables] = {}
     problems: list[Problems] = []
     shifts: list[ShiftCheck] = []
@@ -113,7 +114,7 @@ def annotate(files: SequenceFiles) -> Annotated:
         try:
             reading = _read(layer, path, readings, problems[-1]).of(files.sequence)
         except InputError as error:
-            # No record of the file was loaded, so problems of its records are not reported.
+            # No record of the file is loaded, so the problems of its records are not reported.
             problems[-1] = Problems(path.name, layer)
             problems[-1].add("file", str(error))
             continue
@@ -130,6 +131,7 @@ def annotate(files: SequenceFiles) -> Annotated:
 
 
 def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Problems) -> LayerTables:
+    """Read the file of a layer. `readings` holds the layers that have been read before."""
     if layer != "reasoning":
         return READERS[layer](path, problems)
     social = readings.get("social")
@@ -138,13 +140,13 @@ def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Pr
 
 
 def _check(layer: str, reading: LayerTables, reference: Tracks | None) -> ShiftCheck | None:
-    """Compare the frame numbers of a file with the 2D boxes. Return None for a layer without boxes."""
+    """Check whether a file numbers its frames like the 2D layer. Return None for a layer without boxes."""
     boxes = tracks_of(layer, reading)
     return None if boxes is None else check_shift(layer, boxes, reference)
 
 
 def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
-    """Return the problems. If one file serves the 2D boxes and another layer, count its problems once."""
+    """Return the problems. If a file gives both the 2D layer and another layer, do not count a problem of it twice."""
     boxes = next((part for part in problems if part.layer == "2d"), None)
     for part in problems:
         if boxes is not None and part is not boxes and files.labels.get(part.layer) == files.labels["2d"]:

@@ -1,8 +1,8 @@
-"""Comparison of a store with what was loaded: hashes of its Parquet files and of the graph file.
+"""Check that the files of a store are the files that `load` wrote.
 
-The manifest holds the hash of each Parquet file, the fingerprint beside the graph holds the hash of the graph file. A
-run writes its world models into the graph file, so its hash changes. Then only the row counts of the tables can be
-compared. A damaged graph can crash the engine, so the rows are counted in a process of its own.
+The manifest holds the hash of each Parquet file. The fingerprint beside the graph file holds the hash of that file. A
+run writes its world models into the graph file, which changes the hash. After a run, only the numbers of rows of the
+graph's tables can be compared. Rows are counted in a separate process, because a damaged graph can crash the engine.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SC
 PARTS: Final = ("annotations", "intervals")
 """Folders of a store that a load writes."""
 VERIFY_STEPS: Final = len(PARTS) + 1
-"""Number of calls of `advance` by `checks_of`."""
+"""Number of times that `checks_of` calls `advance`."""
 
 TIMEOUT_S: Final = 120.0
-"""Maximum time to count the rows of a table. A damaged graph can keep the engine busy forever."""
+"""Maximum seconds to count the rows of a table. Without a limit, the engine may never finish on a damaged graph."""
 
 _BUILT: Final = frozenset((*SCENE_NODES, *SCENE_RELS, *KEYFRAME_NODES, *KEYFRAME_RELS))
 """Tables of the graph that no run writes into."""
@@ -36,30 +36,31 @@ _BUILT: Final = frozenset((*SCENE_NODES, *SCENE_RELS, *KEYFRAME_NODES, *KEYFRAME
 
 @dataclass(frozen=True)
 class Check:
-    """Result for one part of a store: the number of compared files, and the first fault ("" for none).
-
-    reload: the annotations must be loaded again. A rebuild repairs any other fault.
-    """
+    """Result of the check of one part of a store."""
 
     what: str
+    """Part: "annotations", "intervals" or "graph"."""
     checked: int
+    """Number of compared files."""
     fault: str
+    """First fault, or "" if there is none."""
     reload: bool = False
+    """True if a fault of this part needs a new load. Otherwise a rebuild repairs it."""
 
 
 def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None) -> list[Check]:
-    """Compare the files of a store with their hashes.
+    """Compare the files of a store with the hashes that the load has recorded.
 
     Args:
         store: store to verify.
-        advance: function that is called with 1 after each part.
+        advance: function that is called with 1 after the check of each part.
 
     Returns:
-        One result per part: annotations, intervals, graph.
+        One result per part, in this order: annotations, intervals, graph.
 
     Raises:
-        StoreError: there is no manifest.
-        LockedError: another process writes the graph.
+        StoreError: If the store has no manifest.
+        LockedError: If another process writes the graph.
     """
     manifest = store.manifest()
     checks = []
@@ -73,7 +74,7 @@ def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None)
 
 
 def _check_files(store: Store, manifest: Manifest, part: str) -> Check:
-    """Compare the files of a part with their hashes. A file beside them is a fault, because views would read it."""
+    """Compare the files of a part with their hashes. A further file is a fault too, because views would read it."""
     digests = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
     expected = {path: digest for path, digest in digests.items() if path.startswith(f"{part}/")}
     results = ((path, _file_fault(store.path / path, digest)) for path, digest in sorted(expected.items()))
@@ -110,7 +111,7 @@ def _graph_fault(path: Path) -> str:
     if wrong := [table for table in differ if table in _BUILT]:
         rows, instead = counts.get(wrong[0], 0), built.rows.get(wrong[0], 0)
         return f"{path.name} has {rows} rows of {wrong[0]} instead of {instead}"
-    # A dropped world model leaves a longer file with the rows as built.
+    # The file stays longer if a world model is deleted, so a longer file with the same rows is not a fault.
     written = differ or path.stat().st_size > built.size
     return "" if written else f"{path.name} is not the file that was built, and no run has written into it"
 

@@ -1,7 +1,8 @@
-"""Answer modes: one record per mode, with all properties that the program needs.
+"""Answer modes, such as a choice or a span of frames: one record per mode with all properties that the program needs.
 
-A record says how answers of its mode are stored, written in a reply, scored, balanced, guessed and shown. The lines of
-its prompts are `agent/prompts/answer_<mode>.md`, and the reads of a plan that give it `agent_reads_<mode>.md` there.
+A record says how an answer of its mode is stored, written in a model's reply, scored, balanced, guessed and shown. The
+prompt lines about a mode are in `agent/prompts/answer_<mode>.md`. The file `agent_reads_<mode>.md` in that folder tells
+an agent which reads of a plan give an answer of the mode.
 """
 
 from __future__ import annotations
@@ -31,18 +32,24 @@ from jrdb_avr.schema.plan import Read
 from jrdb_avr.schema.rules import FPS
 
 Kind = Literal["choice", "frame", "angle", "decimal"]
-"""A part of an answer: the number of a choice, a frame, an angle in degrees, or a number in quotes."""
+"""Kind of one value in an answer: number of a choice, frame, angle in degrees, or decimal number in quotes."""
 
 Guesser = Literal["uniform", "most_frequent", "by_choice", "constant", "offset"]
-"""A guesser that knows no picture: see `engine/generate/blind.py`."""
+"""Name of a blind guesser, which sees no picture. `engine/generate/blind.py` defines the guessers."""
 
 _COLUMNS: Final = {"frame": "start", "start_frame": "start", "end_frame": "end", "angle_deg": "angle", "value": "value"}
-"""The column of a candidate that holds each field of a stored answer."""
+"""Name of the candidate column with the value of an answer field, by the name of the field."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an answer in a reply: its key, its kind, and its label in a form."""
+    """One value of an answer in a model's reply.
+
+    Attributes:
+        key: Key of the value in the JSON of the reply.
+        kind: Kind of the value.
+        label: Label of the input field for the value on the page of `play`.
+    """
 
     key: str
     kind: Kind
@@ -51,13 +58,21 @@ class Part:
 
 @dataclass(frozen=True)
 class Mode:
-    """An answer mode.
+    """An answer mode, which decides the form of an answer and the rule that scores it.
 
-    type: the stored struct. parts: the parts of an answer, in the order of the struct's fields; a single choice is
-    written in a reply without its key. same: whether an answer scores against the true one, with a second's frames.
-    asks: the mode in a word or two, in tables. words: a stored answer in words, with its fields in braces. aim: maximum
-    score of a blind guesser. guessers: the blind guessers that can give an answer. smallest_read: the read of a plan
-    about which nothing is known. bin_edges_s: edges in seconds between the bins in which answers are balanced.
+    Attributes:
+        name: Name of the mode, as in the column `answer_mode` of questions.
+        type: Struct that stores an answer.
+        parts: Values of an answer, in the order of the struct's fields. A reply gives a choice as a bare number; other
+            modes need an object with the keys of the parts.
+        same: Scoring rule. It is called with the given answer, the true answer and the number of frames per second, and
+            returns whether the given answer is right.
+        asks: Name of the requested value in tables, such as "seconds".
+        words: Format string that shows a stored answer to a person; the struct's fields are in braces.
+        aim: Maximum share of right answers that a blind guesser should reach, 0 to 1.
+        guessers: Names of the blind guessers that can give an answer of this mode.
+        smallest_read: Read of the plan that is used if no other plan could be made.
+        bin_edges_s: Edges in seconds between bins of answers. Selection balances the number of questions per bin.
     """
 
     name: AnswerMode
@@ -70,7 +85,7 @@ class Mode:
     guessers: tuple[Guesser, ...]
     smallest_read: Read
     bin_edges_s: tuple[float, ...] = ()
-    # Made at import: threads that meet a type first at the same time crash the decoder.
+    # Made at import, because msgspec crashes if two threads make the first decoder of a type at the same time.
     _decoder: msgspec.json.Decoder[Any] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -78,20 +93,20 @@ class Mode:
 
     @property
     def is_choice(self) -> bool:
-        """Whether an answer is the number of a choice."""
+        """Whether an answer of this mode is the number of a choice."""
         return self.parts[0].kind == "choice"
 
     @cached_property
     def fields(self) -> tuple[tuple[str, Kind], ...]:
-        """The fields of the struct with their kinds."""
+        """Name and kind of each field of the struct, in the struct's order."""
         names = self.type.__struct_fields__
         return tuple((name, part.kind) for name, part in zip(names, self.parts, strict=True))
 
     def build(self, *fields: Any) -> Answer:
-        """Return an answer of this mode.
+        """Return an answer of this mode with the given values.
 
         Args:
-            fields: The values of the struct's fields, in their order.
+            fields: Values of the struct's fields, in the struct's order.
 
         Returns:
             The answer.
@@ -100,31 +115,31 @@ class Mode:
         return struct(*fields)
 
     def make(self, frames: Sequence[int], angle_deg: float, value: float = 1.0) -> Answer:
-        """Return an answer of this mode, of the given parts.
+        """Return an answer of this mode from values for all modes. Values that the mode does not need are ignored.
 
         Args:
-            frames: The frames, as many as the mode has at least.
-            angle_deg: The panorama angle in degrees.
-            value: The number.
+            frames: Frames for the frame fields, in order; at least as many as the mode has frame fields.
+            angle_deg: Panorama angle in degrees.
+            value: Number of seconds or people.
 
         Returns:
-            The answer; the first choice if it is a choice.
+            The answer. In the mode of choices, it is choice 1.
         """
         rest = iter(frames)
         fixed: dict[Kind, float] = {"choice": 1, "angle": angle_deg, "decimal": value}
         return self.build(*(next(rest) if kind == "frame" else fixed[kind] for _, kind in self.fields))
 
     def decode(self, text: str) -> Answer:
-        """Read a stored answer.
+        """Read a stored answer of this mode.
 
         Args:
-            text: Its JSON.
+            text: JSON of the answer.
 
         Returns:
             The answer.
 
         Raises:
-            DecodeError: The text does not fit the mode or holds a number that is not finite.
+            DecodeError: If the text does not fit the mode, or has a number that is not finite.
         """
         try:
             answer: Answer = self._decoder.decode(text)
@@ -138,9 +153,10 @@ class Mode:
 
     @property
     def stored_json(self) -> tuple[str, ...] | None:
-        """The JSON of a stored answer in pieces, with the names of candidates' columns between them.
+        """Template of a stored answer's JSON: texts at even positions, names of candidate columns at odd positions.
 
-        None if the answer is a choice, because choices are drawn later.
+        The JSON of a candidate's answer has the value of the column in place of each name. The template is None if the
+        answer is a choice, because the order of the choices is drawn after the candidates are found.
 
         >>> MODES["span"].stored_json
         ('{"start_frame":', 'start', ',"end_frame":', 'end', '}')
@@ -230,7 +246,7 @@ MODES: Final[Mapping[str, Mode]] = {
         ),
     )
 }
-"""The answer modes by name."""
+"""Answer modes by name."""
 
 _OF_TYPE: Final = {mode.type: mode for mode in MODES.values()}
 
@@ -239,10 +255,10 @@ def mode_of(answer: Answer) -> Mode:
     """Return the mode of an answer.
 
     Args:
-        answer: An answer.
+        answer: Answer of any mode.
 
     Returns:
-        The mode with its type.
+        The mode that stores its answers in the struct of this answer.
     """
     return _OF_TYPE[type(answer)]
 
@@ -251,26 +267,26 @@ def frames_of_answer(answer: Answer) -> list[int]:
     """Return the frames that an answer names.
 
     Args:
-        answer: An answer.
+        answer: Answer of any mode.
 
     Returns:
-        The frames in the order of its fields.
+        The frames in the order of the answer's fields: none, one, or the first and the last frame of a span.
     """
     return [getattr(answer, name) for name, kind in mode_of(answer).fields if kind == "frame"]
 
 
 def decode_answer(mode: str, text: str) -> Answer:
-    """Read a stored answer.
+    """Read a stored answer of any mode.
 
     Args:
-        mode: The name of its mode.
-        text: Its JSON.
+        mode: Name of the answer's mode.
+        text: JSON of the answer.
 
     Returns:
         The answer.
 
     Raises:
-        DecodeError: The mode is unknown, or the text does not fit it or holds a number that is not finite.
+        DecodeError: If the mode is unknown, or the text does not fit the mode or has a number that is not finite.
     """
     if mode not in MODES:
         raise DecodeError(f"{mode!r} is no answer mode; use one of {', '.join(MODES)}")
@@ -278,15 +294,15 @@ def decode_answer(mode: str, text: str) -> Answer:
 
 
 def same_answer(given: Answer | None, truth: Answer, second: int = round(FPS)) -> bool:
-    """Return whether an answer scores against the true one; every bound is inclusive.
+    """Return whether a method's answer is right. Every tolerance includes its bound.
 
     Args:
-        given: The answer of a method; None scores against nothing.
-        truth: The true answer.
-        second: The frames of a second.
+        given: Answer of a method; None is never right.
+        truth: True answer.
+        second: Number of frames per second.
 
     Returns:
-        Whether both are of one mode and its rule `same` holds.
+        Whether both answers have the same mode, and the mode's rule `same` accepts the given answer.
     """
     mode = mode_of(truth)
     return type(given) is mode.type and mode.same(given, truth, second)

@@ -1,4 +1,6 @@
-"""Answers and evidence as stored; `schema/answer_modes.py` defines how each mode is written, scored and shown.
+"""Answers and evidence, as a store keeps them.
+
+`schema/answer_modes.py` defines how an answer of each mode is written in a reply, scored and shown.
 
 The stored JSON of an answer depends on the question's answer mode:
 `{"choice": 2}` (1-based), `{"frame": 150}`, `{"start_frame": 10, "end_frame": 95}`,
@@ -14,40 +16,40 @@ import msgspec
 AnswerMode = Literal["multiple_choice", "frame", "span", "frame_viewpoint", "number"]
 
 TIE: Final = 1e-9
-"""Tolerance at inclusive bounds, because rounding may move an angle in degrees, or a share, off its bound."""
+"""Tolerance at inclusive bounds. Rounding may move an angle in degrees, or a share, slightly past its bound."""
 
 _FRAME_LIMIT: Final = 10_000_000
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=_FRAME_LIMIT)]
 
 
 class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Answer to a multiple-choice question: the number of the choice, from 1."""
+    """Answer to a multiple-choice question: the number of a choice, counted from 1."""
 
     choice: Annotated[int, msgspec.Meta(ge=1, le=1000)]
 
 
 class FrameAnswer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A moment as a frame number."""
+    """Answer that names a time by its frame number."""
 
     frame: _Frame
 
 
 class Span(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A stretch of time that includes both frames."""
+    """Answer that names a span of time by its first and last frame. Both frames belong to the span."""
 
     start_frame: _Frame
     end_frame: _Frame
 
 
 class FrameViewpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A moment, and the panorama angle in degrees of the person at that moment."""
+    """Answer that names a frame, and the panorama angle of a person in that frame, in degrees."""
 
     frame: _Frame
     angle_deg: float
 
 
 class Number(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A number of seconds or of people."""
+    """Answer that is a number of seconds or of people."""
 
     value: float
 
@@ -56,7 +58,7 @@ Answer = Choice | FrameAnswer | Span | FrameViewpoint | Number
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One box (x, y, w, h) in stitched pixels of one frame."""
+    """Box round the person that the answer is about: (x, y, w, h) in stitched pixels of one frame."""
 
     frame: _Frame
     box: tuple[float, float, float, float]
@@ -68,9 +70,9 @@ def encode_answer(answer: Answer) -> str:
 
 
 def frames_iou(a: Span, b: Span) -> float:
-    """Return the intersection over union of two spans as sets of frames, [0, 1].
+    """Return the number of frames in both spans, divided by the number of frames in either span.
 
-    A reversed span is empty and gives 0.
+    The result is 0 if a span ends before it starts.
     """
     if a.end_frame < a.start_frame or b.end_frame < b.start_frame:
         return 0.0

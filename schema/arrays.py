@@ -1,4 +1,4 @@
-"""Type aliases of numpy arrays. The docstring of each function gives the shapes."""
+"""Type aliases of numpy arrays. The docstring of each function that takes or returns arrays gives their shapes."""
 
 from __future__ import annotations
 

@@ -1,17 +1,23 @@
-"""Tables of the world namespace: the observations and beliefs of agents, keyed by episode.
+"""Tables of an agent's world model in the graph: its observations and its beliefs about the people it saw.
 
-An episode is one question of one run. Every belief belongs to an observation of the same episode: a sighting and an
-attribute are edges from an entity to the observation; a relation has the observation's key. A belief holds at the
-frame of its observation (`first` = `last`); gender and age always hold (0 to `ALWAYS`). A belief that a later write
-replaces stays, with `current` false and `until` set to the step of that write. So an edge was believed at step k if
-`step <= k AND until > k`. If readings are fused, each reading is an edge, and `current` marks the result. A reading
-that the result contradicts was never believed: its `until` equals its `step`.
+Every row belongs to one episode, which is one question of one run. An *entity* is a person or thing that the agent
+named. A *belief* is an edge that begins at an entity and refers to one observation of the same episode. There are three
+kinds: a sighting (`Sighted`) and an attribute (`Has`) end at the observation. A relation (`Related`) ends at another
+entity, and its column `observation` has the key of the observation.
 
-Keys: `Episode` has `<run>/<question>`, `Observation` `<episode>/o<number>`, `Entity` `<episode>/<name that the agent
-gave it>`, `Slot` and `Write` `<episode>/<number>`, `Hypothesis` `<episode>/h<rank>`.
+A belief holds at the frame of its observation (`first` = `last`). Gender and age hold at every frame (0 to `ALWAYS`). A
+belief stays in the graph if a later write replaces it: `current` becomes false, and `until` becomes the step of that
+write. So an edge was believed at step k if `step <= k AND until > k`. If several readings of one attribute are
+combined, each reading is an edge, and `current` marks the edge with the result. A reading that the result contradicts
+was never believed, so its `until` equals its `step`.
 
-Nodes with edges also have a hash of the episode's key, and edges name their ends. Without them the engine would spend
-half of its work on edges and names of other episodes, because agents read and write after almost every observation.
+Keys of nodes: `Episode` has `<run>/<question>`. `Observation` has `<episode>/o<number>`. `Entity` has
+`<episode>/<name>` with the name that the agent chose. `Slot` and `Write` have `<episode>/<number>`. `Hypothesis` has
+`<episode>/h<rank>`.
+
+`Observation` and `Entity` also have a hash of the episode's key, and their edges have the names of the entities at
+their ends. Without the hash and the names, half of the engine's work would go to edges of other episodes, because
+agents read and write after almost every observation.
 """
 
 from __future__ import annotations
@@ -26,14 +32,14 @@ import msgspec
 from jrdb_avr.schema.panorama import Box
 
 ALWAYS: Final = 10_000_000
-"""`last` of a belief that holds at every frame, and `until` of a current belief."""
+"""Value of `last` if a belief holds at every frame, and of `until` while a belief is current."""
 
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
 
 
 def free_value(text: str) -> str:
-    """Return the value of a free attribute in the form that beliefs and plans compare: lower case, single blanks.
+    """Return the normal form of a free attribute's value, which beliefs and plans compare: lower case, single blanks.
 
     >>> free_value("Dark  Red")
     'dark red'
@@ -42,19 +48,27 @@ def free_value(text: str) -> str:
 
 
 Origin = Literal["model", "derived"]
-"""Origin of a belief. model: a model that sees a picture. derived: code that uses earlier readings."""
+"""Origin of a belief. model: a model read it from a picture. derived: code computed it from earlier readings."""
 
 Tool = Literal["begin", "plan", "observe", "get_graph", "add_entity", "add_attribute", "add_relation", "final_answer"]
 
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """One write of an episode, accepted or refused: a row of `world.parquet` and a `Write` node.
+    """One write of an agent into its world model, accepted or refused.
 
-    The rows restore the world tables. The first write of an episode is `begin`, which makes the `Episode`.
+    A write is stored as a row of `world.parquet` and as a `Write` node of the graph. The rows of `world.parquet` are
+    enough to build the world tables of the graph again. The first write of an episode is `begin`, which creates the
+    `Episode` node.
 
-    number: position in the episode, from 0. step: the model call that made the write. arguments: of the tool, as JSON.
-    reason: of a refusal. fact: a `Fact` as JSON with the rows added to the graph, "" if none.
+    Attributes:
+        number: Position of the write in its episode, from 0.
+        step: Number of the model call that made the write.
+        tool: Tool that the agent called.
+        arguments: Arguments of the tool, as JSON.
+        accepted: Whether the world model took the write.
+        reason: Reason of the refusal, "" if the write was accepted.
+        fact: `Fact` as JSON with the rows that the write added or changed, "" if there are none.
     """
 
     number: int
@@ -67,11 +81,20 @@ class Write:
 
 
 class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row of a table. Its fields are the columns."""
+    """Row of a world table. The fields are the columns."""
 
 
 class EpisodeRow(_Row, frozen=True):
-    """A row of `Episode`. plan: "" until a plan is accepted. verdict: "" until the episode has its answer."""
+    """Row of `Episode`.
+
+    Attributes:
+        id: Key of the episode.
+        run: Id of the run.
+        question: Id of the question.
+        sequence: Name of the sequence.
+        plan: Plan as JSON, "" until a plan is accepted.
+        verdict: Support of the world model for the answer, "" until the episode has an answer.
+    """
 
     id: str
     run: str
@@ -82,16 +105,17 @@ class EpisodeRow(_Row, frozen=True):
 
 
 class _NodeRow(_Row, frozen=True):
-    """A row of a node that belongs to an episode. Its key begins with the key of the episode."""
+    """Row of a node that belongs to an episode. The key `id` of the node begins with the key of the episode."""
 
     id: str
     episode: str
 
 
 class ObservationRow(_NodeRow, frozen=True):
-    """A row of `Observation` without the hash, and of `Made` from its episode.
+    """Row of `Observation` except its hash. The edge `Made` from the episode is written with it.
 
-    A crop covers columns [left, left + width) of the panorama across the seam; a whole panorama covers all 3760.
+    A crop covers the columns [left, left + width) of the panorama, which continue at column 0 after column 3759. A
+    whole panorama covers all 3760 columns.
     """
 
     number: int
@@ -103,7 +127,10 @@ class ObservationRow(_NodeRow, frozen=True):
 
 
 class EntityRow(_NodeRow, frozen=True):
-    """A row of `Entity` without the hash, and of `Holds` from its episode. Only `kind` and `node` may change."""
+    """Row of `Entity` except its hash. The edge `Holds` from the episode is written with it.
+
+    A later write may change `kind` and `node`, and no other column.
+    """
 
     name: str
     number: int
@@ -113,10 +140,11 @@ class EntityRow(_NodeRow, frozen=True):
 
 
 class SlotRow(_NodeRow, frozen=True):
-    """A row of `Slot`, and of `Asks` from its episode: one part of the plan.
+    """Row of `Slot`, which is one part of the agent's plan. The edge `Asks` from the episode is written with it.
 
-    kind: a node (a person to find), a condition, an edge, or the read. A text column that the kind lacks is "", and
-    the frame is -1 if the part has no stated time.
+    A part is a node (a person to find), a condition on a node, an edge between two nodes, or the read (the value that
+    answers the question). The column `kind` says which. A text column that does not apply to the kind is "". The column
+    `frame` is -1 if the part has no stated time.
     """
 
     number: int
@@ -129,12 +157,18 @@ class SlotRow(_NodeRow, frozen=True):
 
 
 class HypothesisRow(_NodeRow, frozen=True):
-    """A row of `Hypothesis`, and of `Ranks` from its episode: one assignment of entities to the plan's nodes.
+    """Row of `Hypothesis`, which is one assignment of entities to the nodes of the plan.
 
-    Rank 1 is the likeliest. The rows are written with the answer of the episode, which is the answer of rank 1.
+    The edge `Ranks` from the episode is written with it. Hypotheses are written together with the episode's answer.
 
-    entity: name of the target. nodes: the assignment as "a=p1, b=p2". answer: answer read from the target at `frame`,
-    as stored JSON.
+    Attributes:
+        step: Number of the model call after which the hypothesis was written.
+        rank: Rank by likelihood. The episode's answer is the answer of rank 1, the likeliest hypothesis.
+        entity: Name of the entity that is assigned to the target of the question.
+        nodes: Assignment as text, such as "a=p1, b=p2".
+        log_odds: Log-odds of the hypothesis.
+        answer: Answer that was read from the target at `frame`, as stored JSON.
+        frame: Frame of the reading that gave the answer.
     """
 
     step: int
@@ -147,10 +181,17 @@ class HypothesisRow(_NodeRow, frozen=True):
 
 
 class _EdgeRow(_Row, frozen=True):
-    """A row of an edge.
+    """Row of an edge that states a belief.
 
-    source, target: keys of the nodes. write: number of the write, unique among the edges of an episode. votes,
-    against: readings that agreed and disagreed with the edge at that write.
+    Attributes:
+        source: Key of the node at the start of the edge.
+        target: Key of the node at the end of the edge.
+        episode: Key of the episode.
+        write: Number of the write that added the edge. Each write adds at most one edge.
+        step: Number of the model call that made the write.
+        votes: Number of readings that agreed with the edge at that write.
+        against: Number of readings that disagreed with the edge at that write.
+        origin: Origin of the belief.
     """
 
     source: str
@@ -164,7 +205,7 @@ class _EdgeRow(_Row, frozen=True):
 
 
 class SightingRow(_EdgeRow, frozen=True):
-    """A row of `Sighted`. box: the box that the agent gave. angle: panorama angle of the box's centre, degrees."""
+    """Row of `Sighted`. The agent gave `box`. `angle` is the panorama angle of the centre of the box, in degrees."""
 
     frame: int
     box: Box
@@ -172,7 +213,7 @@ class SightingRow(_EdgeRow, frozen=True):
 
 
 class AttributeRow(_EdgeRow, frozen=True):
-    """A row of `Has`. value: text of the value. number: the value as a number, 0 if it is not a number."""
+    """Row of `Has`. `value` is the value of the attribute as text, and `number` as a number (0 if it is not one)."""
 
     name: str
     value: str
@@ -182,7 +223,7 @@ class AttributeRow(_EdgeRow, frozen=True):
 
 
 class RelationRow(_EdgeRow, frozen=True):
-    """A row of `Related`. observation: key of the `Observation` node."""
+    """Row of `Related`. `observation` is the key of the observation that showed the relation."""
 
     name: str
     observation: str
@@ -191,12 +232,22 @@ class RelationRow(_EdgeRow, frozen=True):
 
 
 class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """Rows that one write adds or changes, by table.
+    """Rows that one write adds to the world tables or changes there.
 
-    episode: set on `begin`, with its plan on `plan`, and with its verdict on `final_answer`. entity: a new entity.
-    changed: an entity with a new kind or node. freed: keys of entities that lose their node to this entity. replaced:
-    writes with an edge that stops being `current` at this step; this write may be one of them. A new edge has
-    `current` true and `until` `ALWAYS`.
+    A new edge has `current` true and `until` `ALWAYS`.
+
+    Attributes:
+        episode: New or changed episode. `begin` creates it, `plan` adds the plan, and `final_answer` adds the verdict.
+        slots: Parts of an accepted plan.
+        observation: New observation.
+        entity: New entity.
+        changed: Existing entity with a new kind or a new plan node.
+        freed: Keys of the entities that lose their plan node because another entity takes it.
+        sighted: New sighting.
+        has: New attribute.
+        related: New relation.
+        replaced: Numbers of the writes whose edges stop being `current` at this step. This write may be among them.
+        hypotheses: Hypotheses at the end of the episode.
     """
 
     episode: EpisodeRow | None = None
@@ -216,7 +267,10 @@ _TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", Box: "STRUCT(x DO
 
 
 def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:
-    """Return the fields of a row without the ends of an edge, and more columns, as name and type."""
+    """Return the columns of a row class, except an edge's `source` and `target`, followed by the columns `more`.
+
+    A column is a text of name and type.
+    """
     fields = [f"{field.name} {_TYPES[field.type]}" for field in msgspec.structs.fields(row)]
     return (*(column for column in fields if column.split()[0] not in ("source", "target")), *more)
 
@@ -244,12 +298,12 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Asks": ("Episode", "Slot", ()),
     "Wrote": ("Episode", "Write", ()),
     "Ranks": ("Episode", "Hypothesis", ()),
-    # `who` and `whom` are the names of the entities at both ends.
+    # `who` is the name of the entity at the start of an edge, and `whom` of the entity at its end.
     "Sighted": ("Entity", "Observation", _columns(SightingRow, *_CURRENT, "who STRING")),
     "Has": ("Entity", "Observation", _columns(AttributeRow, *_CURRENT, "who STRING")),
     "Related": ("Entity", "Entity", _columns(RelationRow, *_CURRENT, "who STRING", "whom STRING")),
 }
-"""Relationship tables by name: source table, target table, and columns as name and type."""
+"""Relationship tables by name: the table at the start, the table at the end, and columns as texts of name and type."""
 
 
 def episode_key(run_id: str, question_id: str) -> str:
@@ -258,10 +312,10 @@ def episode_key(run_id: str, question_id: str) -> str:
 
 
 def episode_hash(episode: str) -> str:
-    """Return 128 bits of the SHA-256 of an episode's key, as the text of a UUID."""
+    """Return the first 128 bits of the SHA-256 of an episode's key, as the text of a UUID."""
     return str(UUID(bytes=sha256(episode.encode()).digest()[:16]))
 
 
 def name_of(key: str) -> str:
-    """Return the name that the agent gave an entity or observation, from its key."""
+    """Return the last part of the key of an entity or observation, which is its name within the episode."""
     return key.rpartition("/")[2]

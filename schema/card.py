@@ -1,6 +1,6 @@
 """Texts for the card of a published question set: sources, licences, citation and notes for users.
 
-The Markdown card and the Croissant metadata both use them.
+The Markdown card and the Croissant metadata of `export` both use these texts.
 """
 
 from __future__ import annotations
@@ -23,9 +23,14 @@ SUMMARY: Final = (
 
 
 class Source(NamedTuple):
-    """A data set that questions are made from.
+    """Data set from which questions are made.
 
-    layers: the layers that it provides. licence: identifier of Hugging Face and SPDX.
+    Attributes:
+        name: Name of the data set.
+        layers: Annotation layers that the data set provides, as in `schema.tables.LAYERS`.
+        licence: Identifier of the licence at Hugging Face and SPDX.
+        licence_url: Address of the licence text.
+        citation: Short reference to the paper.
     """
 
     name: str
@@ -50,8 +55,11 @@ SOURCES: Final = (
     Source("JRDB-PanoTrack", ("panoptic",), *_JRDB, "Le et al., JRDB-PanoTrack, CVPR 2024"),
     Source("JRDB-Reasoning", ("handles",), *_JRDB, "Jahangard et al., JRDB-Reasoning"),
 )
-"""JRDB and its extensions. The footer of their site states the licence, as the maintainers of JRDB's toolkit confirm
-(https://github.com/JRDB-dataset/jrdb_toolkit/issues/9). Further terms of the site take precedence."""
+"""JRDB and its extensions.
+
+The footer of their website states the licence. The maintainers of JRDB's toolkit confirm it
+(https://github.com/JRDB-dataset/jrdb_toolkit/issues/9). If the website states further terms, those take precedence.
+"""
 
 SAMPLE: Final = Source(
     "the synthetic sample world of jrdb-avr",
@@ -115,25 +123,25 @@ RAI: Final[dict[str, str]] = {
         "Each generation of questions has its own version; scores of different versions are not comparable."
     ),
 }
-"""Responsible-AI fields by their Croissant name."""
+"""Texts of the Responsible-AI fields by the name of the field in Croissant."""
 
 
 def sources_of(layers: Collection[str]) -> list[Source]:
-    """Return the sources that provide these layers."""
+    """Return the sources that provide at least one of the given layers."""
     return [source for source in SOURCES if set(source.layers) & set(layers)]
 
 
 def licence_of(sources: Collection[Source]) -> str:
-    """Return the licence that all sources share, or "other" if their licences differ."""
+    """Return the licence identifier that all given sources share, or "other" if their licences differ."""
     licences = {source.licence for source in sources}
     return licences.pop() if len(licences) == 1 else "other"
 
 
 def sentence(text: str) -> str:
-    """Return the note on a column as a sentence."""
+    """Return the meaning of a column as a sentence: with a capital letter and a full stop."""
     return text[:1].upper() + text[1:] + "."
 
 
 def is_of_sample(sequence: str) -> bool:
-    """Return whether a sequence belongs to the synthetic sample world, by the prefix of its name."""
+    """Return whether a sequence belongs to the synthetic sample world. Its name then begins with "sample-"."""
     return sequence.startswith("sample-")

@@ -1,4 +1,4 @@
-"""Tables of the graph and of the store by name, as rows and as Mermaid diagrams."""
+"""Catalogs of the tables of the graph and of the store, shown as rows or as Mermaid diagrams."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SC
 from jrdb_avr.schema.tables import column, views
 
 _NESTED: Final = re.compile(r",\s*(?![^()]*\))")
-"""A comma between columns, but not inside a struct."""
+"""Pattern of a comma between two columns. A comma inside the type of a struct does not match."""
 
 
 @dataclass(frozen=True)
 class CatalogTable:
-    """A table with the type and, if documented, the meaning of each column.
+    """Table of the graph or of the store, with its columns.
 
-    part: in the graph "scene", "keyframes" or "beliefs"; in the store "annotations", "intervals", "questions" or
-    "runs". ends: names of the source tables and of the target tables of a relationship.
+    Attributes:
+        name: Name of the table.
+        part: Group that the table belongs to. The graph has the groups "scene", "keyframes" and "beliefs".
+            The store has the groups "annotations", "intervals", "questions" and "runs".
+        columns: Type of each column by name.
+        meanings: Meaning of each column by name; empty for tables of the graph.
+        ends: For a relationship, the names of the tables at its start and of the tables at its end; else None.
     """
 
     name: str
@@ -32,7 +37,7 @@ class CatalogTable:
 
 
 def graph_tables() -> list[CatalogTable]:
-    """Return the tables of the graph: nodes and relationships of scene, keyframe layer and beliefs."""
+    """Return the node and relationship tables of the graph: scene, keyframe layer and beliefs of agents."""
     parts = {
         "scene": (SCENE_NODES, SCENE_RELS),
         "keyframes": (KEYFRAME_NODES, KEYFRAME_RELS),
@@ -53,7 +58,7 @@ def _columns(texts: Iterable[str]) -> dict[str, str]:
 
 
 def store_tables() -> list[CatalogTable]:
-    """Return the Parquet tables of the store, which are the views of `sql`."""
+    """Return the Parquet tables of the store. The command `sql` has a view for each."""
     tables = []
     for name, schema, _ in views():
         part = name.split("_")[0]
@@ -65,10 +70,17 @@ def store_tables() -> list[CatalogTable]:
 
 
 def named(tables: Iterable[CatalogTable], names: Iterable[str]) -> list[CatalogTable]:
-    """Return the tables with a name or part among `names`, or all if `names` is empty.
+    """Select tables by their own name or by the name of their part.
+
+    Args:
+        tables: Tables to select from.
+        names: Names of tables or of parts, such as "scene". If there are no names, all tables are selected.
+
+    Returns:
+        The selected tables, in the order of `tables`.
 
     Raises:
-        InputError: a name is neither a table nor a part.
+        InputError: If a name is neither that of a table nor that of a part.
     """
     tables, names = list(tables), list(names)
     valid = {word for table in tables for word in (table.name, table.part)}
@@ -78,7 +90,7 @@ def named(tables: Iterable[CatalogTable], names: Iterable[str]) -> list[CatalogT
 
 
 def table_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
-    """Return a row per table with its columns."""
+    """Return one row per table: name, part, tables at both ends of a relationship, and names of the columns."""
     return [
         {
             "table": table.name,
@@ -92,7 +104,7 @@ def table_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
 
 
 def column_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
-    """Return a row per column of each table."""
+    """Return one row per column of each table: table, column, type and, if it is documented, meaning."""
     return [
         {"table": table.name, "column": name, "type": kind}
         | ({"meaning": table.meanings[name]} if table.meanings else {})
@@ -102,7 +114,7 @@ def column_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
 
 
 def graph_diagram(tables: Iterable[CatalogTable]) -> str:
-    """Return a Mermaid flowchart with nodes and an arrow for each relationship."""
+    """Return a Mermaid flowchart with a box for each node table and an arrow for each relationship table."""
     lines = ["graph LR"]
     for table in tables:
         if table.ends is None:
@@ -114,16 +126,16 @@ def graph_diagram(tables: Iterable[CatalogTable]) -> str:
 
 
 _KEYS: Final = {"question_id": "questions", "run_id": "runs"}
-"""Tables of the store by the column that is their key; other tables join by it."""
+"""Names of the store's main tables by their key column. Other tables with this column refer to the main table."""
 
 
 def store_diagram(tables: Iterable[CatalogTable]) -> str:
-    """Return a Mermaid entity diagram: tables with their columns, joined by the ids of questions and runs."""
+    """Return a Mermaid entity diagram: tables with columns, and lines from `questions` and `runs` to other tables."""
     tables = list(tables)
     names = {table.name for table in tables}
     lines = ["erDiagram"]
     for table in tables:
-        # Because Mermaid takes one word as a type.
+        # Join the words of a type by underscores, because Mermaid accepts only one word.
         columns = [f"    {'_'.join(re.findall('[A-Za-z0-9]+', kind))} {name}" for name, kind in table.columns.items()]
         lines += [f"  {table.name} {{", *columns, "  }"]
     for table in tables:

@@ -1,7 +1,7 @@
 """Errors of the package, as one tree.
 
     AvrError                     every error that this package raises on purpose
-    ├── InputError               an input file or a record of one cannot be used
+    ├── InputError               an argument, an input file or a record of a file cannot be used
     ├── StoreError               the store is missing, incomplete or was built under different rules
     │   └── LockedError          another process holds the graph
     ├── QueryError               a Cypher or SQL statement is refused or fails
@@ -12,8 +12,8 @@
     └── EndpointError            a model server cannot be used
         └── RunStoppedError      the run cannot answer further questions now
 
-Every message is one line and says what to do. The command line prints it and exits with 1. Attributes of an error
-name its subject, so that a caller need not parse the message.
+Every message is one line and says what the user can do. The command line prints the message and exits with status 1.
+Errors have attributes, such as the file and the field, so that callers need not parse messages.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class AvrError(Exception):
 
 
 class InputError(AvrError):
-    """An input file, or a record of one, cannot be used.
+    """An argument, an input file, or a record of a file cannot be used.
 
     Attributes:
-        file: Path of the file, or "".
-        frame: Frame of the record, or "".
-        field: Field or argument with the fault, or "".
+        file: Path of the file, "" if the error is not about a file.
+        frame: Frame of the record, "" if the error is not about a frame.
+        field: Name of the faulty field or argument, "" if it is unknown.
     """
 
     def __init__(self, message: str, *, file: str = "", frame: str = "", field: str = "") -> None:
@@ -46,7 +46,7 @@ class StoreError(AvrError):
 
 
 class LockedError(StoreError):
-    """Another process holds the graph file; `holder` names that process."""
+    """The store or its graph is in use, by another process or elsewhere in this one. `holder` describes the user."""
 
     def __init__(self, message: str, *, holder: str = "") -> None:
         super().__init__(message)
@@ -58,7 +58,7 @@ class QueryError(AvrError):
 
 
 class PlanError(AvrError):
-    """A plan is not valid; `field` is the path of the faulty part, such as `edges[1].source`."""
+    """A plan is not valid. `field` is the path of the faulty field in the plan, such as `edges[1].source`."""
 
     def __init__(self, field: str, message: str) -> None:
         super().__init__(f"{field}: {message}")
@@ -66,35 +66,39 @@ class PlanError(AvrError):
 
 
 class ObserveError(AvrError):
-    """An observation is refused: unknown sequence, frame without an image, or angle that is not a finite number."""
+    """An observation is refused: unknown sequence, frame without an image, or an angle that is not a finite number."""
 
 
 class RefusedError(AvrError):
-    """An episode refuses a move or an answer; the message is the reason."""
+    """An episode refuses a move or an answer. The message gives the reason."""
 
 
 class DecodeError(AvrError):
-    """A model's reply does not fit the contract. A prediction stores the message as its reason."""
+    """A model's reply does not have the requested form. The prediction stores the message as its reason."""
 
 
 class EndpointError(AvrError):
-    """A model server cannot be reached or breaks the protocol."""
+    """A model server cannot be reached, or does not follow the protocol."""
 
 
 class RunStoppedError(EndpointError):
-    """The run ends because no further question can be answered now; a resumed run answers the rest."""
+    """The run ends because no further question can be answered now. A resumed run answers the remaining questions."""
 
 
 class AvrWarning(UserWarning):
-    """A fact that the user should know and that stops nothing, such as questions left out of a run."""
+    """Warning about something that does not stop the work, such as questions that were left out of a run."""
 
 
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: the nearest valid name, or else the first valid names.
+    """Suggest valid names for an unknown name.
 
     Args:
-        name: the unknown name.
-        valid: all valid names.
+        name: Unknown name.
+        valid: All valid names.
+
+    Returns:
+        A text to append to an error message: the most similar valid name if there is one, otherwise up to 12 valid
+        names in alphabetical order. The text is "" if there are no valid names.
     """
     import difflib
 
@@ -106,4 +110,4 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
 
 
 _NAMED = 12
-"""Maximum of names that a message lists."""
+"""Maximum number of valid names that a message lists."""

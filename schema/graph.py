@@ -1,13 +1,17 @@
-"""Tables of the graph as Cypher DDL: the scene and the keyframe layer.
+"""Tables of the graph as Cypher statements: the scene and the keyframe layer (docs/graph.md).
 
-Names of tables and of their properties are public. Node keys: `Person` and `SocialGroup` have `<sequence>/<number>`,
-`Frame` has `<sequence>/<six digits>`, `Object` has `<sequence>/<category id>:<track>`, because tracks restart per
-category. `SeenIn` begins at a person or at a thing; for a thing only the box and its angle are set. Every relationship
-has `sequence`: a query that filters by it is ten times faster than one that filters by a property of a node.
+The names of tables and columns are a public interface. Keys of nodes: `Person` and `SocialGroup` have
+`<sequence>/<number>`. `Frame` has `<sequence>/<six digits>`. `Object` has `<sequence>/<category id>:<track>`, because
+each category counts its tracks from the start.
 
-Relations are intervals of frames with their seconds; both ends are inclusive. `Performs`, `MemberOf`, `Interacts` and
-`Handles` are written labels, and `certain` is false if a label leaves the fact unknown. The tables that begin with
-`May` are facts without a label that may hold (`gap`: see `schema.tables`).
+`SeenIn` begins at a person or at a thing. For a thing, it has only the box and the angle of the box. Every relationship
+of the scene has the column `sequence`, because a query that filters a relationship by `sequence` is ten times faster
+than a query that filters by a property of a node.
+
+A relationship holds from its frame `first` to its frame `last`, both included. `first_s` and `last_s` are the times of
+these frames in seconds. `Performs`, `MemberOf`, `Interacts` and `Handles` have the labels of annotators. `certain` is
+false if a label leaves the fact unknown, such as a label of the highest difficulty. Tables with names that begin with
+`May` have facts that no label states but that may be true. `schema.tables` explains their column `gap`.
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ SCENE_NODES: Final[dict[str, str]] = {
     "first_frame INT64, last_frame INT64",
     "Object": "id STRING PRIMARY KEY, sequence STRING, track INT64, category_id INT64, category STRING, "
     "first_frame INT64, last_frame INT64",
-    # bpc: what the bodies are on; ssc: salient surroundings (the annotators' abbreviations).
+    # `bpc` and `ssc` are the annotators' abbreviations: what the bodies are on, and the salient surroundings.
     "SocialGroup": "id STRING PRIMARY KEY, sequence STRING, cluster INT64, venue STRING, aim STRING[], bpc STRING[], "
     "ssc STRING[], location STRING[], inter STRING[]",
     "Action": "name STRING PRIMARY KEY, pose BOOLEAN",
@@ -35,10 +39,10 @@ _TYPES: Final = {"string": "STRING", "double": "DOUBLE", "bool": "BOOLEAN", "int
 
 
 def _sighting_columns() -> tuple[str, ...]:
-    """Return the columns of `intervals_sightings` that are not properties of the person or the group."""
+    """Return the columns of `SeenIn`: a box, and the columns of `intervals_sightings` except track, group and box."""
     fields = [field for field in INTERVALS["sightings"] if field.name not in ("track", "cluster", *"xywh")]
     columns = [f"{field.name} {_TYPES[str(field.type)]}" for field in fields]
-    # A struct, because a checkpoint of DOUBLE[4] moves lists one by one: minutes for a million.
+    # The box is a struct, because the engine needs minutes to save a million lists of type DOUBLE[4].
     return (*columns[:2], "box STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)", *columns[2:])
 
 
@@ -58,7 +62,7 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "MayHandle": ("Person", "Object", ("verb STRING", "sequence STRING", *_SPAN, "gap BOOLEAN")),
     "Beside": ("Person", "Person", ("label STRING", "sequence STRING", *_SPAN, "certain BOOLEAN")),
 }
-"""Relationship tables by name: source tables (separated by a colon), target table, and columns as name and type."""
+"""Relationship tables by name: tables at the start (separated by a colon), table at the end, and columns."""
 
 KEYFRAME_NODES: Final[dict[str, str]] = {
     "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, nowhere STRING, seen INT64, "
@@ -95,16 +99,24 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 }
 
 STORAGE_VERSION: Final = 9
-"""Version of all tables of the graph. A graph of a different version must be built again."""
+"""Version of the tables of the graph. A graph with another version must be built again."""
 
 
 def scene_ddl() -> list[str]:
-    """Return the CREATE statements of the scene namespace, nodes first."""
+    """Return the statements that create the tables of the scene, node tables first."""
     return table_ddl(SCENE_NODES, SCENE_RELS)
 
 
 def table_ddl(nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple[str, ...]]]) -> list[str]:
-    """Return CREATE statements, nodes first. `nodes` and `rels` have the forms of `SCENE_NODES` and `SCENE_RELS`."""
+    """Return the statements that create the given tables, node tables first.
+
+    Args:
+        nodes: Columns of each node table, in the form of `SCENE_NODES`.
+        rels: Ends and columns of each relationship table, in the form of `SCENE_RELS`.
+
+    Returns:
+        One Cypher statement per table.
+    """
     statements = [f"CREATE NODE TABLE `{name}`({columns})" for name, columns in nodes.items()]
     for name, (source, target, columns) in rels.items():
         ends = [f"FROM {start} TO {target}" for start in source.split(":")]

@@ -1,11 +1,12 @@
 """The public interface of a method: the task it receives and the prediction it returns.
 
-A method answers one `Task` at a time. A task holds the public columns of a question, the frames that can be observed,
-the functions `observe` and `panorama` that return images, and the functions `record` and `record_write` that append to
-the transcript and to the record of a world model. A task holds nothing else of the store.
+A method answers one question for each `Task` that it receives. A task has the public columns of the question and the
+frames that can be observed. It also has four functions: `observe` and `panorama` return images, `record` appends a line
+to the transcript, and `record_write` appends a write to the record of a world model. A task gives no other access to
+the store.
 
-A method runs in the process of the run, with the rights of its user: it could open the files of the store.
-A public store (`export --public`) has no answers.
+A method runs in the process of the run, with the rights of the user. So it could open the private files of a store. Run
+a method that you do not trust on a public store, which lacks the answers (`export --public`).
 """
 
 from __future__ import annotations
@@ -24,13 +25,24 @@ Image = npt.NDArray[np.uint8]
 StepKind = Literal["model", "observe", "tool", "solve"]
 Status = Literal["answered", "invalid", "error"]
 Verdict = Literal["certain", "supported", "guess"]
-"""Support of a world model for an answer. certain: it proves the answer. supported: it gives the answer for the person
-who fits best or for the nearest observed frames. guess: neither."""
+"""Support of a method's world model for the answer.
+
+certain: the world model proves the answer. supported: the answer was read from the person who fits best, or from the
+observed frames that are nearest. guess: all other answers.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A question as a method sees it."""
+    """Question as a method sees it.
+
+    Attributes:
+        question_id: Id of the question.
+        sequence: Name of the sequence, opaque if the run hides names.
+        question: Text of the question.
+        choices: Texts of the four choices; empty if the answer is not a choice. Answers count the choices from 1.
+        answer_mode: Name of the answer mode, which decides the form of the answer.
+    """
 
     question_id: str
     sequence: str
@@ -41,7 +53,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """A row of `sequences.parquet`.
+    """Sequence that a question is about, with the frames that can be observed.
 
     Attributes:
         sequence: Name of the sequence, opaque if the run hides names.
@@ -58,17 +70,17 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A crop of the stitched panorama with its frame and angle.
+    """Crop of a stitched panorama, with its frame and angle.
 
     Attributes:
         sequence: Name of the sequence.
-        frame_index: Number of the frame.
-        frame_id: Number of the frame as six digits.
-        timestamp: Seconds from frame 0.
-        angle_deg: Panorama angle of the crop's centre, degrees.
-        fov_deg: Horizontal field of view, degrees.
-        left: Left column in stitched pixels, [0, 3760). The crop wraps over the seam.
-        image: 480 x 480 x 3, uint8, RGB.
+        frame_index: Index of the frame, from 0.
+        frame_id: Index of the frame as a text of six digits.
+        timestamp: Time of the frame in seconds after frame 0.
+        angle_deg: Panorama angle of the centre of the crop, in degrees.
+        fov_deg: Horizontal field of view, in degrees.
+        left: Left column of the crop in stitched pixels, [0, 3760). Columns after 3759 continue at column 0.
+        image: Pixels as an array of 480 x 480 x 3, uint8, RGB.
     """
 
     sequence: str
@@ -83,14 +95,14 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Panorama:
-    """A whole stitched panorama, 3760 x 480.
+    """Whole stitched panorama of 3760 x 480 pixels.
 
     Attributes:
         sequence: Name of the sequence.
-        frame_index: Number of the frame.
-        frame_id: Number of the frame as six digits.
-        timestamp: Seconds from frame 0.
-        jpeg: Stored JPEG bytes.
+        frame_index: Index of the frame, from 0.
+        frame_id: Index of the frame as a text of six digits.
+        timestamp: Time of the frame in seconds after frame 0.
+        jpeg: Bytes of the JPEG file.
     """
 
     sequence: str
@@ -102,7 +114,14 @@ class Panorama:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One line of a transcript. It names images by sequence, frame and angle, without their bytes."""
+    """Line of a question's transcript.
+
+    Attributes:
+        kind: What happened: a model call, a look, another tool call, or ("solve") a conclusion of the method's code.
+        request: What was asked for. Images are named by sequence, frame and angle, and their bytes are left out.
+        response: What was returned, also without the bytes of images.
+        seconds: Duration in seconds.
+    """
 
     kind: StepKind
     request: str
@@ -115,16 +134,17 @@ class Prediction:
     """A method's answer to one question, with its evidence and costs.
 
     Attributes:
-        status: "invalid" if answer or evidence is missing because the model's output could not be read.
-        answer: The answer, or None. It is scored apart from the evidence.
-        evidence: The box of the evidence in stitched pixels, or None.
-        raw: Last text of the model.
-        reason: Last refusal of the model's output, "" if its last proposal was accepted.
-        verdict: Support of the world model; None for a method without one.
-        n_observations: Number of crops and panoramas.
+        status: "answered"; "invalid" if the answer or the evidence is missing because the model's output could not be
+            read; or "error" if the method raised an exception.
+        answer: Answer, or None if there is none. The answer and the evidence are scored separately.
+        evidence: Box that shows the person in stitched pixels of one frame, or None if there is none.
+        raw: Last text that the model wrote.
+        reason: Reason why the model's last output was refused, "" if it was accepted.
+        verdict: Support of the world model for the answer; None if the method has no world model.
+        n_observations: Number of crops and panoramas that the method looked at.
         n_model_calls: Number of model calls.
-        prompt_tokens: Tokens sent to the model.
-        completion_tokens: Tokens written by the model.
+        prompt_tokens: Number of tokens sent to the model.
+        completion_tokens: Number of tokens that the model wrote.
     """
 
     status: Status
@@ -140,52 +160,75 @@ class Prediction:
 
 
 class Observe(Protocol):
-    """The function that returns one crop of a panorama."""
+    """Function of a task that returns one crop of a panorama. Each call counts as a look."""
 
     def __call__(self, sequence: str, frame_index: int, angle_deg: float) -> Observation:
-        """Return the crop of a frame, centred at a panorama angle in degrees.
+        """Return a crop of a frame's panorama.
+
+        Args:
+            sequence: Name of the sequence of the task.
+            frame_index: Index of a frame that can be observed.
+            angle_deg: Panorama angle of the centre of the crop, in degrees.
+
+        Returns:
+            The crop.
 
         Raises:
-            ObserveError: the request is not allowed.
+            ObserveError: If the sequence or the frame cannot be observed, or the angle is not a finite number.
         """
 
 
 class GetPanorama(Protocol):
-    """The function that returns a whole panorama."""
+    """Function of a task that returns a whole panorama. Each call counts as a look."""
 
     def __call__(self, sequence: str, frame_index: int) -> Panorama:
         """Return the panorama of a frame.
 
+        Args:
+            sequence: Name of the sequence of the task.
+            frame_index: Index of a frame that can be observed.
+
+        Returns:
+            The panorama.
+
         Raises:
-            ObserveError: the request is not allowed.
+            ObserveError: If the sequence or the frame cannot be observed.
         """
 
 
 class Record(Protocol):
-    """The function that writes the transcript."""
+    """Function of a task that appends a line to the transcript of its question."""
 
     def __call__(self, step: Step) -> None:
-        """Append a step to the transcript of the current question."""
+        """Append a line to the transcript.
+
+        Args:
+            step: Line to append, such as a model call with its prompt and reply.
+        """
 
 
 class RecordWrite(Protocol):
-    """The function that writes the record of a world model."""
+    """Function of a task that appends a write to the record of the method's world model."""
 
     def __call__(self, write: Write) -> None:
-        """Append a write, accepted or refused, to the record of the current question."""
+        """Append a write to the record. Methods without a world model do not call this function.
+
+        Args:
+            write: Write that the world model accepted or refused.
+        """
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One question with all data and functions that a method may use to answer it.
+    """Question with all data and functions that a method may use to answer it.
 
     Attributes:
-        question: The public columns of the question.
-        sequence: The sequence and its frames.
-        observe: Returns a crop.
-        panorama: Returns a whole panorama.
-        record: Appends a step to the transcript.
-        record_write: Appends a write to the record of the world model.
+        question: Public columns of the question.
+        sequence: Sequence of the question, with the frames that can be observed.
+        observe: Function that returns a crop of a panorama.
+        panorama: Function that returns a whole panorama.
+        record: Function that appends a line to the transcript.
+        record_write: Function that appends a write to the record of a world model.
     """
 
     question: Question
@@ -197,18 +240,33 @@ class Task:
 
 
 class Method(Protocol):
-    """A method of a run. Several threads call `answer` at the same time."""
+    """Method that answers the questions of a run. Several threads call `answer` at the same time."""
 
     @property
     def name(self) -> str:
-        """Name of the method in the run's manifest."""
+        """Name under which the run's manifest and the reports list the method."""
 
     def answer(self, task: Task) -> Prediction:
-        """Answer one question. An exception becomes an `error` prediction and does not end the run."""
+        """Answer one question.
+
+        If this function raises an exception, the run records a prediction with the status "error" and continues.
+
+        Args:
+            task: Question with the functions to observe its sequence.
+
+        Returns:
+            The prediction.
+        """
 
 
 class ConfigurableMethod(Method, Protocol):
-    """A method with settings. The run's manifest stores them, and a run resumes only under equal settings."""
+    """Method with settings, such as a budget of looks. A run can be resumed only with the same settings."""
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings as JSON values by name."""
+        """Return the settings that may change the method's answers.
+
+        Called when a run starts. The run's manifest stores the settings, and a resumed run compares them.
+
+        Returns:
+            Values by the name of the setting. The values can be written as JSON.
+        """

@@ -1,4 +1,7 @@
-"""Declare options: each field of an options class states once what a command line and a TOML file need."""
+"""Declaration of options as fields of a dataclass.
+
+The command line and the reader of TOML files both take names, limits and help texts from this declaration.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +23,16 @@ def option(
     """Declare an option as a field of a dataclass.
 
     Args:
-        default: The default value; a mapping must be empty.
-        text: The help text.
-        flag: The long name without dashes; by default the name of the field.
-        minimum: The smallest allowed number.
-        maximum: The largest allowed number.
-        choices: The allowed texts; by default all.
-        metavar: The placeholder of the value in help texts.
+        default: Default value. If it is a mapping, it must be empty.
+        text: Help text.
+        flag: Name of the option on the command line, without dashes. If it is "", the name of the field is used.
+        minimum: Smallest allowed number; None for no limit.
+        maximum: Largest allowed number; None for no limit.
+        choices: Allowed texts. If there are none, every text is allowed.
+        metavar: Placeholder for the value in help texts; None for the default of the command line.
 
     Returns:
-        The field, with the other arguments as its metadata.
+        The dataclass field, with all arguments except `default` as metadata.
     """
     limits = {"minimum": minimum, "maximum": maximum, "choices": choices}
     metadata = {"text": text, "flag": flag, "metavar": metavar, **limits}

@@ -1,10 +1,13 @@
 """Geometry of the stitched panorama.
 
-The whole project uses one convention. The panorama has 3760 x 480 pixels and covers 360 degrees; columns 0 and 3760
-have the same direction. *Panorama angle*: `angle = column / 3760 * 360` degrees, 0 straight behind the robot, 90 at
-its left, 180 straight ahead, 270 at its right; angles grow clockwise seen from above. *Azimuth* (robot frame, x
-forward, y left): `a = atan2(y, x)`, so `angle = 180 - a` in degrees. Boxes are (x, y, w, h). A box shifted by 3760
-columns is the same box, so `x` may be negative or above 3760.
+The whole project uses one convention. The panorama has 3760 x 480 pixels and covers 360 degrees, so that columns 0 and
+3760 show the same direction.
+
+- *Panorama angle*: `angle = column / 3760 * 360` degrees. It is 0 behind the robot, 90 to its left, 180 straight ahead
+  and 270 to its right. It grows clockwise if seen from above.
+- *Azimuth*: `a = atan2(y, x)` in the robot frame (x forward, y left). In degrees, `angle = 180 - a`.
+- *Box*: (x, y, w, h) in pixels. A box that is shifted by 3760 columns is the same box, so `x` may be negative or above
+  3760.
 
 Functions take floats or numpy arrays unless a docstring says otherwise.
 """
@@ -28,11 +31,14 @@ FOV_DEG: Final = CROP * 360 / WIDTH
 
 HORIZON_ROW: Final = 209.4
 FOCAL_ROWS: Final = 482.9
-"""Rows above HORIZON_ROW per unit of z / hypot(x, y). Both constants are medians over the cameras (fy and cy)."""
+"""Number of rows above HORIZON_ROW per unit of z / hypot(x, y).
+
+FOCAL_ROWS is the median of fy over the cameras of the rig, and HORIZON_ROW the median of cy.
+"""
 
 
 class Box(NamedTuple):
-    """A box in stitched pixels: left column, top row, width, height. x may lie outside [0, 3760)."""
+    """Box in pixels of the stitched panorama: left column, top row, width and height. x may be outside [0, 3760)."""
 
     x: float
     y: float
@@ -41,13 +47,13 @@ class Box(NamedTuple):
 
 
 def angle_of_column(column: F) -> F:
-    """Return the panorama angle in degrees, [0, 360), of a column in pixels (any value, wrapped)."""
+    """Return the panorama angle in degrees, [0, 360), of a column in stitched pixels. The column may have any value."""
     # The first modulo of a tiny negative column rounds to exactly WIDTH.
     return (column % WIDTH) % WIDTH * (360.0 / WIDTH)
 
 
 def column_of_angle(angle_deg: F) -> F:
-    """Return the column in [0, 3760) of a panorama angle in degrees (any finite value, wrapped)."""
+    """Return the column, [0, 3760), of a panorama angle in degrees. The angle may have any finite value."""
     return (angle_deg % 360.0) % 360.0 * (WIDTH / 360.0)
 
 
@@ -57,7 +63,7 @@ def angle_of_azimuth(azimuth_rad: F) -> F:
 
 
 def row_of_height(z: F, ground_distance: F) -> F:
-    """Return the row of a point `z` metres above the rig at `ground_distance` = hypot(x, y) metres."""
+    """Return the row of a point that is `z` metres above the camera rig, at a horizontal distance in metres."""
     return HORIZON_ROW - FOCAL_ROWS * z / ground_distance
 
 
@@ -67,7 +73,7 @@ def center_angle(x: F, w: F) -> F:
 
 
 def clockwise(start_deg: F, end_deg: F) -> F:
-    """Return the turn in degrees, [0, 360), clockwise (to the robot's right) from `start_deg` to `end_deg`."""
+    """Return the clockwise turn (to the robot's right) from one angle to another, in degrees, [0, 360)."""
     return ((end_deg - start_deg) % 360.0) % 360.0
 
 
@@ -78,26 +84,32 @@ def angle_error(a_deg: F, b_deg: F) -> F:
 
 
 def crop_left(angle_deg: float) -> float:
-    """Return the left column, a whole number in [0, 3760), of the crop that `observe` returns for an angle."""
+    """Return the left column, a whole number in [0, 3760), of the crop that is centred on a panorama angle."""
     return float((round(column_of_angle(angle_deg)) - CROP // 2) % WIDTH)
 
 
 def to_crop(box: Box, left: float) -> Box:
-    """Return a stitched box in the pixels of the crop with left column `left`, as the copy nearest to the crop."""
+    """Convert a box from stitched pixels to pixels of the crop that begins at column `left`.
+
+    Of the copies of the box at distances of 3760 columns, the copy nearest to the crop is returned.
+    """
     center = (box.x + box.w / 2 - left - CROP / 2 + WIDTH / 2) % WIDTH - WIDTH / 2 + CROP / 2
     return Box(center - box.w / 2, box.y, box.w, box.h)
 
 
 def from_crop(box: Box, left: float) -> Box:
-    """Return a box in crop pixels as a stitched box. Its x may exceed 3760 if the crop crosses the seam."""
+    """Convert a box from pixels of the crop that begins at column `left` to stitched pixels.
+
+    The x of the result may exceed 3760 if the crop crosses the seam.
+    """
     return Box(box.x + left, box.y, box.w, box.h)
 
 
 def iou(a: Box, b: Box) -> float:
-    """Return the intersection over union of two stitched boxes across the seam, [0, 1].
+    """Return the intersection over union of two boxes in stitched pixels, [0, 1], also across the seam.
 
-    One box is shifted by the multiple of 3760 with the largest overlap. Rows beyond the image count. A box without
-    area scores 0. A box covers [x, x + w) x [y, y + h).
+    A box covers the columns [x, x + w) and the rows [y, y + h). One box is shifted by the multiple of 3760 columns with
+    the largest overlap. The parts of boxes above and below the image count too. The result is 0 if a box has no area.
     """
     if not (a.w > 0 and a.h > 0 and b.w > 0 and b.h > 0):
         return 0.0
@@ -112,8 +124,8 @@ def iou(a: Box, b: Box) -> float:
         min(a.x + a.w, b.x + shift + b.w) - max(a.x, b.x + shift) for shift in (turn - WIDTH, turn, turn + WIDTH)
     )
     overlap = columns * rows
-    # Because the area of a tiny box may underflow to 0.
+    # The area of a tiny box may be rounded to 0.
     if overlap <= 0:
         return 0.0
-    # Because rounding may give slightly more than 1 for equal boxes.
+    # Rounding may give slightly more than 1 for equal boxes.
     return min(1.0, overlap / (a.w * a.h + b.w * b.h - overlap))

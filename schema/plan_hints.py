@@ -1,4 +1,4 @@
-"""Hints about words that a plan does not have although models use them: for each word, the term to use instead."""
+"""Hints for words that models write in plans although the format of plans has another term for them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from typing import Final, Literal
 
 PlanPart = Literal["attribute", "relation", "read", "event", "key"]
-"""Part of a plan that has the word: the value of one of these fields, or a key of an object."""
+"""Position of a word in a plan: the value of the field with this name, or (`key`) the key of an object."""
 
 _ACTION: Final = '{"action": "sitting", "at": "t0"}'
 _THING: Final = '{"object": "bag", "verb": "holding", "at": "t0"}'
@@ -81,7 +81,14 @@ _QUOTED: Final = re.compile(r"(unknown field|enum value) [`'](.*?)[`']")
 
 
 def hint(part: PlanPart, word: str) -> str:
-    """Return the term to use instead of a word, as the end of a message; "" for a word without an entry.
+    """Suggest the term of plans that replaces a wrong word.
+
+    Args:
+        part: Position of the word in the plan.
+        word: Wrong word. Upper case and underscores make no difference.
+
+    Returns:
+        A text to append to an error message, "" if there is no hint for the word.
 
     >>> hint("attribute", "sex"), hint("attribute", "shirt")
     ('; use "gender"', '')
@@ -91,7 +98,15 @@ def hint(part: PlanPart, word: str) -> str:
 
 
 def hint_for(field: str, message: str) -> str:
-    """Return the hint for the word that a decoder's message names; `field` is the path of the field."""
+    """Suggest the term of plans for the wrong word that an error message of msgspec quotes.
+
+    Args:
+        field: Path of the faulty field in the plan, such as `edges[1].source`.
+        message: Error message of msgspec.
+
+    Returns:
+        A text to append to an error message, "" if the message quotes no word or there is no hint for the word.
+    """
     match = _QUOTED.search(message)
     if match is None:
         return ""

@@ -1,4 +1,4 @@
-"""A stored question: its row of `questions` and its private row of `answers`."""
+"""Questions as a store keeps them: a public row of `questions` and a private row of `answers`."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ from jrdb_avr.schema.answers import AnswerMode, Choice
 from jrdb_avr.schema.labels import answer_of_choice
 
 PROFILE_KEY: Final = "profile"
-"""Key in the metadata of question files: the profile of a training set. A benchmark lacks the key."""
+"""Metadata key of question files for the profile of a training set. The files of a benchmark do not have the key."""
 
 DISJOINT_KEY: Final = "disjoint_from"
-"""Key in the metadata of a training set: the generation of the held-out questions that it avoids, or ""."""
+"""Metadata key of a training set for the generation of the held-out questions that the training set avoids, or ""."""
 
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One proof of a question.
+    """Result of one proof of a question: the plan was changed and solved again (docs/definitions.md, "Proofs").
 
-    holds: None if the proof was not run. outcome: the program's answer compared with the stored one. answer: the
-    program's answer.
+    Attributes:
+        kind: Kind of the proof, such as `time.shift`.
+        variant: Which change of this kind was made.
+        holds: Whether the proof succeeded; None if it was not run.
+        outcome: Comparison of the changed plan's answer with the question's answer, such as "different".
+        answer: Answer of the changed plan; None if there is none.
     """
 
     kind: str
@@ -33,7 +37,18 @@ class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A box that a method must see to answer. At least one decisive box is outside the view straight ahead."""
+    """Box of a person that a method must see to answer the question.
+
+    Attributes:
+        node: Name of the person in the plan.
+        track: Track of the person.
+        frame: Frame of the box.
+        x: Left edge in stitched pixels.
+        y: Upper edge in stitched pixels.
+        w: Width in pixels.
+        h: Height in pixels.
+        decisive: Whether the answer is read from this box. The view straight ahead misses at least one such box.
+    """
 
     node: str
     track: int
@@ -46,7 +61,7 @@ class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """A question: the columns of `questions`, then the columns of `answers` with decoded JSON."""
+    """Question with its answer: the columns of `questions`, then the columns of `answers` with decoded JSON."""
 
     question_id: str
     sequence: str
@@ -70,10 +85,17 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def read(cls, row: Mapping[str, Any], private: Mapping[str, Any]) -> Self:
-        """Return the record of a row of `questions` and its private row of `answers`.
+        """Return the record of a question.
+
+        Args:
+            row: Row of `questions`.
+            private: Row of `answers` with the same id.
+
+        Returns:
+            The record.
 
         Raises:
-            msgspec.MsgspecError: a JSON text of the row is malformed or has wrong types.
+            msgspec.MsgspecError: If a JSON text of the rows is malformed or has wrong types.
         """
         texts = {}
         for name in _JSON_COLUMNS:
@@ -84,13 +106,13 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.convert({**private, **row, **texts}, cls)
 
     def columns(self) -> dict[str, Any]:
-        """Return the columns of both tables by name."""
+        """Return the values of the columns of both tables by the name of the column, with JSON as text."""
         texts = {name: msgspec.json.encode(getattr(self, name)).decode() for name in _JSON_COLUMNS}
         return msgspec.structs.asdict(self) | texts
 
     @property
     def answer_text(self) -> str:
-        """The text of the true choice, "" if the choice does not exist; for other answer modes the answer's JSON."""
+        """Text of the true choice, or the JSON of the answer if it is not a choice. "" if the choice does not exist."""
         answer = decode_answer(self.answer_mode, self.answer)
         if not isinstance(answer, Choice):
             return self.answer

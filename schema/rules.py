@@ -60,77 +60,83 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7
-    """Gaps of actions, memberships and relations up to this many frames are closed where the layer has every frame."""
+    """Maximum length in frames of a gap between equal labels that is closed. Applies to layers with every frame."""
     clear_min_width: Pixels = 12.0
-    """A narrower box is no clear view."""
+    """Minimum width of a box for a clear view, in pixels."""
     clear_min_height: Pixels = 40.0
-    """A lower box is no clear view."""
+    """Minimum height of a box for a clear view, in pixels."""
     clear_max_width: Pixels = 480.0
-    """A wider box is no clear view: no crop holds it."""
+    """Maximum width of a box for a clear view, in pixels. A wider box does not fit into a crop."""
     sector_true_deg: Annotated[float, msgspec.Meta(gt=0, le=45)] = 40.0
-    """A robot sector is true of whoever is at most this far off its axis."""
+    """A sector such as "ahead of the robot" is true of a person who is at most this many degrees off its axis."""
     sector_false_deg: Annotated[float, msgspec.Meta(ge=45, lt=180)] = 90.0
-    """A robot sector is false farther off its axis than this; in between some would say that it is true."""
+    """A sector is false of a person who is more degrees off its axis. Between both limits the sector is unknown."""
     distance_margin: Annotated[float, msgspec.Meta(ge=0, le=0.33)] = 0.10
-    """Relative margin round each bound of the distance words."""
+    """Share of a bound between two distance words within which both words are possible, on each side of the bound."""
     pair_max_m: Metres = 5.0
-    """How far person-frame relations reach."""
+    """Maximum distance in metres of a relation in space between two people, such as "in front of"."""
     pair_margin_m: Metres = 0.5
-    """This near to their reach person-frame relations are unknown: from 4.5 to 5.5 m."""
+    """A relation in space is unknown if the distance is within this many metres of `pair_max_m`: from 4.5 to 5.5 m."""
     pair_vertical_m: Metres = 1.35
-    """People farther apart in height are on different floors or steps: their person-frame relation is unknown."""
+    """Maximum difference in height in metres. Above it, the relation in space is unknown, as between two floors."""
     neighbor_max_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 60.0
-    """The first to the left or right is within this angle."""
+    """Maximum angle in degrees from a person to the first person on the left or right, as the robot sees them."""
     neighbor_margin_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 1.0
-    """Who is first to the left or right is unknown where somebody is nearer than this, or the next one follows so."""
+    """Minimum angle in degrees from a person to the first person at a side, and from the first person to the second.
+
+    If an angle is smaller, the first person is unknown.
+    """
     segment_min_s: Seconds = 2.0
-    """Least length of a stable segment of an action."""
+    """Minimum length of a stable segment of an action, in seconds."""
     segment_edge_s: Seconds = 1.0
-    """Before a stable segment (and after a closed one) the action is false and the person present for this long."""
+    """Seconds before a stable segment, and after a closed one, with the action false and the person present."""
     segment_quiet_s: Seconds = 3.0
-    """No other frame with the action true or unknown this near before or after a stable segment."""
+    """Seconds before and after a stable segment without any frame at which the action is true or unknown."""
 
 
 class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All thresholds of the benchmark. `load` has the thresholds that `load` applies."""
+    """All thresholds of the benchmark. The field `load` has the thresholds that the command `load` applies."""
 
     load: LoadRules = LoadRules()
     condition_order: tuple[str, ...] = CONDITION_KINDS
-    """Ties between descriptions of equal length go to the earlier kinds."""
+    """Order of preference among kinds of conditions. It decides between descriptions with equally many conditions."""
     max_conditions: Annotated[int, msgspec.Meta(ge=1, le=3)] = 3
-    """Most conditions of a description."""
+    """Maximum number of conditions in a description of a person."""
     min_wait_s: Wait = 3.0
-    """Least time from the description's time to the next time of a question, and between its later times."""
+    """Minimum time in seconds between two times that a question states."""
     long_wait_s: Wait = 10.0
-    """Least time that long-range questions reach over."""
+    """Minimum time in seconds that a question of the family long_range covers."""
     search_wait_s: Wait = 2.0
-    """Least time from the description to the start of the action for which a person found by hops is watched."""
+    """Minimum time in seconds from the description to the start of the action, in the template action_search."""
     turn_deg: Annotated[float, msgspec.Meta(ge=0, lt=180)] = 20.0
-    """A person watched for an action must have moved by more than this angle, as the robot sees it."""
+    """Minimum change of the person's panorama angle in degrees from the description to the start, in action_search."""
     gap_min_s: Seconds = 5.0
-    """Least time between two events where a question reads the seconds between them."""
+    """Minimum time in seconds between two events if the answer is the number of seconds between them."""
     count_min: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 4
-    """Fewest people that a question lets count."""
+    """Minimum number of people if the answer is a number of people."""
     shift_s: Wait = 3.0
-    """How far time.shift moves the times of a question."""
+    """Shift of the times of a question in the proof time.shift, in seconds."""
     time_shift: Literal["either", "both"] = "either"
-    """Which of the two shifts must change the answer: one is enough, or neither may leave it the same."""
+    """Which of the two time shifts must change the answer: at least one (either), or all inside the sequence (both)."""
     distance_changed_m: Metres = 1.5
-    """Somebody is closer or farther who moved by this or more."""
+    """Minimum change of distance in metres for the answers "closer" and "farther"."""
     distance_same_m: Metres = 0.5
-    """Somebody is about as far as before who moved by less; in between there is no question."""
+    """Maximum change of distance in metres for "about the same". Changes between both limits give no question."""
     visible_share: Share = 0.5
-    """A view shows a box when at least this share of its width lies inside."""
+    """Minimum share of a box's width inside a view for the view to show the box."""
     near_duplicate_s: Seconds = 2.0
-    """Of a person, one question of a template whose answer is read within this of every frame of another's."""
+    """Maximum time in seconds between the answer frames of two near-duplicates.
+
+    Near-duplicates are questions of one template about one person. Generation keeps only one of them.
+    """
     near_presence_s: Seconds = 5.0
-    """The same for the template presence."""
+    """Maximum time in seconds between the answer frames of two near-duplicates of the template presence."""
     max_per_person: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 12
-    """Questions of one person and template."""
+    """Maximum number of questions about one person in one template."""
     max_per_person_in_all: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 24
-    """Questions of one person."""
+    """Maximum number of questions about one person in all templates."""
     max_answer_share: Share = 0.34
-    """The most of one answer among the questions of a template with choices; at 1 no template has a limit."""
+    """Maximum share of one answer among the questions of a template with choices. 1 sets no limit."""
 
     def __post_init__(self) -> None:
         if sorted(self.condition_order) != sorted(CONDITION_KINDS):

@@ -1,7 +1,7 @@
-"""Things, and verbs of handling them, with their phrases in questions.
+"""Categories of things, verbs of handling them, and the phrases for both in questions.
 
-The panoptic layer has the categories of things; the reasoning layer has the verbs. The marks in sample pictures encode
-both by their order here: append only.
+The categories come from the panoptic layer, and the verbs from the reasoning layer. Only append to the two lists,
+because the marks in sample pictures encode a category or verb by its position.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ OBJECTS: Final = (
     *("big_vehicle", "chair/sofa", "pedestrian", "sign", "trolley", "pole/trafficcone", "bicyclist/rider", "table"),
     *("skateboard/segway/hoverboard", "glass", "door"),
 )
-"""Categories in the standard numbering of the panoptic layer."""
+"""Categories of things, in the order of their standard numbers in the panoptic layer."""
 
 
 def _noun_phrase(category: str) -> str:
@@ -61,10 +61,10 @@ OBJECT_PHRASES: Final = {category: _noun_phrase(category) for category in OBJECT
     "bicyclist/rider": "a cyclist or rider",
     "glass": "a pane of glass",
 }
-"""Noun phrases by category, all different."""
+"""Noun phrase of each category in questions. No two categories have the same phrase."""
 
 PERSON_CATEGORIES: Final = frozenset({"pedestrian", "bicyclist/rider", "child"})
-"""Categories of people. The box layers track and count people, so these are not things."""
+"""Categories of people. They are not things, because the layers of boxes already track and count people."""
 
 VERBS: Final = (
     *("working", "opening", "closing", "entering", "exiting", "touching", "cleaning", "watering", "pruning"),
@@ -103,7 +103,7 @@ VERB_PHRASES: Final = {verb: verb for verb in VERBS} | {
     "attracting": "attracting attention with",
     "understanding": "trying to understand",
 }
-"""Phrases by verb, to be followed by a thing."""
+"""Phrase of each verb in questions. The noun phrase of a thing follows it."""
 
 _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
     "finding sth": "finding_something",
@@ -111,13 +111,13 @@ _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
 }
 
 CATEGORY_PREFIXES: Final = ("t_", "m_")
-"""Prefixes of category names in some files."""
+"""Prefixes that category names have in some files."""
 
 
 def normal_category(name: str) -> str:
-    """Return the spelling of a category's name in `OBJECTS`: lower case, without prefix, underscores between words.
+    """Return a category's name in the spelling of `OBJECTS`: lower case, no prefix, underscores between words.
 
-    A name outside `OBJECTS` gets the same spelling.
+    A name that is not in `OBJECTS` is spelled in the same way.
     """
     word = plain(name).replace(" ", "_")
     prefix = next((prefix for prefix in CATEGORY_PREFIXES if word.startswith(prefix)), "")
@@ -126,7 +126,7 @@ def normal_category(name: str) -> str:
 
 @functools.lru_cache(maxsize=10_000)
 def normal_verb(raw: str) -> str:
-    """Return the spelling of a verb in `VERBS`; an unknown verb gets plain spelling.
+    """Return a verb in the spelling of `VERBS`. A verb that is not in `VERBS` is returned in plain spelling.
 
     >>> normal_verb("looking_at"), normal_verb("finding something")
     ('looking at', 'finding_something')

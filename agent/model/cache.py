@@ -75,12 +75,10 @@ class Calls:
             if digest in self._unread:
                 with self._lock:
                     self._index()
-            if (line := self._lines.get(digest)) is None:
-                return None
-            start, size = line
+            start, size = self._lines[digest]
             entry = _ENTRY.decode(os.pread(file.fileno(), size, start))
             return entry.reply if entry.request == digest else None
-        except _UNREADABLE:
+        except (KeyError, *_UNREADABLE):
             return None
 
     def tokens(self) -> tuple[int, int]:

@@ -215,14 +215,11 @@ def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple
 def _best(readings: Sequence[_Tried]) -> tuple[_Tried | None, str]:
     best = max(readings, key=lambda tried: (tried.score.share, tried.score.median_iou))
     # Readings that give the same boxes are not rivals: the first and simplest of them is chosen.
-    best = next(tried for tried in readings if tried is best or tried.is_same(best))
-    name = f"{best.score.order} in {best.score.scale} explains {best.score.share:.0%} of {best.score.n}"
+    best = next(tried for tried in readings if tried.is_same(best))
     if best.score.share < CLEAR:
-        return None, f"no reading explains the boxes (the best, {name}): the declared convention stays"
-    for rival in readings:
-        if rival is not best and not rival.is_same(best) and rival.score.share > best.score.share - LEAD:
-            rival_name = f"{rival.score.order} in {rival.score.scale} {rival.score.share:.0%}"
-            return None, f"no reading is clearly the best ({name}, {rival_name}): the declared convention stays"
+        return None, "no reading explains the boxes: the declared convention stays"
+    if any(tried.score.share > best.score.share - LEAD for tried in readings if not tried.is_same(best)):
+        return None, "no reading is clearly the best: the declared convention stays"
     return best, ""
 
 

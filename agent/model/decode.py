@@ -83,7 +83,9 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
     Raises:
         DecodeError: The box is outside, reversed or empty.
     """
-    (width, height), (across, down) = size, full_sides(reading, convention, size)
+    width, height = size
+    units = {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": size, "resized": convention.resized(*size)}
+    across, down = units[reading.scale]
     sides = (across, down) * 2 if reading.order == "xyxy" else (down, across) * 2
     pairs = list(zip(numbers, sides, strict=True))
     if any(not -TOLERANCE * side <= number <= (1 + TOLERANCE) * side for number, side in pairs):
@@ -96,22 +98,6 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
     return Box(
         left * width / across, top * height / down, (right - left) * width / across, (bottom - top) * height / down
     )
-
-
-def full_sides(reading: Reading, convention: Convention, size: Size) -> tuple[float, float]:
-    """Return the coordinates of the right and the lower edge of an image.
-
-    Args:
-        reading: The order and the scale of the numbers.
-        convention: The convention, for its resizing.
-        size: Width and height of the image in pixels.
-
-    Returns:
-        The coordinates in the unit of the reading.
-    """
-    if reading.scale == "resized":
-        return convention.resized(*size)
-    return {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": size}[reading.scale]
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:

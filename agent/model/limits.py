@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -28,10 +29,11 @@ class RateLimit:
     def __init__(
         self, rpm: int | None, tpm: int | None, clock: Callable[[], float], pause: Callable[[float], None]
     ) -> None:
-        self._rpm, self._tpm = rpm, tpm
+        self._rpm, self._tpm = rpm or math.inf, tpm or math.inf
         self._clock, self._pause = clock, pause
         self._lock = threading.Lock()
         self._sent: deque[Sent] = deque()
+        """The requests of the last minute."""
         self._tokens = self._replies = 0
 
     def admit(self) -> Sent:
@@ -43,11 +45,15 @@ class RateLimit:
         while True:
             with self._lock:
                 now = self._clock()
-                while self._sent and self._sent[0].at <= now - MINUTE_S:
+                while self._sent and self._sent[0].at + MINUTE_S <= now:
                     self._sent.popleft()
-                if (wait := self._wait(now)) <= 0:
-                    self._sent.append(Sent(now, self._mean()))
+                mean = self._tokens / max(self._replies, 1)
+                tokens = sum(sent.tokens for sent in self._sent) + mean
+                # A request is always admitted alone, or a limit below its tokens would hold it for ever.
+                if not self._sent or (len(self._sent) < self._rpm and tokens <= self._tpm):
+                    self._sent.append(Sent(now, mean))
                     return self._sent[-1]
+                wait = self._sent[0].at + MINUTE_S - now
             self._pause(wait)
 
     def count(self, sent: Sent, tokens: int) -> None:
@@ -61,20 +67,3 @@ class RateLimit:
             sent.tokens = tokens
             self._tokens += tokens
             self._replies += 1
-
-    def _mean(self) -> float:
-        return self._tokens / self._replies if self._replies else 0.0
-
-    def _wait(self, now: float) -> float:
-        """Return the seconds until the requests and tokens of the last minute are below the limits."""
-        leaving = 0
-        if self._rpm is not None:
-            leaving = len(self._sent) + 1 - self._rpm
-        if self._tpm is not None:
-            tokens = sum(sent.tokens for sent in self._sent) + self._mean()
-            for count, sent in enumerate(self._sent, 1):
-                if tokens <= self._tpm:
-                    break
-                tokens -= sent.tokens
-                leaving = max(leaving, count)
-        return 0.0 if leaving <= 0 else self._sent[leaving - 1].at + MINUTE_S - now

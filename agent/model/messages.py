@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
@@ -96,17 +97,15 @@ def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Me
         The chat, with the lines that announce the pictures left out.
     """
     pictures = sum(isinstance(part, Picture) for message in messages for part in message.parts)
-    left = 0 if most is None else pictures - most
-    kept = []
-    for message in messages:
-        parts: list[Part] = []
-        for part in message.parts:
-            if isinstance(part, Picture) and left > 0:
-                left -= 1
-            else:
-                parts.append(part)
-        kept.append(Message(message.role, tuple(parts)))
-    return kept
+    left_out = 0 if most is None else pictures - most
+    numbers = itertools.count()
+    return [
+        Message(
+            message.role,
+            tuple(part for part in message.parts if isinstance(part, str) or next(numbers) >= left_out),
+        )
+        for message in messages
+    ]
 
 
 def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:

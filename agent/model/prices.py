@@ -7,20 +7,23 @@ output = 0.4
 
 from __future__ import annotations
 
-import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
 
 from jrdb_avr.schema.errors import InputError
+
+Dollars = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 
 @dataclass(frozen=True)
 class Price:
     """The price in dollars of a million tokens that a model reads (`input`) or writes (`output`)."""
 
-    input: float
-    output: float
+    input: Dollars
+    output: Dollars
 
     def cost(self, prompt_tokens: int, completion_tokens: int) -> float:
         """Return the cost of tokens.
@@ -49,18 +52,14 @@ def read_price(path: Path, model: str) -> Price:
         InputError: The file cannot be read or does not name the model's price.
     """
     try:
-        entry = tomllib.loads(path.read_text(encoding="utf-8")).get(model)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        prices = msgspec.toml.decode(path.read_bytes(), type=dict[str, Any])
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError, RecursionError) as error:
         raise InputError(f"cannot read the prices in {path}: {error}", file=str(path)) from None
-    match entry:
-        case {"input": int() | float() as read, "output": int() | float() as written} if _is_price(read, written):
-            return Price(float(read), float(written))
-    raise InputError(
-        f'{path} has no price of {model}: write ["{model}"] and below it input = and output = in dollars per million '
-        "tokens",
-        file=str(path),
-    )
-
-
-def _is_price(*values: float) -> bool:
-    return all(not isinstance(value, bool) and 0 <= value < math.inf for value in values)
+    try:
+        return msgspec.convert(prices.get(model), Price)
+    except msgspec.ValidationError:
+        raise InputError(
+            f'{path} has no price of {model}: write ["{model}"] and below it input = and output = in dollars per '
+            "million tokens",
+            file=str(path),
+        ) from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any, Final
 
 import msgspec
@@ -34,11 +33,14 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class ErrorReply(ValueError):  # noqa: N818 - it is a reply
-    """A reply that reports an error in place of a completion, with the error's code."""
+    """A reply that reports an error in place of a completion: the HTTP status, the reason, and the error's code."""
 
-    def __init__(self, reason: str, code: object = None) -> None:
+    def __init__(self, status: int, reason: str, code: object = None) -> None:
         super().__init__(reason)
-        self.code = code
+        self.reason, self.code = reason, code
+        # Some servers and proxies send an error with the status of a success.
+        nested = code if isinstance(code, int) and 400 <= code < 600 else 502
+        self.status = nested if 200 <= status < 300 else status
 
 
 class _Text(msgspec.Struct):
@@ -74,25 +76,30 @@ _ENDS: Final = {
 """Finish reasons of chat completions for those of other protocols, which some servers pass on."""
 
 
-def read_completion(data: bytes) -> Reply:
+def read_completion(data: bytes, status: int = 200) -> Reply:
     """Read the first choice of a chat completion.
 
     Args:
         data: The body of the reply.
+        status: The HTTP status of the reply.
 
     Returns:
         The reply.
 
     Raises:
-        ErrorReply: The body reports an error.
+        ErrorReply: The status or the body reports an error.
         ValueError: The body is not a chat completion.
     """
+    failed = not 200 <= status < 300
     try:
         body = msgspec.json.decode(data)
-        if isinstance(body, dict) and (body.get("error") or body.get("object") == "error"):
-            raise ErrorReply(*server_reason(data))
+        if failed or (isinstance(body, dict) and (body.get("error") or body.get("object") == "error")):
+            reason, code = _reason(body)
+            raise ErrorReply(status, data.decode() if reason is None else reason, code)
         completion = msgspec.convert(body, _Completion)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        if failed:
+            raise ErrorReply(status, data.decode(errors="replace")) from None
         raise ValueError(str(error) or "nested too deep") from None
     if not completion.choices:
         raise ValueError("it holds no choice")
@@ -101,7 +108,7 @@ def read_completion(data: bytes) -> Reply:
     ended = _ENDS.get(ended.lower(), ended)
     if choice.error or ended in _FAILED:
         reason, code = _reason(choice.error)
-        raise ErrorReply(reason or f"the reply ended with finish_reason {ended!a}", code)
+        raise ErrorReply(status, reason or f"the reply ended with finish_reason {ended!a}", code)
     text = choice.message
     content, thinking = _parts(text.content)
     return Reply(
@@ -115,37 +122,22 @@ def read_completion(data: bytes) -> Reply:
     )
 
 
-def server_reason(data: bytes) -> tuple[str, object]:
-    """Find the reason in the body of an error, under `error`, `message`, `detail` or `msg`, nested in any way.
-
-    Args:
-        data: The body of the reply.
-
-    Returns:
-        The reason, or the whole text if none is found, and the error's code.
-    """
-    text = data.decode(errors="replace")
-    try:
-        reason, code = _reason(msgspec.json.decode(data))
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return text, None
-    return text if reason is None else reason, code
-
-
-def _reason(value: object) -> tuple[str | None, object]:
-    match value:
-        case str():
-            return value, None
-        case [first, *_]:
-            return _reason(first)
-        case {"msg": str(fault), "loc": [*path]}:
-            return f"{'.'.join(map(str, path))}: {fault}", None
-        case dict():
-            nested = [_reason(value.get(key)) for key in ("error", "message", "detail", "msg")]
-            codes = [value.get("code"), *(code for _, code in nested)]
-            reason = next((reason for reason, _ in nested if reason is not None), None)
-            return reason, next((code for code in codes if code is not None), None)
-    return None, None
+def _reason(body: object) -> tuple[str | None, object]:
+    """Find the reason of an error and its code, under `error`, `message`, `detail` or `msg`, nested in any way."""
+    code = None
+    while not isinstance(body, str):
+        match body:
+            case [first, *_]:
+                body = first
+            case {"msg": str(fault), "loc": [*path]}:
+                body = f"{'.'.join(map(str, path))}: {fault}"
+            case dict():
+                code = body.get("code") if code is None else code
+                nested = [body.get(key) for key in ("error", "message", "detail", "msg")]
+                body = next((value for value in nested if value and isinstance(value, str | list | dict)), None)
+            case _:
+                return None, code
+    return body, code
 
 
 def _parts(content: str | list[Any] | None) -> tuple[str, str]:
@@ -227,15 +219,12 @@ def _without_blocks(text: str, opening: str, closing: str) -> str:
     delimiter is missing, everything before the closing one is thinking. An unclosed delimiter after text is text.
     """
     texts: list[str] = []
-    start, thinks = 0, False
-    # One pass: replies are long, and the delimiters in them many.
-    for match in re.finditer(f"{re.escape(opening)}|{re.escape(closing)}", text):
-        if match[0] == closing:
-            if not thinks:
-                texts = []
-            start, thinks = match.end(), False
-        elif not thinks:
-            texts.append(text[start : match.start()])
-            start, thinks = match.start(), True
+    *blocks, last = text.split(closing)
+    for block in blocks:
+        before, opened, _ = block.partition(opening)
+        if not opened:
+            texts.clear()
+        texts.append(before if opened else "")
     outside = "".join(texts)
-    return outside if thinks and not outside.strip() else outside + text[start:]
+    before, opened, _ = last.partition(opening)
+    return outside if opened and not (outside + before).strip() else outside + last

@@ -8,15 +8,11 @@ from __future__ import annotations
 
 import functools
 import ipaddress
-import math
 import os
-import queue
 import re
 import threading
 import time
-import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
@@ -63,12 +59,8 @@ class Connections:
         import httpx2
 
         self._bounds = bounds
-        self._deadline = _Deadline()
-        # 64 calls of a megabyte at a time take half the time if other threads than the callers' exchange them. An
-        # executor's threads are no daemons: an interrupt would wait for replies.
-        self._tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._idle = threading.Semaphore(0)
-        weakref.finalize(self, self._tasks.put, None)
+        self._exchanges = threading.local()
+        """The end of the calling thread's exchange, in seconds of `time.monotonic`."""
         environment = not _is_loopback(base_url)
         try:
             self._http = httpx2.Client(
@@ -82,10 +74,6 @@ class Connections:
             raise EndpointError(
                 "the environment names a proxy that cannot be used: correct HTTP_PROXY, HTTPS_PROXY or ALL_PROXY"
             ) from None
-        # httpx2 passes no network backend on to its pools.
-        for transport in filter(None, [self._http._transport, *self._http._mounts.values()]):
-            pool = transport._pool  # type: ignore[attr-defined]
-            pool._network_backend = _BoundedBackend(pool._network_backend, self._deadline)
 
     def exchange(self, timeout_s: float, method: str, url: str, **request: Any) -> tuple[httpx2.Response, bytes]:
         """Send a request and read the whole reply.
@@ -104,20 +92,12 @@ class Connections:
                 one (decompression bomb).
             httpx2.HTTPError: The server cannot be reached, or the reply breaks off or does not end in time.
         """
-        done: Future[tuple[httpx2.Response, bytes]] = Future()
-        self._tasks.put((functools.partial(self._exchange, timeout_s, method, url, request), done))
-        if not self._idle.acquire(blocking=False):
-            threading.Thread(target=_serve, args=(self._tasks, self._idle), daemon=True).start()
-        return done.result()
-
-    def _exchange(
-        self, timeout_s: float, method: str, url: str, request: Mapping[str, Any]
-    ) -> tuple[httpx2.Response, bytes]:
         import httpx2
 
-        self._deadline.end = time.monotonic() + timeout_s
+        self._exchanges.end = time.monotonic() + timeout_s
         timeout = httpx2.Timeout(timeout_s, connect=min(timeout_s, self._bounds.connect_s))
-        with self._http.stream(method, url, timeout=timeout, **request) as response:
+        hooks = {"trace": self._bound_reads}
+        with self._http.stream(method, url, timeout=timeout, extensions=hooks, **request) as response:
             if response.has_redirect_location:
                 raise EndpointError(
                     f"the server redirects to another address (HTTP {response.status_code}): "
@@ -135,22 +115,23 @@ class Connections:
                     raise EndpointError(f"the reply is longer than {size:.3g} MB: is this a chat server?")
             return response, bytes(data)
 
+    def _bound_reads(self, event: str, details: Mapping[str, Any]) -> None:
+        """End the reads of a new connection at the deadline of the exchange.
 
-def _serve(tasks: queue.SimpleQueue[Any], idle: threading.Semaphore) -> None:
-    """Carry out tasks until the connections are collected."""
-    while (task := tasks.get()) is not None:
-        work, done = task
-        finish: Callable[[], None]
-        try:
-            finish = functools.partial(done.set_result, work())
-        except BaseException as error:
-            finish = functools.partial(done.set_exception, error)
-        # Idle before the caller goes on, which may have another call at once.
-        idle.release()
-        finish()
-        # Results and the connections must not stay alive while the thread waits.
-        del task, work, done, finish
-    tasks.put(None)
+        Because httpx2 bounds each wait for bytes only, a server that sends a byte at a time, or endless announcements
+        (102 Processing), would otherwise hold a call for ever.
+        """
+        if event.endswith(("connect_tcp.complete", "start_tls.complete")):
+            stream = details["return_value"]
+            stream.read = functools.partial(self._read, stream.read)
+
+    def _read(self, read: Callable[[int, float], bytes], most_bytes: int, timeout: float | None = None) -> bytes:
+        import httpx2
+
+        left = self._exchanges.end - time.monotonic()
+        if left <= 0:
+            raise httpx2.ReadTimeout("the exchange did not end in time")
+        return read(most_bytes, left)
 
 
 @functools.cache
@@ -161,65 +142,64 @@ def _certificates(environment: bool) -> ssl.SSLContext:
     return httpx2.create_ssl_context(trust_env=environment)
 
 
-class _Deadline(threading.local):
-    """The end of the calling thread's exchange, in seconds of `time.monotonic`."""
+class Credentials:
+    """The headers of a client's requests. The environment holds the values, and no message or reply must show them."""
 
-    end = math.inf
+    def __init__(self, key_variable: str, header_variables: Mapping[str, str]) -> None:
+        """Read the key and the headers from the environment.
 
-    def limit(self, timeout_s: float | None) -> float:
-        """Return the seconds that a wait may take. Raise ReadTimeout if none are left."""
-        left = self.end - time.monotonic()
-        if left <= 0:
-            import httpx2
+        Args:
+            key_variable: The environment variable of the server's key, which may be unset.
+            header_variables: The environment variable of each further header.
 
-            raise httpx2.ReadTimeout("the exchange did not end in time")
-        return left if timeout_s is None else min(timeout_s, left)
+        Raises:
+            EndpointError: A variable has no value that a header can hold. The message does not contain the value.
+        """
+        key = _read_variable(key_variable, "[!-~]*")
+        values = {name: _read_variable(variable, "[ -~]+") for name, variable in header_variables.items()}
+        self.headers = {"Content-Type": "application/json"}
+        if key and "authorization" not in map(str.lower, values):
+            self.headers["Authorization"] = f"Bearer {key}"
+        self.headers |= values
+        words = [word for value in values.values() for word in (value, *value.split()) if len(word) >= _SECRET // 2]
+        # The longest first, because a word is a part of its value.
+        self._secrets = sorted(filter(None, [key, *words]), key=len, reverse=True)
+        long = ["".join(map(_forms, secret)) for secret in self._secrets if len(secret) >= _SECRET]
+        # The last pattern is an escaped backslash; its second half would otherwise look like the escape of a secret.
+        self._in_json = re.compile("|".join([*long, r"(\\\\)"]).encode())
 
+    def hide(self, text: str) -> str:
+        """Return a text with "[key]" in place of each secret."""
+        for secret in self._secrets:
+            text = text.replace(secret, "[key]")
+        return text
 
-class _BoundedBackend:
-    """The network backend of a pool, with streams that keep to the deadline.
-
-    Because httpx2 bounds each wait for bytes only, a server that sends a byte at a time, or endless announcements (102
-    Processing), would otherwise hold a call for ever.
-    """
-
-    def __init__(self, backend: Any, deadline: _Deadline) -> None:
-        self._backend, self._deadline = backend, deadline
-        self.sleep = backend.sleep
-
-    def connect_tcp(self, host: str, port: int, timeout: float | None = None, **options: Any) -> _BoundedStream:
-        stream = self._backend.connect_tcp(host, port, self._deadline.limit(timeout), **options)
-        return _BoundedStream(stream, self._deadline)
-
-
-class _BoundedStream:
-    """A network stream with waits that end at the deadline."""
-
-    def __init__(self, stream: Any, deadline: _Deadline) -> None:
-        self._stream, self._deadline = stream, deadline
-        self.close, self.get_extra_info = stream.close, stream.get_extra_info
-
-    def read(self, max_bytes: int, timeout: float | None = None) -> Any:
-        return self._stream.read(max_bytes, self._deadline.limit(timeout))
-
-    def write(self, buffer: bytes, timeout: float | None = None) -> None:
-        self._stream.write(buffer, self._deadline.limit(timeout))
-
-    def start_tls(
-        self, ssl_context: ssl.SSLContext, server_hostname: str | None = None, timeout: float | None = None
-    ) -> _BoundedStream:
-        stream = self._stream.start_tls(ssl_context, server_hostname, self._deadline.limit(timeout))
-        return _BoundedStream(stream, self._deadline)
+    def hide_in_json(self, data: bytes) -> bytes:
+        """Return JSON with "[key]" in place of each long secret, also if it is written with escapes."""
+        return self._in_json.sub(lambda match: match[1] or b"[key]", data)
 
 
-# -- address and key --------------------------------------------------------------------------------------------------
+def _read_variable(variable: str, form: str) -> str:
+    value = os.environ.get(variable, "").strip()
+    if not re.fullmatch(form, value):
+        raise EndpointError(
+            f"${variable} holds no value that a header can have: set it without line ends and letters beyond ASCII, "
+            "and a key without spaces"
+        )
+    return value
 
-_SECRETIVE: Final = re.compile(r"#|^([^/]*//)?[^/?]*@")
-"""Pattern of the parts of an address that may hold a password: user info and fragment."""
 
-_SECRET_NAME: Final = re.compile(r"(?i)key|token|secret|pass|pw|sig|auth|cred|code")
-_LONGEST_VALUE: Final = 40
-"""Maximum length of a query's value; a longer one may be a key."""
+def _forms(character: str) -> str:
+    """Return a pattern of the ways in which a server may write a character."""
+    return rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))"
+
+
+# -- addresses --------------------------------------------------------------------------------------------------------
+
+_SECRETIVE: Final = re.compile(
+    r"(?i)#|^([^/]*//)?[^/?]*@|[?&;][^=&;]*(key|token|secret|pass|pw|sig|auth|cred|code)|[?&;][^=&;]*=[^&;]{41}"
+)
+"""Parts of an address that may hold a password or key: fragment, user info, a name or a long value in the query."""
 
 
 def checked_url(base_url: str) -> str:
@@ -236,11 +216,7 @@ def checked_url(base_url: str) -> str:
     """
     import httpx2
 
-    query = base_url.partition("?")[2].partition("#")[0]
-    named = [part.partition("=") for part in re.split("[&;]", query) if part]
-    if _SECRETIVE.search(base_url) or any(
-        _SECRET_NAME.search(name) or len(value) > _LONGEST_VALUE for name, _, value in named
-    ):
+    if _SECRETIVE.search(base_url):
         # The address is printed and stored with the run.
         raise EndpointError(
             "--base-url must hold no password, key or fragment: put the key into an environment variable, and give its "
@@ -278,91 +254,3 @@ def _is_loopback(base_url: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def environment_key(variable: str) -> str:
-    """Read a key from the environment.
-
-    Args:
-        variable: The name of the environment variable.
-
-    Returns:
-        The key, or "".
-
-    Raises:
-        EndpointError: A header cannot hold the key. The message does not contain it.
-    """
-    key = os.environ.get(variable, "").strip()
-    if not all("!" <= character <= "~" for character in key):
-        raise EndpointError(
-            f"${variable} holds a character that no key has (a space, a line end, a letter beyond ASCII)"
-        )
-    return key
-
-
-def environment_header(name: str, variable: str) -> str:
-    """Read the value of a header from the environment.
-
-    Args:
-        name: The header.
-        variable: The name of the environment variable.
-
-    Returns:
-        The value.
-
-    Raises:
-        EndpointError: The variable has no value, or a header cannot hold it. The message does not contain it.
-    """
-    value = os.environ.get(variable, "").strip()
-    if not value or not all(" " <= character <= "~" for character in value):
-        raise EndpointError(f"--header {name}={variable}: ${variable} holds no value that a header can have")
-    return value
-
-
-def secrets_of(key: str, headers: Iterable[str]) -> list[str]:
-    """List the texts that messages must not show.
-
-    Args:
-        key: The server's key.
-        headers: The values of further headers.
-
-    Returns:
-        The key, the values and their longer words, the longest first.
-    """
-    words = {word for value in headers for word in (value, *value.split()) if len(word) >= _SECRET // 2}
-    return sorted({key, *words} - {""}, key=lambda word: (-len(word), word))
-
-
-def secret_pattern(secrets: Sequence[str]) -> re.Pattern[bytes] | None:
-    """Return a pattern that matches secrets in a reply, also with JSON's escapes.
-
-    Args:
-        secrets: The secrets; short ones are left out.
-
-    Returns:
-        The pattern; None without a long secret. Its group 1 matches an escaped backslash; its second half would
-        otherwise look like the escape of a secret.
-    """
-    long = ["".join(map(_forms, secret)) for secret in secrets if len(secret) >= _SECRET]
-    return re.compile(("|".join(long) + r"|(\\\\)").encode()) if long else None
-
-
-def _forms(character: str) -> str:
-    """Return a pattern of the ways in which a server may write a character."""
-    return rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))"
-
-
-def retry_after(value: str | None) -> float | None:
-    """Read a Retry-After header.
-
-    Args:
-        value: The header's value, or None.
-
-    Returns:
-        The seconds; None if the header does not state them.
-    """
-    try:
-        seconds = float(value or "")
-    except ValueError:
-        return None
-    return seconds if seconds >= 0 else None

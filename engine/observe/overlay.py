@@ -16,16 +16,16 @@ from jrdb_avr.schema.panorama import WIDTH
 def draw_people(
     image: Image, sightings: Sequence[dict[str, Any]], poses: Iterable[dict[str, Any]] = (), left: float = 0.0
 ) -> Image:
-    """Draw people on a copy of a picture. A person on the seam is drawn on both sides.
+    """Draw people on a copy of a picture. A person who crosses the seam is drawn at both ends of a panorama.
 
     Args:
-        image: A panorama, or a crop (height, width, 3).
-        sightings: Rows with boxes in stitched pixels.
-        poses: Rows of the table `poses`.
-        left: Left column of the crop in the panorama.
+        image: A panorama or a crop (height, width, 3).
+        sightings: Rows of the people in the frame, with boxes in stitched pixels, pose and group.
+        poses: Rows of the table `poses` for the frame.
+        left: Left column of the crop in stitched pixels. 0 for a panorama.
 
     Returns:
-        The copy with boxes, labels and skeletons.
+        The copy, with boxes, labels and skeletons.
     """
     image = np.array(image)
     for row in sightings:
@@ -36,13 +36,13 @@ def draw_people(
 
 
 def label_of(row: dict[str, Any]) -> str:
-    """Return the label of a box.
+    """Return the text beside a person's box.
 
     Args:
-        row: A sighting with pose and group.
+        row: A sighting with pose and group (`cluster`).
 
     Returns:
-        Track, pose and group. A '?' follows the track of a person without a clear view.
+        Track id, pose and group. A '?' follows the track id if the person is not in clear view.
     """
     parts = [f"{row['track']}" + ("" if row["clear"] else "?")]
     if row["pose"]:
@@ -72,7 +72,7 @@ def _draw_box(image: Image, x: float, row: dict[str, Any]) -> None:
 def _draw_skeletons(
     image: Image, left: float, sightings: Iterable[dict[str, Any]], poses: Iterable[dict[str, Any]]
 ) -> None:
-    """Draw lines and points; occluded points as thin lines and rings, invisible points not at all."""
+    """Draw the visible points of skeletons and the lines between them. Occluded points get rings and thin lines."""
     import cv2
 
     keys = {row["track"]: _color_key(row) for row in sightings}
@@ -81,7 +81,7 @@ def _draw_skeletons(
         code = points[:, 2]
         if not code.any():
             continue
-        # Move all points near the first visible one, because a person may cross the seam.
+        # A person may cross the seam, so all points are moved to the side of the first visible point.
         first = points[code > 0][0, 0]
         columns = first + (points[:, 0] - first + WIDTH / 2) % WIDTH - WIDTH / 2 - left
         color = _color(keys.get(pose["track"], pose["track"]))
@@ -96,11 +96,11 @@ def _draw_skeletons(
 
 
 def _color_key(row: dict[str, Any]) -> int:
-    """Return the number that selects a person's color: the group, else the track."""
+    """Return the number that selects a person's color: the group's id, or the track id if there is no group."""
     return int(row["track"] if row["cluster"] is None else row["cluster"])
 
 
 def _color(key: int) -> tuple[int, int, int]:
-    # The golden angle keeps the hues of neighbouring numbers far apart.
+    # Steps of the golden angle give consecutive keys hues that are far apart.
     red, green, blue = colorsys.hsv_to_rgb(key * 0.381966 % 1.0, 0.6, 1.0)
     return round(red * 255), round(green * 255), round(blue * 255)

@@ -1,8 +1,8 @@
 """Statistics of scores: intervals by bootstrap over sequences, and comparisons of two runs.
 
-Questions of one sequence share its people and its light, and are not independent draws. The cluster bootstrap
-therefore draws whole sequences. Intervals are percentile intervals at 95 %. Draws are seeded and equal for all runs
-over the same sequences, so that differences between runs are paired.
+Questions about the same sequence share its people and its light, so they are not independent. The cluster bootstrap
+therefore draws whole sequences with replacement. Intervals are percentile intervals at 95 %. The draws are seeded. All
+runs on the same sequences get the same draws, so that differences between runs are paired.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ DRAWS: Final = 10_000
 SEED: Final = 0
 LEVEL: Final = 0.95
 LEAST_CLUSTERS: Final = 10
-"""Minimum number of sequences for an interval: fewer draws say little about other sequences."""
+"""Minimum number of sequences for an interval. Fewer sequences say little about sequences outside the sample."""
 
 _TAILS: Final = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
 
 _BATCH: Final = 32
-"""Number of comparisons computed together; each takes 80 kB per score."""
+"""Maximum number of pairs that are compared in one array. A pair takes 80 kB per score."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A share with its interval.
+    """A statistic, such as a share of questions, with its interval.
 
     Attributes:
-        value: The share, or None without questions.
-        low: Lower bound, or None with fewer than two sequences.
-        high: Upper bound, or None with fewer than two sequences.
+        value: The value, or None if it is undefined, for example because there are no questions.
+        low: Lower bound, or None if there are fewer than two sequences.
+        high: Upper bound, or None if there are fewer than two sequences.
     """
 
     value: float | None
@@ -45,8 +45,9 @@ class Interval:
 
 
 Pair = tuple[int, int, float, Interval]
-"""Comparison of two runs by one score: the number of questions that only the first run scores, the number that only
-the second scores, the p-value of the exact two-sided McNemar test, and the share of the second minus the first's.
+"""Comparison of two runs by one score: the number of questions that only the first run has right, the number that only
+the second run has right, the p-value of the exact two-sided McNemar test, and the difference of the two shares (second
+minus first) with its interval.
 """
 
 
@@ -55,35 +56,35 @@ def draws(clusters: int, n: int = DRAWS, seed: int = SEED) -> Floats:
     """Draw clusters with replacement.
 
     Args:
-        clusters: Number of clusters, and of clusters in each draw.
+        clusters: Number of clusters. Each draw takes this many.
         n: Number of draws.
-        seed: Seed of the generator.
+        seed: Seed of the random generator.
 
     Returns:
-        How often each draw contains each cluster, read-only (n, clusters).
+        How many times each draw contains each cluster, as a read-only array (n, clusters).
     """
     generator = np.random.default_rng(seed)
     counts = generator.multinomial(clusters, np.full(clusters, 1 / clusters), size=n).astype(np.float64)
-    # The cached array is shared by all comparisons over the same sequences.
+    # Read-only, because all comparisons with this number of clusters share the cached array.
     counts.flags.writeable = False
     return counts
 
 
 Statistic = Callable[[Floats], Floats]
-"""Function of totals (draws, columns) that returns values (draws), NaN if undefined."""
+"""Function from the sums of columns in each draw (draws, columns) to one value per draw (draws), NaN if undefined."""
 
 
 def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, seed: int = SEED) -> list[Interval]:
     """Compute statistics with their intervals.
 
     Args:
-        sums: Sums over the questions of each cluster (clusters, columns).
-        statistics: Functions of the columns' totals.
+        sums: For each cluster, the sum of each column over the questions of the cluster (clusters, columns).
+        statistics: The statistics to compute.
         n: Number of draws.
         seed: Seed of the draws.
 
     Returns:
-        The interval of each statistic. Draws with an undefined statistic are left out.
+        One interval per statistic. If a statistic is undefined in a draw, its interval ignores the draw.
     """
     total = sums.sum(axis=0, keepdims=True)
     values = [float(statistic(total)[0]) if len(sums) else math.nan for statistic in statistics]
@@ -103,27 +104,29 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
 
 
 def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
-    """Sum rows by number.
+    """Sum the rows of each group.
 
     Args:
-        numbers: Number of each row, below `count` (n).
+        numbers: Index of each row's group, in [0, count) (n).
         count: Number of groups.
         columns: Values to sum (n, columns).
 
     Returns:
-        The sums (count, columns).
+        The sum of each column in each group (count, columns).
     """
     return np.stack([np.bincount(numbers, weights=column, minlength=count) for column in columns.T], axis=1)
 
 
 def mean_ratio(*pairs: tuple[int, int]) -> Statistic:
-    """Make a statistic: the mean of ratios of columns' totals. Several pairs give a macro average.
+    """Make a statistic: the mean of several ratios, each of the sums of two columns.
+
+    One pair gives a plain ratio, such as a share. Several pairs give a macro average.
 
     Args:
-        *pairs: Columns of numerator and denominator.
+        *pairs: Indexes of the columns of each ratio: numerator and denominator.
 
     Returns:
-        The statistic; ratios with a denominator of 0 are left out, and NaN remains if all are.
+        The statistic. Ratios with a denominator of 0 are left out. If there are no others, the value is NaN.
     """
 
     def mean(totals: Floats) -> Floats:
@@ -142,14 +145,14 @@ def mcnemar(only_first: int, only_second: int) -> float:
     """Compute the exact two-sided McNemar test.
 
     Args:
-        only_first: Number of questions that only the first run scores.
-        only_second: Number of questions that only the second run scores.
+        only_first: Number of questions that only the first run has right.
+        only_second: Number of questions that only the second run has right.
 
     Returns:
-        The p-value: the probability of a split at least as uneven if both runs are equally good.
+        The p-value: the probability of an equally or more uneven split if both runs are equally good.
     """
     n, least = only_first + only_second, min(only_first, only_second)
-    # Integers, because 2 ** n overflows a float for a large benchmark.
+    # Computed in integers, because 2 ** n overflows a float if the benchmark is large.
     below = term = 1
     for k in range(1, least + 1):
         term = term * (n - k + 1) // k
@@ -160,21 +163,21 @@ def mcnemar(only_first: int, only_second: int) -> float:
 def compare(
     clusters: Ints, scores: Sequence[Digits], pairs: Sequence[tuple[int, int]], n: int = DRAWS, seed: int = SEED
 ) -> list[list[Pair]]:
-    """Compare pairs of runs on the same questions.
+    """Compare pairs of runs that answered the same questions.
 
     Args:
-        clusters: Cluster of each question (questions).
-        scores: 0/1 scores of each run, in the same order (questions, scores).
-        pairs: Indexes of two runs in `scores`.
+        clusters: Number of each question's cluster (questions).
+        scores: For each run, an array of 0 and 1 with the questions in this order (questions, scores).
+        pairs: The pairs to compare, each as two indexes in `scores`.
         n: Number of draws.
         seed: Seed of the draws.
 
     Returns:
-        For each pair one `Pair` per score.
+        For each pair of runs, one `Pair` per score.
     """
     names, numbers = np.unique(clusters, return_inverse=True)
     sums = numbered_sums(numbers, len(names), np.concatenate([*scores, np.ones((len(clusters), 1))], axis=1))
-    # Draw each run once for all its comparisons. The first row counts each cluster once and gives the shares.
+    # Draw each run once for all its comparisons. The first draw is the sample itself, which gives the shares.
     times = np.concatenate([np.ones((1, len(sums))), draws(len(sums), n, seed)])
     *drawn, questions = sums.T @ times.T
     of_runs = np.reshape(drawn, (len(scores), -1, len(times)))

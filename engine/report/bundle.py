@@ -1,11 +1,11 @@
-"""Bundles: the predictions of a run as a folder, to be scored by a store that has the answers.
+"""Bundles: the predictions of a run as a folder that can be sent to a store that has the answers, and scored there.
 
     DIR/run.json            the run's manifest: questions, method, model and settings
     DIR/predictions.jsonl   the predictions, as `prediction_lines` writes them
-    DIR/SHA256SUMS          the hashes of both, in the format of `sha256sum -c`
+    DIR/SHA256SUMS          the hashes of both files, in the format of `sha256sum -c`
 
-Bundles are untrusted. These three files are read with size limits, as JSON and text. A file that does not match its
-hash is refused. The hashes prove that a bundle is complete, not who made it.
+Bundles are untrusted. Only these three files are read, as JSON and text, and their sizes are limited. A file that does
+not match its hash is refused. The hashes prove that a bundle is unaltered since it was written, not who made it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DEEPEST_SETTINGS: Final = 32
 
 @dataclass(frozen=True)
 class Bundle:
-    """A complete bundle: its folder, the manifest of its run, and the table of its predictions."""
+    """A checked bundle: its folder, the manifest of its run, and the table `predictions` of its run."""
 
     folder: Path
     run: RunManifest
@@ -45,20 +45,20 @@ class Bundle:
 
     @property
     def question_set(self) -> str:
-        """16 hex digits that are equal for runs on the same questions of the same file."""
+        """Id of the set of questions, 16 hex digits. Runs on the same questions of the same file have the same id."""
         return _sha256("\n".join([self.run.questions_sha256, *sorted(self.run.question_ids)]).encode())[:16]
 
 
 def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> Bundle:
-    """Write a finished run as a bundle, without the address of the model's server.
+    """Write a finished run as a bundle. The bundle does not have the address of the model's server.
 
     Args:
-        store: The run's store.
-        run_id: The run's id.
-        folder: A new or empty folder.
+        store: The store of the run, or its folder.
+        run_id: The id of the run.
+        folder: The folder of the bundle. It must be missing or empty.
 
     Returns:
-        The bundle as read back.
+        The bundle, read back from the folder.
 
     Raises:
         StoreError: If the run is missing or unfinished.
@@ -79,16 +79,16 @@ def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> 
 
 
 def read_bundle(folder: str | Path) -> Bundle:
-    """Read a bundle.
+    """Read and check a bundle.
 
     Args:
-        folder: The bundle's folder.
+        folder: The folder of the bundle.
 
     Returns:
         The bundle.
 
     Raises:
-        InputError: If a file is missing, altered, too large, or has another format.
+        InputError: If a file is missing, altered, too large, or in another format.
     """
     folder = Path(folder)
     data = {name: read_regular(folder / name, largest) for name, largest in _LARGEST.items()}
@@ -104,17 +104,17 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 
 def bundle_submission(store: Store, bundle: Bundle) -> Submission:
-    """Return a bundle as a run to be scored.
+    """Return the run of a bundle in the form that is scored.
 
     Args:
-        store: The store with the answers.
+        store: The store that has the answers.
         bundle: The bundle.
 
     Returns:
         The run's manifest and predictions.
 
     Raises:
-        StoreError: If the bundle belongs to another questions file.
+        StoreError: If the run answered the questions of another questions file than the store's.
     """
     if bundle.run.questions_sha256 != questions_hash(store):
         raise StoreError(f"{bundle.folder} belongs to another questions file: score it in its own store")
@@ -125,7 +125,7 @@ def _manifest(data: bytes, path: Path) -> RunManifest:
     try:
         run = msgspec.json.decode(data, type=RunManifest)
         if not is_plain_name(run.run_id) or max(map(len, (run.method, run.model, run.created))) > _LONGEST_NAME:
-            raise ValueError("its run, method or model has no usable name")
+            raise ValueError("the name of its run, method or model is invalid or too long")
         if not run.question_ids:
             raise ValueError("it names no question")
         if len(msgspec.json.encode(run.settings)) > _LARGEST_SETTINGS:
@@ -137,7 +137,7 @@ def _manifest(data: bytes, path: Path) -> RunManifest:
 
 
 def _check_depth(value: object, limit: int) -> None:
-    """Raise ValueError for settings nested deeper than `limit`, because pages render them recursively."""
+    """Raise ValueError if settings are nested deeper than `limit`. Pages render settings recursively."""
     if not limit:
         raise ValueError("its settings are nested too deeply")
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()

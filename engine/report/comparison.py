@@ -1,4 +1,4 @@
-"""Scores and comparisons of runs: the library functions `score` and `report`, and their results."""
+"""Scores and comparisons of runs: the library functions `score`, `report` and `diff`, and their results."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_m
 
 @dataclass(frozen=True, repr=False)
 class Scores(Displayed):
-    """Scores of runs in percent of their questions. `rows` has one row per run."""
+    """Scores of runs, in percent of the questions of each run. `rows` has one row per run."""
 
     rows: list[Row]
 
@@ -59,10 +59,10 @@ class Comparison(Displayed):
 
     Attributes:
         store: The store of the runs.
-        index: The store's questions.
-        runs: The runs, the best first.
-        iou: Minimum IoU for evidence to score.
-        paper: Whether tables include the paper's figures.
+        index: The questions of the store, with their labels.
+        runs: The scored runs, the best run first.
+        iou: Minimum IoU with which evidence scores.
+        paper: Whether the tables include the figures of the paper.
     """
 
     store: Store
@@ -73,39 +73,39 @@ class Comparison(Displayed):
 
     @property
     def scores(self) -> pa.Table:
-        """Rows of all runs, as `score` would write them."""
+        """Rows of the table `scores` for all runs, as the function `score` would write them."""
         return pa.concat_tables(map(make_scores_table, self.runs))
 
     @property
     def synthetic(self) -> bool:
-        """Whether a run used the simulated model or the sample world, so that its scores do not describe JRDB."""
+        """Whether any run used the simulated model or the sample world. Scores of such a run do not describe JRDB."""
         return any(run.manifest.synthetic for run in self.runs)
 
     def table(self, name: str = "main") -> list[Row]:
-        """Compute one table.
+        """Compute one table of the report.
 
         Args:
             name: A name of `TABLES`.
 
         Returns:
-            Its rows.
+            The rows of the table.
 
         Raises:
-            InputError: If the name is unknown.
+            InputError: If no table has this name.
         """
         return self.tables([name])[name]
 
     def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Row]]:
-        """Compute several tables; tables that are SQL queries share one connection.
+        """Compute several tables of the report. Tables that are SQL queries share one connection.
 
         Args:
             names: Names of `TABLES`.
 
         Returns:
-            The rows of each table.
+            The rows of each table, by name.
 
         Raises:
-            InputError: If the name is unknown.
+            InputError: If no table has one of the names.
         """
         for name in names:
             if name not in TABLES:
@@ -129,7 +129,7 @@ class Comparison(Displayed):
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
     def _results(self, names: Sequence[str]) -> dict[str, list[Row]]:
-        """Rows of the queries of `queries/results/` over these runs, in the order of the runs."""
+        """Run queries of `queries/results/` on these runs. Return the rows of each, in the order of the runs."""
         if not names:
             return {}
         order = {run.manifest.run_id: index for index, run in enumerate(self.runs)}
@@ -140,36 +140,36 @@ class Comparison(Displayed):
         return {name: sorted(table.to_pylist(), key=lambda row: order[row["run"]]) for name, table in results.items()}
 
     def causes(self) -> dict[tuple[str, str], str]:
-        """Find why each box that does not score fails; the table `evidence_failures` counts these causes.
+        """Find the cause of each box that does not score. The table `evidence_failures` counts these causes.
 
         Returns:
-            The cause by run id and question id.
+            The cause of each such box, by run id and question id.
         """
-        # The query without its last SELECT, which counts.
+        # The last SELECT of the query counts the causes, so it is replaced.
         judged, _, _ = named_queries("sql")["evidence_failures"].text.rpartition("\nSELECT ")
         text = f"{judged}\nSELECT run_id, question_id, cause FROM judged JOIN causes USING (place)"
         rows = query_tables(self.store.path, text, tables={"scores": self.scores}).to_pylist()
         return {(row["run_id"], row["question_id"]): row["cause"] for row in rows}
 
     def markdown(self, name: str = "main") -> str:
-        """Return a table in Markdown, with the columns of a paper.
+        """Return a table in Markdown, with the columns that a paper prints.
 
         Args:
             name: A name of `TABLES`.
 
         Returns:
-            The lines of the table.
+            The Markdown text.
         """
         return formats.markdown(formats.for_paper(name, self.table(name)))
 
     def latex(self, name: str = "main") -> str:
-        """Return a table in LaTeX for the package booktabs, with the columns of a paper.
+        """Return a table in LaTeX for the package booktabs, with the columns that a paper prints.
 
         Args:
             name: A name of `TABLES`.
 
         Returns:
-            A `tabular` environment.
+            A `tabular` environment, and notes below it if the table has settings.
         """
         return formats.latex(formats.for_paper(name, self.table(name)))
 
@@ -181,18 +181,19 @@ class Comparison(Displayed):
 
 
 def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5) -> Scores:
-    """Score runs and write `runs/<run_id>/scores.parquet`.
+    """Score runs, and write `runs/<run_id>/scores.parquet` for each.
 
     Args:
         store: The store, or its folder.
-        runs: Ids of runs; all runs if empty.
-        iou: Minimum IoU of evidence and the target's box for a score.
+        runs: Ids of the runs. If empty, all runs of the store.
+        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
 
     Returns:
-        Scores of each run, the best run first.
+        The scores of each run, the best run first.
 
     Raises:
-        StoreError: If a named run cannot be scored. If no run is named, such a run is left out with an AvrWarning.
+        StoreError: If `runs` names a run that cannot be scored, or if no run can be scored. If `runs` is empty, a run
+            that cannot be scored is left out with an AvrWarning.
     """
     store = Store.of(store)
     rows = []
@@ -203,19 +204,20 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
 
 
 def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 0.5, paper: bool = False) -> Comparison:
-    """Compare runs in tables. Scores are computed anew, and nothing is written.
+    """Score runs and compare them in tables. Stored scores are not used, and nothing is written.
 
     Args:
         store: The store, or its folder.
-        runs: Ids of runs; all runs if empty.
-        iou: Minimum IoU of evidence and the target's box for a score.
-        paper: Whether tables include the paper's figures.
+        runs: Ids of the runs. If empty, all runs of the store.
+        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+        paper: Whether the tables include the figures of the paper.
 
     Returns:
-        The comparison.
+        The comparison, which computes each table on request.
 
     Raises:
-        StoreError: If a named run cannot be scored. If no run is named, such a run is left out with an AvrWarning.
+        StoreError: If `runs` names a run that cannot be scored, or if no run can be scored. If `runs` is empty, a run
+            that cannot be scored is left out with an AvrWarning.
     """
     store = Store.of(store)
     return Comparison(store, read_index(store), _scored(store, runs, iou), iou, paper)
@@ -223,7 +225,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
 
 @dataclass(frozen=True, repr=False)
 class RunDifference(Displayed):
-    """Two scored runs on their common questions. `rows` has one row per score, as the table `pairs`."""
+    """Comparison of two scored runs on their common questions. `rows` are the rows of the table `pairs`."""
 
     index: QuestionIndex
     first: ScoredRun
@@ -232,15 +234,15 @@ class RunDifference(Displayed):
 
     @property
     def synthetic(self) -> bool:
-        """Whether a run used the simulated model or the sample world."""
+        """Whether at least one of the runs used the simulated model or the sample world."""
         return self.first.manifest.synthetic or self.second.manifest.synthetic
 
     def scores(self) -> list[Row]:
         """Return both runs' scores on the common questions.
 
         Returns:
-            A row per score: both shares in percent, their difference in points, the number of questions that only
-            one run scores, and p.
+            One row per score: the share of each run in percent, the difference in points with its interval, for each
+            run the number of questions that only this run has right, and the p-value of the McNemar test.
         """
         _, first, second = self._common()
         first_means, second_means = ((100 * scores.mean(axis=0)).round(2).tolist() for scores in (first, second))
@@ -260,16 +262,17 @@ class RunDifference(Displayed):
         ]
 
     def questions(self, score: str = "combined") -> list[Row]:
-        """Return the questions that exactly one of the runs scores.
+        """Return the questions that exactly one of the runs has right under a score.
 
         Args:
             score: A name of `SCORES`.
 
         Returns:
-            A row per question, those of the first run first, with what each run has right.
+            One row per question: its id, template and sequence, the run that has it right (`only`), and whether each
+            run has the answer and the evidence right. Questions that only the first run has right come first.
 
         Raises:
-            InputError: If the name is unknown.
+            InputError: If no score has this name.
         """
         if score not in SCORES:
             raise InputError(f"no score {score!r}{did_you_mean(score, SCORES)}", field="score")
@@ -292,7 +295,7 @@ class RunDifference(Displayed):
         return sorted(rows, key=lambda entry: (names.index(entry["only"]), entry["template"], entry["question_id"]))
 
     def _common(self) -> tuple[Ints, Digits, Digits]:
-        """Rows of the common questions in the index, and the scores of both runs (questions, scores)."""
+        """Return the rows of the common questions in the index, and the scores of each run (questions, scores)."""
         common, first_rows, second_rows = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
         return common, self.first.scores[first_rows], self.second.scores[second_rows]
 
@@ -316,13 +319,13 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
         store: The store, or its folder.
         first: Id of the first run.
         second: Id of the second run.
-        iou: Minimum IoU of evidence and the target's box for a score.
+        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
 
     Returns:
-        The difference.
+        The comparison of the two runs.
 
     Raises:
-        StoreError: If a run cannot be scored, or both have no common question.
+        StoreError: If a run cannot be scored, or if the runs have no common question.
     """
     store = Store.of(store)
     index = read_index(store)
@@ -334,7 +337,7 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
 
 
 def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
-    """Score runs; return them with the best run first."""
+    """Score runs, and return them with the best run first."""
     ids = run_ids(store)
     if not ids:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")
@@ -345,10 +348,10 @@ def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
             raise error
         warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
 
-    # Stored scores may have another IoU threshold; scoring anew takes milliseconds.
-    # A run named twice would count twice in the tables that are SQL queries.
+    # Stored scores are not used: they may have another IoU threshold, and scoring takes only milliseconds.
+    # Repeated names are dropped, because the tables that are SQL queries would count such a run twice.
     runs = [*dict.fromkeys(names or ids)]
     done = [run for _, run in score_runs(read_truth(store), runs, partial(read_submission, store), iou, refuse)]
     if not done:
-        raise StoreError(f"no run of {store.path} can be scored: evaluate on the store's present questions")
+        raise StoreError(f"no run of {store.path} can be scored: evaluate the questions that the store has now")
     return ranked(done)

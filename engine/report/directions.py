@@ -1,7 +1,7 @@
-"""Directions of the paper's ablation: whether observing and the world model change scores as in the paper.
+"""Directions of the ablation: whether active observation and the world model change scores as they do in the paper.
 
-The ablation has four cells, active observation by world model. A direction is the sign of the change of one score
-between two neighbouring cells: without and with the world model, or passive and active.
+The ablation has four cells: active observation on or off, times world model on or off. Two neighbouring cells differ in
+one of the two. A direction is the sign of the change of one score between neighbouring cells.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from jrdb_avr.engine.report.tables import CELLS
 
 _Row = Mapping[str, Any]
 _Cell = tuple[str, str]
-"""Active observation and world model, each on or off."""
+"""A cell of the ablation: active observation ("on" or "off"), and world model ("on" or "off")."""
 
 _CHANGES: Final[Mapping[str, tuple[_Cell, _Cell]]] = {
     "world model, passive": (("off", "off"), ("off", "on")),
@@ -27,14 +27,14 @@ _SCORES: Final = ("answer", "evidence", "combined", "hallucination")
 
 
 def direction_lines(rows: Sequence[_Row]) -> list[str]:
-    """Summarise the directions of an ablation table.
+    """Count in words how many directions of an ablation table agree with the paper.
 
     Args:
         rows: Rows of the table `ablation`.
 
     Returns:
-        A line for each model, setting and policy that has all four cells. Passive cells have no looks to choose, and so
-        belong to every policy.
+        One line for each combination of model, setting and policy that has all four cells. A passive cell counts for
+        every policy, because a passive method chooses no looks.
     """
     measured = [row for row in rows if row["label"] != "paper"]
     lines = []
@@ -63,7 +63,7 @@ def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
 
 
 def _alike(cells: Mapping[_Cell, _Row], before: _Cell, after: _Cell, name: str) -> bool:
-    """Return whether a score changes as in the paper; an equal or undefined score does not."""
+    """Return whether a score changes in the paper's direction. An equal or undefined score does not."""
     first, second = cells[before][name], cells[after][name]
     paper = getattr(ABLATION[_METHODS[after]], name) - getattr(ABLATION[_METHODS[before]], name)
     return first is not None and second is not None and (second - first) * paper > 0

@@ -1,4 +1,4 @@
-"""Runs that answer the same questions several times: pass@k, and the majority's answer."""
+"""Statistics of runs that answer the same questions several times (epochs): pass@k, and the majority answer."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from jrdb_avr.schema.arrays import Ints
 
 
 def epoch_rows(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
-    """Compute pass@k and the majority of runs with several epochs.
+    """Compute pass@k and the score of the majority answer for runs that have several epochs.
 
     Args:
-        runs: Scored runs; the epochs of a run have ids that end in their numbers.
+        runs: Scored runs. The run id of an epoch ends in the number of the epoch.
 
     Returns:
-        A row per run and k, in percent of the questions that all epochs have. `answer`, `evidence` and `combined` are
-        pass@k: the share of questions that at least one of k epochs gets right, averaged over all choices of k epochs.
-        `majority` is the share that the most frequent answer of the first k epochs gets right; of equally frequent
-        answers, the first counts.
+        One row per run and k, in percent of the questions that all epochs have. `answer`, `evidence` and `combined` are
+        pass@k: the share of questions that at least one of k epochs has right, averaged over all choices of k epochs.
+        `majority` is the share of questions that the most frequent answer of the first k epochs has right. If several
+        answers are equally frequent, the first of them counts.
     """
     return [row for name, epochs in _groups(runs).items() if len(epochs) > 1 for row in _rows(name, epochs)]
 
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """Group epochs by the common part of their ids, in the order of their numbers."""
+    """Group epochs by the run id without the epoch. The epochs of a group are in ascending order."""
     groups: dict[str, dict[int, ScoredRun]] = {}
     for run in runs:
         epoch, run_id = run.manifest.settings.get("epoch"), run.manifest.run_id
@@ -68,12 +68,12 @@ def _rows(name: str, epochs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
 
 
 def _pass(total: int, correct: int, k: int) -> float:
-    """Share of the choices of k out of `total` epochs that contain a correct one."""
+    """Return the share of all choices of k out of `total` epochs that contain at least one of the `correct` epochs."""
     return 1 - math.comb(total - correct, k) / math.comb(total, k)
 
 
 def _majority(given: Sequence[str | None]) -> int:
-    """Index of the first epoch with the most frequent answer; 0 if no epoch answered."""
+    """Return the index of the first epoch that has the most frequent answer, or 0 if no epoch answered."""
     counts = Counter(answer for answer in given if answer is not None)
     # Counter keeps equally frequent answers in the order of their first occurrence.
     return given.index(counts.most_common(1)[0][0]) if counts else 0

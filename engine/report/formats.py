@@ -1,4 +1,4 @@
-"""Rows as text: cells for people, Markdown, and LaTeX (booktabs)."""
+"""Format the rows of tables as text: cells for the screen, Markdown, and LaTeX for the package booktabs."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ Rows = Sequence[Mapping[str, Any]]
 _MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"})
 
 MARK: Final = "*"
-"""Mark behind the n of a run that has another number of questions than most runs."""
+"""Mark after the `n` of a run that has another number of questions than most runs."""
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
-"""Score columns of the printed table `main`, in the usual order of papers. The run's names precede them."""
+"""Score columns of the table `main` in a paper, in order. They follow the columns that name the run."""
 
 _SHARE: Final = re.compile(r"n/a|<?-?\d[\d.]*\*?( \[.*\])?")
-"""Pattern of a cell in a column of numbers."""
+"""Pattern of a formatted cell that has a number, possibly with a mark or an interval."""
 
 _LEAST_P: Final = 0.0001
 
 
 def cell(value: object, column: str = "", decimals: int = 2) -> str:
-    """Return a value as a person reads it.
+    """Format a value of a table as text.
 
     Args:
-        value: The value; None becomes n/a.
-        column: The name of its column; the column `p` has four decimals.
-        decimals: Number of decimals of other floats.
+        value: The value. None becomes "n/a".
+        column: The name of the value's column. Floats in the column `p` get four decimals.
+        decimals: Number of decimals of floats in other columns.
 
     Returns:
         The text.
@@ -51,8 +51,8 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
         rows: Rows with columns `NAME`, `NAME_low` and `NAME_high`.
 
     Returns:
-        The rows as texts. Rows of too few sequences have no intervals, and a column `interval` says so. In tables of
-        runs, an `n` that differs from most runs has a mark.
+        The rows with all values as text. Rows with too few sequences have no intervals. If there are such rows, the
+        column `interval` says so. If each run has one row, an `n` that differs from that of most runs has a mark.
     """
     rows = without_rough(rows)
     few = any(row.get("interval") == TOO_FEW for row in rows)
@@ -70,27 +70,28 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
 
 
 def other_counts(rows: Rows) -> set[int]:
-    """Return the values of `n` that differ from most runs.
+    """Find the values of `n` that differ from the `n` of most runs.
 
     Args:
         rows: Rows of a table.
 
     Returns:
-        The values; empty if the table has several rows per run.
+        The values. The set is empty if a run has several rows.
     """
     runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
     return set(runs) - set(sorted(runs, key=lambda n: (-runs.count(n), -n))[:1])
 
 
 def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
-    """Return the rows of a report's table as a paper prints them, with intervals.
+    """Format the rows of a table of a report for a paper, with intervals.
 
     Args:
-        name: The table's name.
-        rows: Its rows.
+        name: The name of the table.
+        rows: The rows of the table.
 
     Returns:
-        The rows. Those of `main` lack macro averages, and are grouped by model, the best model first.
+        The rows with all values as text. The table `main` has no macro averages. Its rows are grouped by model. The
+        model of the first row comes first.
     """
     printed: list[dict[str, Any]] = with_intervals(rows)
     if name != "main":
@@ -99,7 +100,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
     printed = sorted(printed, key=lambda row: models.index(row["model"]))
     names = [(row["model"], row["method"], row.get("setting", "")) for row in printed]
     settings = ["setting"] if any(row.get("setting") for row in printed) else []
-    # Run ids distinguish rows that are equal in these columns.
+    # If rows are equal in these columns, the run id tells them apart.
     ids = ["run"] if len(set(names)) < len(names) else []
     few = ["interval"] if any("interval" in row for row in printed) else []
     columns = ["model", "method", *settings, *ids, *_PRINTED, *few]
@@ -108,13 +109,13 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
 
 
 def without_rough(rows: Rows) -> list[dict[str, Any]]:
-    """Remove the bounds of intervals in rows of too few sequences.
+    """Remove the bounds of intervals from rows that have too few sequences.
 
     Args:
         rows: Rows with a column `interval`.
 
     Returns:
-        The rows; removed bounds are None.
+        The rows. Removed bounds are None.
     """
     return [
         {
@@ -139,10 +140,10 @@ def markdown(rows: Rows) -> str:
     """Return rows as a Markdown table.
 
     Args:
-        rows: The rows; all values are printed as `cell` prints them.
+        rows: The rows. `cell` formats their values.
 
     Returns:
-        The lines of the table, each with its end.
+        The table as text that ends in a line break.
     """
     cells = [[text.translate(_MARKDOWN) for text in line] for line in _lines_of(rows)]
     return _tabulated(rows, cells, list_columns(rows), "pipe")
@@ -151,14 +152,14 @@ def markdown(rows: Rows) -> str:
 def latex(rows: Rows) -> str:
     """Return rows as a LaTeX table for the package booktabs.
 
-    If values of the first column repeat, rules separate them. Settings are long: cells have their numbers, and lines
-    below the table explain the numbers.
+    If values repeat in the first column, rules separate the groups of equal values. Because settings are long, a cell
+    has only the number of a note. The notes are below the table.
 
     Args:
-        rows: The rows; all values are printed as `cell` prints them.
+        rows: The rows. `cell` formats their values.
 
     Returns:
-        A `tabular` environment and its notes.
+        A `tabular` environment, followed by the notes.
     """
     from tabulate import LATEX_ESCAPE_RULES, SEPARATING_LINE
 
@@ -171,7 +172,7 @@ def latex(rows: Rows) -> str:
             if cells[index][0] != cells[index - 1][0]:
                 cells.insert(index, SEPARATING_LINE)
     text = _tabulated(rows, cells, [name.replace("_", " ") for name in list_columns(rows)], "latex_booktabs")
-    # LaTeX takes a bracket at the start of a row for an argument of the row before it.
+    # Braces, because LaTeX takes a bracket at the start of a row for an argument of the previous row's end.
     text = re.sub(r"^( *)\[", r"\1{[}", text, flags=re.MULTILINE)
     escapes = str.maketrans(LATEX_ESCAPE_RULES)
     explained = (f"{note_number}: {_in_one_line(note).translate(escapes)}" for note, note_number in numbers.items())
@@ -201,13 +202,13 @@ def _is_number(rows: Rows, name: str) -> bool:
 
 
 def filled(rows: Rows) -> list[dict[str, Any]]:
-    """Give all rows all columns.
+    """Give all rows the same columns.
 
     Args:
         rows: The rows.
 
     Returns:
-        The rows; missing values are empty.
+        The rows. A value that a row lacked is an empty text.
     """
     columns = list_columns(rows)
     return [{name: row.get(name, "") for name in columns} for row in rows]

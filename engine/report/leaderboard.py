@@ -1,4 +1,4 @@
-"""The leaderboard: bundles scored by one store's answers, ranked among bundles with the same questions."""
+"""The leaderboard: bundles scored by the answers of one store. Bundles with the same questions are ranked together."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 
 @dataclass(frozen=True)
 class Entry:
-    """A ranked bundle: its rank in its question set, its row of the main table, and its settings."""
+    """A ranked bundle: its rank among bundles of the same question set, and its row of the table `main`."""
 
     rank: int
     question_set: str
@@ -40,19 +40,24 @@ class Entry:
 
 @dataclass(frozen=True, repr=False)
 class Leaderboard(Displayed):
-    """Scored bundles: a list of entries per question set, the best combined score first; `iou` as in `score`."""
+    """Scored bundles.
+
+    Attributes:
+        sets: For each question set the entries, the best combined score first.
+        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+    """
 
     sets: list[list[Entry]]
     iou: float
 
     @property
     def rows(self) -> list[Row]:
-        """Every entry as a row, set by set."""
+        """All entries as rows of plain values, one question set after another."""
         return [entry.flat() for entries in self.sets for entry in entries]
 
     @property
     def synthetic(self) -> bool:
-        """Whether a bundle used the simulated model or the sample world, so that its scores do not describe JRDB."""
+        """Whether any bundle used the simulated model or the sample world. Its scores do not describe JRDB."""
         return any(entry.bundle.run.synthetic for entries in self.sets for entry in entries)
 
     def _summary(self) -> str:
@@ -63,15 +68,15 @@ class Leaderboard(Displayed):
 
 
 def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Leaderboard:
-    """Score bundles and rank them by their combined score; equal scores share a rank.
+    """Score bundles and rank them by their combined score. Equal scores share a rank.
 
     Args:
-        store: The store with the answers, or its folder.
-        folders: Folders of bundles. A bundle that cannot be used is left out with an AvrWarning.
-        iou: Minimum IoU of evidence and the target's box for a score.
+        store: The store that has the answers, or its folder.
+        folders: Folders of bundles. A bundle that cannot be scored is left out with an AvrWarning.
+        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
 
     Returns:
-        The leaderboard. Bundles with other questions of the store are ranked separately, the largest set first.
+        The leaderboard. Each set of questions has its own ranking. The set with the most questions comes first.
 
     Raises:
         StoreError: If no bundle can be scored.
@@ -98,19 +103,19 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
 
 
 def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Scores:
-    """Score bundles by a store's answers. Nothing is written.
+    """Score bundles by the answers of a store. Nothing is written.
 
     Args:
-        store: The store with the answers, or its folder.
+        store: The store that has the answers, or its folder.
         folders: Folders of bundles.
-        iou: Minimum IoU of evidence and the target's box for a score.
+        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
 
     Returns:
-        The scores of each bundle.
+        The scores of each bundle, in the order of the folders.
 
     Raises:
         InputError: If a bundle is altered or broken.
-        StoreError: If a bundle belongs to another questions file.
+        StoreError: If a bundle belongs to another questions file, or if its predictions do not match its questions.
     """
     return Scores(
         [
@@ -134,7 +139,7 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
 
     scored = []
     for index, (folder, run) in enumerate(score_runs(read_truth(store), folders, opened, iou, refuse)):
-        # Two bundles may have the same run id, so each gets a unique number.
+        # Each run gets a unique number as its id, because two bundles may have the same run id.
         run.manifest = msgspec.structs.replace(run.manifest, run_id=str(index))
         scored.append((bundles[folder], run))
     return scored

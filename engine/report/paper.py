@@ -1,7 +1,7 @@
-"""Figures that the paper (JRDB-AVR) reports, as reference rows with the label "paper".
+"""Figures that the JRDB-AVR paper reports. Tables show them for reference in rows with the label "paper".
 
-They are about the paper's own 2,098 questions over JRDB, not about the questions of a store. The paper's breakdown has
-five groups: chain contains this project's 2-hop, 3-hop and fork-join families, hybrid its chain hybrid.
+The figures describe the paper's own 2,098 questions about JRDB, not the questions of a store. The paper has five groups
+of questions, and this project has seven families: `GROUPS` says which families form a group.
 """
 
 from __future__ import annotations
@@ -12,7 +12,15 @@ from typing import Final, NamedTuple
 
 
 class Group(NamedTuple):
-    """A group of the paper: families, number of questions, and numbers of right answers, evidence, and both."""
+    """A group of questions in the paper, with the counts of right predictions.
+
+    Attributes:
+        families: This project's families that form the group.
+        n: Number of questions.
+        answer: Number of questions with a right answer.
+        evidence: Number of questions with right evidence.
+        combined: Number of questions with both.
+    """
 
     families: tuple[str, ...]
     n: int
@@ -28,7 +36,7 @@ GROUPS: Final[dict[str, Group]] = {
     "long range": Group(("long_range",), 30, 15, 1, 0),
     "unique anchor": Group(("unique_anchor",), 1620, 624, 507, 271),
 }
-"""The paper's groups, with the counts of its agent on Qwen3.5 9B."""
+"""The paper's groups by name, with the counts of the paper's agent on Qwen3.5 9B."""
 
 
 class Published(NamedTuple):
@@ -47,7 +55,7 @@ _LINES: Final = files(__package__).joinpath("paper.csv").read_text("utf-8").spli
 _ROWS: Final = [Published(method, model, *map(float, figures)) for method, model, *figures in csv.reader(_LINES)]
 
 MAIN: Final = [row for row in _ROWS if row.method == "agent" or not row.method.startswith("agent")]
-"""The paper's main table."""
+"""Rows of the paper's main table."""
 
 ABLATION: Final = {row.method: row for row in _ROWS if row.method.startswith("agent")}
-"""The paper's ablation by method of this project: active observation (off: passive) by world model (off: no world)."""
+"""Rows of the paper's ablation, by the name of this project's corresponding method."""

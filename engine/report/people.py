@@ -13,19 +13,20 @@ from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.schema.answer_modes import same_answer
 
 HUMAN: Final = "human"
-"""Method of a run that `play` made. The run's model names the person."""
+"""Name of the method in runs that `play` made. Such a run has the person's name as the name of its model."""
 
 
 def agreement_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
-    """Compare the runs of people in pairs.
+    """Compute for each pair of people how often they agree.
 
     Args:
-        index: The store's questions.
-        runs: Scored runs; runs of other methods are ignored.
+        index: The questions of the store, with their labels.
+        runs: Scored runs. Runs that are not of a person are ignored.
 
     Returns:
-        A row per pair, in percent of the n common questions. `same_answer`: each answer would score if the other were
-        the true one. `answer`, `evidence`, `combined`: both runs are right, or both are wrong.
+        One row per pair of runs, in percent of their n common questions. `same_answer` is the share of questions with
+        equal answers: each of the two answers would score if the other were the true answer. `answer`, `evidence` and
+        `combined` are the shares of questions that both runs have right or both have wrong.
     """
     people = sorted((run for run in runs if run.manifest.method == HUMAN), key=lambda run: run.manifest.run_id)
     rows = []

@@ -1,12 +1,12 @@
-"""Predictions as lines of JSON, the format in which they leave and enter a store.
+"""Predictions as lines of JSON. Predictions are exported from a store and imported into a store in this format.
 
-Each line is one object, and only `question_id` is required. A line without `answer` and `evidence` states that the
-question was asked and not answered.
+Each line is one JSON object. Only the key `question_id` is required. A line without `answer` and `evidence` means that
+the question was asked and not answered.
 
     {"question_id": "0098303b6414dec4", "answer": {"choice": 2}, "evidence": {"frame": 150, "box": [10, 20, 60, 180]}}
 
-`answer` is a payload of `schema/answers.py`. `box` is x, y, w, h in stitched pixels. The other keys are columns of the
-table `predictions`. Lines are untrusted: their number, their size and each value have limits.
+`answer` is an answer as in `schema/answers.py`. `box` is x, y, w, h in stitched pixels. The other keys are columns of
+the table `predictions`. Lines are untrusted, so the file size, the length of a line and each value have limits.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from jrdb_avr.schema.method import Status, Verdict
 from jrdb_avr.schema.tables import RUNS
 
 LARGEST_FILE: Final = 1 << 28
-"""Maximum bytes of a file of predictions: a thousand times the size of 2,098 short replies."""
+"""Maximum size in bytes of a file of predictions. 2,098 short replies take a thousandth of it."""
 
 LARGEST_LINE: Final = 1 << 20
+"""Maximum length of a line in bytes."""
 
 _Count = Annotated[int, msgspec.Meta(ge=0, le=2**31 - 1)]
 _Tokens = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -37,7 +38,7 @@ _Id = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class PredictionLine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A prediction of one question. The keys after `evidence` describe the call."""
+    """The prediction for one question. The keys after `evidence` describe how it was made, such as its costs."""
 
     question_id: _Id
     status: Status = "answered"
@@ -59,13 +60,13 @@ _SAME: Final = tuple(name for name in PredictionLine.__struct_fields__ if name n
 
 
 def write_lines(predictions: pa.Table) -> Iterator[bytes]:
-    """Write predictions as lines, without the run's id, which the reader chooses.
+    """Write predictions as lines. The lines have no run id, because the reader of the lines chooses one.
 
     Args:
         predictions: Rows of the table `predictions`.
 
     Yields:
-        One line per row, with its end.
+        One line per row, with a line break.
 
     Raises:
         StoreError: If a row has a value that a line cannot hold.
@@ -83,18 +84,18 @@ def write_lines(predictions: pa.Table) -> Iterator[bytes]:
 
 
 def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
-    """Read lines as the table `predictions` of a run.
+    """Make the table `predictions` of a run from lines.
 
     Args:
-        data: The lines.
-        run_id: The run's id.
-        file: The file, for messages.
+        data: The bytes of all lines.
+        run_id: The id of the run.
+        file: The path of the file, for messages.
 
     Returns:
         The table, in the order of the lines.
 
     Raises:
-        InputError: If a line cannot be read or repeats a question; it names file and line.
+        InputError: If a line cannot be read or repeats a question. The message names the file and the line.
     """
     rows = []
     ids: set[str] = set()
@@ -110,7 +111,7 @@ def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
             ids.add(record.question_id)
             rows.append(_row(record, run_id))
         except (ValueError, RecursionError) as error:
-            # The message may quote an unknown key that has line breaks.
+            # Line breaks are removed, because the message may quote an unknown key that has some.
             message = " ".join(str(error).split())
             raise InputError(
                 f"{file}, line {line_number}: {message}", file=str(file), field=f"line {line_number}"
@@ -129,20 +130,20 @@ def _row(line: PredictionLine, run_id: str) -> dict[str, Any]:
 
 
 def read_regular(path: Path, largest: int) -> bytes:
-    """Read a regular file; links, pipes and folders are refused.
+    """Read a file if it is a regular file. Links, pipes and folders are refused.
 
     Args:
         path: The file.
         largest: Maximum size in bytes.
 
     Returns:
-        The file's bytes.
+        The bytes of the file.
 
     Raises:
-        InputError: If the file has another kind, is missing, or is larger.
+        InputError: If the file is missing, is larger than `largest`, or is not a regular file.
     """
     try:
-        # A blocking open of a pipe waits for a writer.
+        # Not blocking, because a blocking open of a pipe would wait for a writer.
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise InputError(f"{path} is not a regular file", file=str(path))

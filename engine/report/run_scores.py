@@ -1,4 +1,4 @@
-"""Scores of whole runs, read from a store or from bundles."""
+"""Scores of whole runs. The runs come from a store or from bundles."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from jrdb_avr.schema.tables import RUNS
 _COLUMNS: Final = ("question_id", "status", "answer", "evidence_frame", *(f"evidence_{side}" for side in "xywh"))
 
 SCORED: Final = pa.schema(map(RUNS["predictions"].field, _COLUMNS))
-"""The columns of `predictions` that scores depend on."""
+"""Schema of the columns of `predictions` on which scores depend."""
 
 _Source = TypeVar("_Source")
 
 
 class Submission(NamedTuple):
-    """A run to be scored: its manifest, and its predictions with the columns of `SCORED`."""
+    """A run to score: its manifest, and its predictions with the columns of `SCORED`."""
 
     manifest: RunManifest
     predictions: pa.Table
@@ -37,14 +37,14 @@ def read_submission(store: Store, run_id: str) -> Submission:
     """Read a run of a store.
 
     Args:
-        store: The store of the run and its questions.
-        run_id: The run's id.
+        store: The store that has the run and its questions.
+        run_id: The id of the run.
 
     Returns:
         The run's manifest and predictions.
 
     Raises:
-        StoreError: If the run is missing, unfinished, or belongs to another questions file.
+        StoreError: If the run is missing or unfinished, or if the questions of the store have changed since the run.
     """
     manifest = read_run_manifest(store, run_id)
     if manifest.questions_sha256 != questions_hash(store):
@@ -54,17 +54,17 @@ def read_submission(store: Store, run_id: str) -> Submission:
 
 
 def predictions_path(store: Store, run_id: str) -> Path:
-    """Return the file of a run's predictions.
+    """Return the path of a run's predictions.
 
     Args:
-        store: The run's store.
-        run_id: The run's id.
+        store: The store of the run.
+        run_id: The id of the run.
 
     Returns:
-        The path of an existing Parquet file.
+        The path of a Parquet file that exists.
 
     Raises:
-        StoreError: If the run has no predictions yet.
+        StoreError: If the run is unfinished, so that the file does not exist.
     """
     path = store.run_path(run_id) / "predictions.parquet"
     if not path.exists():
@@ -76,15 +76,15 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     """Score one run.
 
     Args:
-        truth: The truth of all questions of the store, in the order of `sort_by_sequence`.
+        truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         submission: The run.
-        iou: Minimum IoU for evidence to score, in (0, 1].
+        iou: Minimum IoU with which evidence scores, in (0, 1].
 
     Returns:
-        The run with its scores, in the order of the truth.
+        The run with its scores. Its questions are in the order of `truth`.
 
     Raises:
-        StoreError: If the predictions do not match the run's questions, or the questions the store's.
+        StoreError: If a prediction is not about a question of the run, or if the store lacks a question of the run.
         InputError: If `iou` is outside (0, 1].
     """
     manifest, predictions = submission
@@ -113,14 +113,14 @@ def score_runs(
     """Score several runs.
 
     Args:
-        truth: The truth of all questions of the store.
-        sources: Names or folders of runs.
-        read: Reads the run of a source.
-        iou: Minimum IoU for evidence to score, in (0, 1].
-        refuse: Receives the error of a run that cannot be scored, and may raise it.
+        truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
+        sources: Run ids, or folders of bundles.
+        read: Called with each source to read its run.
+        iou: Minimum IoU with which evidence scores, in (0, 1].
+        refuse: Called with the error when a run cannot be scored. If it returns, the run is left out.
 
     Returns:
-        Each source with its scored run, without the refused ones.
+        Each source with its scored run, without the sources that cannot be scored.
     """
     scored = []
     for source in sources:
@@ -135,16 +135,16 @@ def write_scores(store: Store, run: ScoredRun, iou: float) -> None:
     """Write `scores.parquet` of a run, with the IoU threshold in its metadata.
 
     Args:
-        store: The run's store.
+        store: The store of the run.
         run: The scored run.
-        iou: Minimum IoU for evidence to score.
+        iou: Minimum IoU with which evidence was scored.
     """
     path = store.run_path(run.manifest.run_id) / "scores.parquet"
     write_table(path, make_scores_table(run), RUNS["scores"], {"evidence_iou": f"{iou:g}"})
 
 
 def make_scores_table(run: ScoredRun) -> pa.Table:
-    """Return the table `scores` of a run, one row per question (n)."""
+    """Return the table `scores` of a run, with one row per question of the run."""
     columns = {f"{name}_score": run.scores[:, column] for column, name in enumerate(SCORES)}
     ids = run.ids.take(pa.array(run.rows))
     run_ids = pa.repeat(pa.scalar(run.manifest.run_id), len(ids))

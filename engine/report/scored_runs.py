@@ -1,4 +1,4 @@
-"""Scored runs question by question, and labels of the questions: the input of all reports."""
+"""The input of all reports: the scores of runs for each question, and labels that group the questions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
 _SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
-"""Ways to group questions; `time_gap_s` and `separation_deg` are grouped into bins."""
+"""Names of the properties that group questions. `time_gap_s` and `separation_deg` are grouped into bins."""
 
 _TEXTS: Final = ("family", "template", "answer_mode", "sequence")
 """Dimensions that are columns of `questions`."""
@@ -35,14 +35,19 @@ _GROUP_OF: Final = {family: group for group, own in GROUPS.items() for family in
 
 
 class Labels(NamedTuple):
-    """A text per question: each distinct text once, in the order of a table, and the index of each question's text."""
+    """One label per question.
+
+    Attributes:
+        names: The distinct labels, in the order of the rows of tables.
+        numbers: For each question the index of its label in `names`.
+    """
 
     names: tuple[str, ...]
     numbers: Ints
 
 
 class QuestionIndex:
-    """The questions of a store: their ids, and their labels by dimension."""
+    """The questions of a store: their ids (`ids`), and their labels for each dimension (`labels`)."""
 
     def __init__(self, questions: pa.Table, answers: pa.Table) -> None:
         self.ids = questions["question_id"].combine_chunks()
@@ -61,16 +66,16 @@ class QuestionIndex:
 
 @dataclass(eq=False)
 class ScoredRun:
-    """A run with its scores: one row per question of the run, in the order of `sort_by_sequence`.
+    """A run with its scores. Arrays have one row per question of the run, in the order of `sort_by_sequence`.
 
     Attributes:
         manifest: The run's manifest.
-        rows: Rows of the run's questions in `ids`, ascending (n).
+        rows: Index of each question of the run in `ids`, ascending (n).
         scores: 0 or 1 for answer, evidence and combined (n, 3).
-        invalid: 1 if a prediction could not be read, else 0 (n).
+        invalid: 1 if the output of the model could not be read, else 0 (n).
         errors: Number of questions that ended in an error or have no prediction.
         ids: Ids of all questions of the store.
-        answers: Predicted answers as JSON, None without one (n).
+        answers: The predicted answer to each question as JSON, or None if there is none (n).
     """
 
     manifest: RunManifest
@@ -88,13 +93,13 @@ class ScoredRun:
 
 
 def read_index(store: Store) -> QuestionIndex:
-    """Read the index of a store's questions.
+    """Read the questions of a store with their labels.
 
     Args:
         store: The store.
 
     Returns:
-        The questions in the order of `in_order`.
+        The questions, in the order of `sort_by_sequence`.
 
     Raises:
         StoreError: If the store has no questions.
@@ -105,14 +110,14 @@ def read_index(store: Store) -> QuestionIndex:
 
 
 def percent_of(part: float, n: float) -> float | None:
-    """Return a part of n in percent with two decimals.
+    """Return which percentage of `n` a part is, rounded to two decimals.
 
     Args:
         part: The part.
         n: The whole.
 
     Returns:
-        The percentage, or None if n is 0.
+        The percentage, or None if `n` is 0.
     """
     return round(100 * part / n, 2) if n else None
 
@@ -124,7 +129,7 @@ def _labels(texts: pa.ChunkedArray) -> Labels:
 
 
 def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
-    """Labels with a new name for each old name. Names without a question are removed."""
+    """Replace each name of labels by a new name, and sort the names. Names that no question has are removed."""
     used = {names[index] for index in np.unique(labels.numbers).tolist()}
     order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
     indexes = {name: index for index, name in enumerate(order)}
@@ -132,7 +137,7 @@ def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
 
 
 def _first_number(value: str) -> float:
-    """Sort key of numbers and bins; other names come first."""
+    """Return the number or the lower bound of the bin that a name states. Other names give -1, to come first."""
     try:
         return float(value.lstrip("[").partition(",")[0])
     except ValueError:
@@ -145,16 +150,16 @@ Path = tuple[str, ...]
 
 
 def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
-    """Summarise the settings that distinguish runs of the same method and model.
+    """Summarise the settings that differ between runs of the same method and model.
 
-    The server's address changes whenever a server restarts, and the results of its checks do too; both are left out.
+    The address of the server and the results of the server's checks are left out, because they change when the server
+    restarts.
 
     Args:
         runs: Scored runs.
 
     Returns:
-        A text per run id, empty if no setting differs. Settings of one part follow its name
-        (`marker: seed 3, wrong_box 0.1`).
+        A text by run id, such as `marker: seed 3, wrong_box 0.1`. It is empty if no setting differs.
     """
     leaves = [(run.manifest, dict(_leaves((), run.manifest.settings))) for run in runs]
     alike: dict[tuple[str, str], list[dict[Path, str]]] = {}
@@ -176,7 +181,7 @@ def _in_words(leaves: dict[Path, str], others: Sequence[dict[Path, str]]) -> str
 
 
 def _leaves(path: Path, settings: Any) -> Iterator[tuple[Path, str]]:
-    """Yield every setting as its path and its value: a text unchanged, other values as JSON."""
+    """Yield the path and the value of every setting. A value that is not a text is written as JSON."""
     if isinstance(settings, dict) and (settings or not path):
         for name, value in settings.items():
             yield from _leaves((*path, str(name)), value)

@@ -1,8 +1,9 @@
 """Scores of predictions.
 
-Each question of a run has one row: the score of its answer under its answer mode, the score of its evidence box
-against the target's box, and the product of both. Missing, unreadable and failed predictions score 0, so that n stays
-the number of questions. `schema/answer_modes.py` compares answers. `box_ious` equals `iou` of `schema/panorama.py`.
+Each question of a run has one row with three scores of 0 or 1. The answer score compares the answer with the true
+answer under the question's answer mode (`schema/answer_modes.py`). The evidence score compares the evidence box with
+the target's box. The combined score is the product of both. Missing, unreadable and failed predictions score 0, so that
+means are over all questions of the run.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.tables import RUNS
 
 DEFAULT_IOU: Final = 0.5
-"""Minimum IoU of evidence and the target's box for a score."""
+"""Default minimum IoU of the evidence box and the target's box with which evidence scores."""
 
 
 def score_predictions(
@@ -32,21 +33,22 @@ def score_predictions(
     """Score the predictions of a run.
 
     Args:
-        truth: The truth of at least the run's questions.
-        run_id: The run's id, for the table and for messages.
-        question_ids: The run's questions (n).
+        truth: The true answers and evidence of at least the questions of the run.
+        run_id: The id of the run, for the table and for messages.
+        question_ids: The ids of the run's questions (n).
         predictions: Rows of the table `predictions`, in any order.
-        iou: Minimum IoU for evidence to score, in (0, 1].
+        iou: Minimum IoU with which evidence scores, in (0, 1].
 
     Returns:
-        The table `scores`, one row per question of the run, in the order of `question_ids` (n).
+        The table `scores` with one row per question of the run, in the order of `question_ids` (n).
 
     Raises:
-        StoreError: If the store lacks a question of the run, or predictions do not match the run's questions.
+        StoreError: If `truth` lacks a question of the run, if a prediction is not about a question of the run, or if a
+            question has two predictions.
         InputError: If `iou` is outside (0, 1].
     """
     if not 0.0 < iou <= 1.0:
-        raise InputError(f"an IoU threshold lies in (0, 1], not at {iou:g}", field="iou")
+        raise InputError(f"the IoU threshold {iou:g} is outside (0, 1]", field="iou")
     questions = pa.array(question_ids, pa.string())
     rows = find_questions(truth.ids, run_id, question_ids)
     question_of = row_numbers(predictions["question_id"], questions)
@@ -56,7 +58,7 @@ def score_predictions(
     if len(np.unique(question_of)) < len(question_of):
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
-    # A question without a prediction becomes a row of nulls, which counts as an error.
+    # A question without a prediction becomes a row of nulls, and scores as an error does.
     indexes = pc.index_in(questions, value_set=predictions["question_id"].combine_chunks())
     table = predictions.take(indexes)
     judged = is_judged(table["status"])
@@ -70,7 +72,7 @@ def score_predictions(
     frame, box, boxed = read_boxes(table)
     present, target = find_target_boxes(truth, rows, frame)
     evidence_score = judged & boxed & present & (box_ious(box, target) >= iou - TIE)
-    # Methods store only valid answers and boxes; imported predictions may hold others.
+    # Only imported predictions can have invalid answers or boxes, because a run checks what its method returns.
     unread = [text is not None and answer is None for text, answer in zip(texts, answers, strict=True)]
     unread_box = _flags(pc.is_valid(table["evidence_frame"])) & ~boxed
     invalid = judged & (_flags(pc.equal(table["status"], "invalid")) | np.array(unread, dtype=bool) | unread_box)
@@ -88,18 +90,18 @@ def score_predictions(
 
 
 def find_questions(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> Ints:
-    """Find the questions of a run among the store's.
+    """Find the questions of a run among the questions of the store.
 
     Args:
-        ids: Ids of the store's questions.
-        run_id: The run's id, for messages.
-        question_ids: The run's questions (n).
+        ids: The ids of the store's questions.
+        run_id: The id of the run, for messages.
+        question_ids: The ids of the run's questions (n).
 
     Returns:
-        The row of each question in `ids` (n).
+        The index of each question in `ids` (n).
 
     Raises:
-        StoreError: If the store lacks a question, or the run lists one twice.
+        StoreError: If the store lacks a question of the run, or if the run lists a question twice.
     """
     rows = row_numbers(pa.array(question_ids, pa.string()), ids)
     if (rows < 0).any():
@@ -111,7 +113,7 @@ def find_questions(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> I
 
 
 def is_judged(status: pa.ChunkedArray) -> Bools:
-    """Return for each status whether the prediction counts; one that ended in an error does not (n)."""
+    """Return for each status whether the prediction can score: it can unless it is missing or ended in an error (n)."""
     return _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
 
 
@@ -122,7 +124,8 @@ def read_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
         predictions: Rows of the table `predictions` (n).
 
     Returns:
-        Frames (n), boxes in stitched pixels (n, 4), and whether frame and box are present and finite (n).
+        Frame indexes (n), boxes as x, y, w, h in stitched pixels (n, 4), and whether each frame and box can be scored:
+        the box is complete and finite, and the frame is in [0, FRAME_LIMIT) (n).
     """
     box = np.stack([predictions[f"evidence_{side}"].to_numpy().astype(np.float64) for side in "xywh"], axis=1)
     frame = pc.fill_null(predictions["evidence_frame"], -1).to_numpy().astype(np.int64)
@@ -130,15 +133,16 @@ def read_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
 
 
 def find_target_boxes(truth: Truth, rows: Ints, frame: Ints) -> tuple[Bools, Floats]:
-    """Find the target's box of questions, each at one frame.
+    """Find the box of each question's target at one frame per question.
 
     Args:
-        truth: The truth of the questions.
-        rows: Rows of `truth` (n).
-        frame: A frame number for each row (n).
+        truth: The true answers and evidence.
+        rows: Index of each question in `truth` (n).
+        frame: Index of the frame for each question (n).
 
     Returns:
-        Whether the target has a box in the frame (n), and the box; undefined without one (n, 4).
+        Whether the target has a box in the frame (n), and the box as x, y, w, h in stitched pixels (n, 4). If the
+        target has no box, the four values have no meaning.
     """
     if not len(truth.keys):
         return np.zeros(len(rows), dtype=bool), np.zeros((len(rows), 4))
@@ -148,14 +152,16 @@ def find_target_boxes(truth: Truth, rows: Ints, frame: Ints) -> tuple[Bools, Flo
 
 
 def box_ious(first: Floats, second: Floats) -> Floats:
-    """Compute the IoU of boxes row by row, across the panorama's seam: `iou` of `schema/panorama.py` over arrays.
+    """Compute the IoU of boxes row by row. Boxes may cross the seam of the panorama.
+
+    The function gives the same values as `iou` of `schema/panorama.py`, but for arrays.
 
     Args:
         first: Boxes as x, y, w, h in stitched pixels (n, 4).
         second: Boxes in the same form (n, 4).
 
     Returns:
-        The IoU of each pair, 0 for boxes without an area (n).
+        The IoU of each row's two boxes. It is 0 if a box has no area (n).
     """
     ax, ay, aw, ah = first.T
     bx, by, bw, bh = second.T

@@ -1,6 +1,6 @@
-"""The tables of a report: rows of plain values in percent of `n`, the number of questions.
+"""The tables of a report, as rows of plain values.
 
-A value is None (printed as n/a) if n is 0.
+Scores are in percent of `n`, the number of questions. A percentage of nothing is None, which is printed as n/a.
 """
 
 from __future__ import annotations
@@ -35,28 +35,29 @@ CELLS: Final[dict[str, Row]] = {
     "agent-no-world": {"active": "on", "world_model": "off"},
     "agent": {"active": "on", "world_model": "on"},
 }
-"""Cells of the ablation by method: active observation by world model."""
+"""Cell of the ablation by method: whether active observation and the world model are on or off."""
 
 # -- the main table ---------------------------------------------------------------------------------------------------
 
 
 def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> list[Row]:
-    """Compute the main table.
+    """Compute the table `main`.
 
     Args:
-        index: The store's questions.
+        index: The questions of the store, with their labels.
         runs: Scored runs.
-        iou: Minimum IoU for evidence to score.
+        iou: Minimum IoU with which evidence was scored.
 
     Returns:
-        A row per run: shares with 95 % intervals over sequences, and macro averages over families and paper groups.
+        One row per run: the scores with their 95 % intervals from draws of sequences, and macro averages of the scores
+        over the families and over the paper's groups.
     """
     settings = distinguishing_settings(runs)
     return [_main_row(index, run, iou, settings[run.manifest.run_id]) for run in runs]
 
 
 def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Row:
-    # Columns: the questions, the three scores, the answers without evidence.
+    # Columns: 1 per question, the three scores, and 1 if the answer is right without right evidence.
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
     sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
     sums = [numbered_sums(cluster, len(sequences), base)]
@@ -89,13 +90,13 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
 
 
 def interval_label(sequences: int) -> str:
-    """Return the label of a row's intervals.
+    """Return what the column `interval` of a row says.
 
     Args:
-        sequences: Number of sequences of the row.
+        sequences: Number of sequences that the row's questions are about.
 
     Returns:
-        `INTERVALS`, or `TOO_FEW`, for which tables for people show no intervals.
+        `INTERVALS`, or `TOO_FEW` if there are fewer than `LEAST_CLUSTERS` sequences. Printed tables then omit bounds.
     """
     return INTERVALS if sequences >= LEAST_CLUSTERS else TOO_FEW
 
@@ -119,7 +120,7 @@ def _with_bounds(name: str, interval: Interval) -> Row:
 
 
 def published_rows() -> list[Row]:
-    """Return the paper's main table, in the columns of `main_rows` that it has."""
+    """Return the paper's main table in the columns of `main_rows`, as far as the paper has them."""
     return [_published(row) for row in MAIN]
 
 
@@ -132,15 +133,15 @@ def _published(row: Published) -> Row:
 
 
 def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: str) -> list[Row]:
-    """Break scores down by a dimension.
+    """Compute the scores of each run separately for each value of a dimension, such as each family.
 
     Args:
-        index: The store's questions.
+        index: The questions of the store, with their labels.
         runs: Scored runs.
         dimension: A name of `DIMENSIONS`.
 
     Returns:
-        A row per value and run, grouped by value.
+        One row for each value and each run that has questions with this value, grouped by value.
     """
     labels = index.labels[dimension]
     columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]
@@ -157,7 +158,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
 
 
 def published_groups() -> list[Row]:
-    """Return the paper's agent by its groups, in the columns of `breakdown_rows`."""
+    """Return the scores of the paper's agent in each of the paper's groups, in the columns of `breakdown_rows`."""
     return [
         {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
         | {name: percent_of(getattr(counts, name), counts.n) for name in SCORES}
@@ -167,21 +168,21 @@ def published_groups() -> list[Row]:
 
 
 def score_row(run: ScoredRun, iou: float) -> Row:
-    """Return the row of `score` of a run.
+    """Return the row that the command `score` prints for a run.
 
     Args:
         run: The scored run.
-        iou: Minimum IoU for evidence to score.
+        iou: Minimum IoU with which evidence was scored.
 
     Returns:
-        The run's scores in percent of its questions.
+        The scores of the run in percent of the run's questions.
     """
     head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
     return head | _shares(*_totals(run)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
 
 
 def _totals(run: ScoredRun) -> list[int]:
-    """Return the arguments of `_shares` for a whole run."""
+    """Return the counts of a whole run, in the order of the arguments of `_shares`."""
     return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
 
 
@@ -200,20 +201,20 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 
 
 def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Row]:
-    """Compute the ablation: active observation by world model by policy.
+    """Compute the table `ablation`: scores with and without active observation and the world model, by policy.
 
     Args:
-        runs: Scored runs; runs of other methods are ignored.
-        published: Whether to add the paper's ablation.
+        runs: Scored runs. Runs of methods that are not in `CELLS` are ignored.
+        published: Whether to add the rows of the paper's ablation.
 
     Returns:
-        A row per run, grouped by model and setting.
+        One row per run, grouped by model and setting.
     """
     methods = list(CELLS)
     among = [run for run in runs if run.manifest.method in methods]
     settings: dict[str, str] = {}
     for policy in {_policy(run) for run in among}:
-        # Settings of a policy repeat its column, so they are compared only within a policy.
+        # Settings are compared only among runs of the same policy, because the policy has its own column.
         settings |= distinguishing_settings([run for run in among if _policy(run) == policy])
     rows = [
         CELLS[run.manifest.method]
@@ -223,7 +224,7 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
         | _shares(*_totals(run))
         for run in among
     ]
-    # Group the cells by model and setting, passive cells first.
+    # Rows are grouped by model and setting. In a group, the passive cells come first.
     rows.sort(key=lambda row: (row["model"], row["setting"], methods.index(row["method"]), row["policy"]))
     if published:
         rows += [cell | {"policy": "model"} | _published(ABLATION[method]) for method, cell in CELLS.items()]
@@ -231,7 +232,7 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
 
 
 def _policy(run: ScoredRun) -> str:
-    """Return the policy that chose the looks of an agent's run."""
+    """Return the policy of an agent's run, which says who chose the looks."""
     return str(run.manifest.settings.get("method", {}).get("policy", "model"))
 
 
@@ -242,13 +243,13 @@ def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
     """Compare all pairs of runs.
 
     Args:
-        index: The store's questions.
+        index: The questions of the store, with their labels.
         runs: Scored runs.
 
     Returns:
-        The rows of `rows_of_pairs`, with the runs of each pair in alphabetical order.
+        The rows of `rows_of_pairs`. The runs of a pair are in alphabetical order of method, model and run id.
     """
-    # Which of two is the first does not depend on their scores, so that a difference keeps its sign.
+    # The order of a pair does not depend on scores, so that a difference keeps its sign when scores change.
     return rows_of_pairs(index, list(combinations(sorted(runs, key=_name), 2)))
 
 
@@ -256,12 +257,12 @@ def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredR
     """Compare pairs of runs on their common questions.
 
     Args:
-        index: The store's questions.
-        pairs: The pairs.
+        index: The questions of the store, with their labels.
+        pairs: The pairs of scored runs.
 
     Returns:
-        A row per pair and score: the exact McNemar test, and the difference with its interval. Pairs without a common
-        question have no row.
+        One row for each pair and score: the counts and the p-value of the exact McNemar test, and the difference of the
+        runs in points with its interval. A pair without a common question has no row.
     """
     groups: dict[bytes, tuple[Ints, list[int]]] = {}
     for index_of_pair, (first, second) in enumerate(pairs):
@@ -293,19 +294,19 @@ def _name(run: ScoredRun) -> tuple[str, str, str]:
 
 
 def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
-    """Sort runs by their combined share, the best first; equal runs by method, model and id.
+    """Sort runs by their combined score, the best run first.
 
     Args:
         runs: Scored runs.
 
     Returns:
-        The sorted runs.
+        The sorted runs. Runs with equal scores are in the order of method, model and run id.
     """
     return sorted(runs, key=lambda run: (-run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
 
 
 RESULTS: Final = ("wrong_choices", "evidence_failures", "cost")
-"""Tables that are queries of `queries/results/`."""
+"""Names of the tables that are SQL queries in `queries/results/`."""
 
 TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
-"""Names of all tables. `main` has shares with intervals; the name of a dimension means a breakdown by it."""
+"""Names of all tables. `main` has the scores with intervals. The name of a dimension means the breakdown by it."""

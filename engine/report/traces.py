@@ -1,4 +1,4 @@
-"""Trace of one question of a run: its steps, its looks, its writes to the world model, and the true answer."""
+"""Trace of a run's work on one question: the steps, the looks, the writes to the world model, and the true answer."""
 
 from __future__ import annotations
 
@@ -23,12 +23,19 @@ from jrdb_avr.schema.panorama import CROP, WIDTH
 StoredRow = Mapping[str, Any]
 
 _DIGITS: Final = 8
-"""Exclusive limit of the number of digits of a frame id."""
+"""Exclusive upper limit of the number of digits in a frame id."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """A look of a run: a crop (with `angle` and `left`) or a whole panorama (`angle` None), and its step."""
+    """A look of a run: a crop or a whole panorama.
+
+    Attributes:
+        step: Number of the look's step.
+        frame: Index of the frame.
+        angle: Panorama angle of the crop's centre in degrees, or None for a whole panorama.
+        left: Left column of the crop in stitched pixels.
+    """
 
     step: int
     frame: int
@@ -37,7 +44,7 @@ class Look:
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """Columns of the panorama as (start, width); a crop across the seam has two parts."""
+        """Columns of the panorama that the look shows, as (start, width). A crop across the seam has two spans."""
         if self.angle is None:
             return [(0, WIDTH)]
         over = self.left + CROP - WIDTH
@@ -46,7 +53,14 @@ class Look:
 
 @dataclass(frozen=True)
 class Written:
-    """A write to the world model: its row of the record, its step, and the step `until` which it holds."""
+    """A write to the world model.
+
+    Attributes:
+        row: The write's row of the table `world`.
+        step: Number of the step that made the write.
+        until: Number of the step whose write replaced this one, or `ALWAYS`.
+        fact: The written fact.
+    """
 
     row: StoredRow
     step: int
@@ -55,21 +69,21 @@ class Written:
 
 
 class Transcript:
-    """Record of a run's work on one question, from public files only.
+    """Record of a run's work on one question. Only public files are read.
 
     Attributes:
         manifest: The run's manifest.
-        question: The question's row of `questions`.
-        prediction: The question's row of `predictions`.
+        question: The question's row of the table `questions`.
+        prediction: The question's row of the table `predictions`.
         fps: Frames per second of the sequence.
-        steps: Rows of `steps`, in order.
-        looks: The looks among the steps.
-        writes: Writes to the world model, in order.
-        refused: The writes that the world model refused.
+        steps: The question's rows of the table `steps`, sorted by step.
+        looks: The looks among the steps, in order.
+        writes: All writes to the world model, in order.
+        refused: Those of `writes` that the world model refused.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
-        """Read a question of a run.
+        """Read the record of one question.
 
         Raises:
             StoreError: If the run is missing or unfinished.
@@ -104,19 +118,19 @@ class Transcript:
 
 
 class Trace(Transcript):
-    """Record of a run's work on one question, with the truth.
+    """Record of a run's work on one question, with the true answer and the scores.
 
     Attributes:
-        answer: The question's row of `answers`.
+        answer: The question's row of the table `answers`.
         target: Boxes of the target by frame, as x, y, w, h in stitched pixels.
-        scores: The question's row of `scores`.
+        scores: The question's row of the table `scores`, computed now.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
-        """Read a question of a run.
+        """Read the record of one question, and score its prediction.
 
         Raises:
-            StoreError: As `Transcript`, and if a private file is missing.
+            StoreError: If the run is missing or unfinished, or if a private file of the store is missing.
             InputError: If the run does not have the question.
         """
         questions, answers, sequences, evidence = store.question_tables("questions", "answers", "sequences", "evidence")
@@ -140,13 +154,14 @@ _SHOWN = msgspec.json.Decoder(_Shown)
 
 
 def look_of(step: StoredRow) -> Look | None:
-    """Return the look of a step.
+    """Return the look that a step records.
 
     Args:
-        step: A row of `steps`.
+        step: A row of the table `steps`.
 
     Returns:
-        The look, or None if the step is no look, a refused look, or has the format of a custom method.
+        The look. None if the step is not a look, if the look was refused, or if a custom method recorded the step in
+        another format.
     """
     if step["kind"] != "observe":
         return None

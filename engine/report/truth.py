@@ -1,4 +1,4 @@
-"""True answers and evidence of a store's questions, in the arrays that predictions are compared with."""
+"""True answers and evidence of a store's questions, in arrays to compare with predictions."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from jrdb_avr.schema.errors import DecodeError, StoreError
 from jrdb_avr.schema.tables import QUESTIONS
 
 FRAME_LIMIT: Final = 1 << 24
-"""Exclusive upper limit of frame numbers."""
+"""Exclusive upper limit of frame indexes."""
 
 _TRACK_LIMIT: Final = 1 << 32
-"""Exclusive upper limit of track numbers."""
+"""Exclusive upper limit of track ids."""
 
 _COLUMNS: Final = {
     "questions": ("question_id", "sequence", "answer_mode"),
@@ -31,23 +31,23 @@ _COLUMNS: Final = {
 
 
 class Truth:
-    """True answers and target boxes of n questions, one row per question.
+    """True answers of n questions, and the boxes of the questions' targets.
 
     Attributes:
-        ids: Question ids (n).
+        ids: Id of each question (n).
         modes: Answer mode of each question (n).
-        answers: True answer of each question (n).
-        seconds: Frames in a second of each question's sequence (n).
-        targets: Number of each question's target among the people with boxes, or -1 (n).
-        keys: `frame_key` of each box, ascending (boxes).
-        boxes: Boxes as x, y, w, h in stitched pixels (boxes, 4).
+        answers: True answer to each question (n).
+        seconds: Number of frames per second in the sequence of each question (n).
+        targets: Index of each question's target among all people who have boxes, or -1 if the target has none (n).
+        keys: `frame_key` of the person and the frame of each box, ascending (boxes).
+        boxes: Boxes as x, y, w, h in stitched pixels, in the order of `keys` (boxes, 4).
     """
 
     def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
-        """Join the tables of `questions/`, or rows and columns of them.
+        """Join tables of the folder `questions/`. Each table may lack rows and columns that are not needed.
 
         Raises:
-            StoreError: If a row that another table refers to is missing, or an answer cannot be read.
+            StoreError: If a table lacks a row that another table refers to, or if an answer cannot be read.
         """
         self.ids = questions["question_id"].combine_chunks()
         answers = answers.take(pa.array(find_rows(answers["question_id"], self.ids, "answers")))
@@ -68,7 +68,7 @@ class Truth:
         self.targets: Ints = np.where(first < last, first, -1).astype(np.int64)
         self.keys = frame_key(box_person.astype(np.int64), evidence["frame"].to_numpy().astype(np.int64))
         self.boxes = np.stack([evidence[name].to_numpy() for name in "xywh"], axis=1)
-        if (self.keys[1:] < self.keys[:-1]).any():  # `generate` writes sorted boxes: skip the copy of all boxes.
+        if (self.keys[1:] < self.keys[:-1]).any():  # Rarely true, because `generate` writes sorted boxes.
             order = np.argsort(self.keys, kind="stable")
             self.keys, self.boxes = self.keys[order], self.boxes[order]
 
@@ -77,13 +77,14 @@ def read_truth(store: Store) -> Truth:
     """Read the true answers and evidence of a store.
 
     Args:
-        store: A store with questions and their private tables.
+        store: A store that has questions, answers and evidence.
 
     Returns:
-        The truth of all questions, in the order of `sort_by_sequence`.
+        The true answers and evidence of all questions, in the order of `sort_by_sequence`.
 
     Raises:
-        StoreError: If a table is missing, has another form, or belongs to another generation than the others.
+        StoreError: If a table is missing, if a table has other columns than expected, or if not all tables come from
+            the same run of `generate`.
     """
     tables = store.question_tables(*_COLUMNS, columns=_COLUMNS)
     questions, *others = (
@@ -94,11 +95,11 @@ def read_truth(store: Store) -> Truth:
 
 
 def frame_key(person: Ints, frame: Ints) -> Ints:
-    """Combine person numbers and frame numbers into one sortable number each.
+    """Combine the index of a person and the index of a frame into one key. Keys sort by person, then by frame.
 
     Args:
-        person: Person numbers (n); a negative number gives a negative key.
-        frame: Frame numbers in [0, FRAME_LIMIT) (n).
+        person: Indexes of people (n). A negative index gives a negative key.
+        frame: Indexes of frames in [0, FRAME_LIMIT) (n).
 
     Returns:
         The keys (n).
@@ -110,11 +111,11 @@ def read_answer(mode: str, text: str | None) -> Answer | None:
     """Decode a stored answer.
 
     Args:
-        mode: The question's answer mode.
-        text: The answer as JSON, or None.
+        mode: The answer mode of the question.
+        text: The answer as JSON, or None if there is no answer.
 
     Returns:
-        The answer, or None if the text is missing or is not an answer of the mode.
+        The answer. None if there is no text, or if the text is not a valid answer under the mode.
     """
     try:
         return decode_answer(mode, text or "")
@@ -123,34 +124,34 @@ def read_answer(mode: str, text: str | None) -> Answer | None:
 
 
 def row_numbers(values: Any, among: Any) -> Ints:
-    """Find values in a column.
+    """Find the row of each value in an array.
 
     Args:
-        values: The values to find, an Arrow array (n).
-        among: The array to search.
+        values: The values to find, as an Arrow array (n).
+        among: The Arrow array to search.
 
     Returns:
-        The row of each value in `among`, or -1 (n).
+        The index of each value in `among`, or -1 if `among` does not have the value (n).
     """
     rows: Ints = pc.fill_null(pc.index_in(values, value_set=among), -1).to_numpy(zero_copy_only=False).astype(np.int64)
     return rows
 
 
 def find_rows(among: pa.ChunkedArray, values: Any, table: str) -> Ints:
-    """Find values in a column of a table of `questions/`.
+    """Find the row of each value in a column of a table of the folder `questions/`.
 
     Args:
         among: The column to search.
         values: The values to find (n).
-        table: The name of the table that has the column, for the message.
+        table: The name of the table that has the column, for the error message.
 
     Returns:
-        The row of each value in `among` (n).
+        The index of each value in `among` (n).
 
     Raises:
-        StoreError: If a value is missing.
+        StoreError: If the column does not have one of the values.
     """
     rows = row_numbers(values, among.combine_chunks())
     if (rows < 0).any():
-        raise StoreError(f"the tables of questions/ do not fit together ({table} lacks a row): generate again")
+        raise StoreError(f"the tables in questions/ do not match ({table} lacks a row): generate again")
     return rows

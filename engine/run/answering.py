@@ -1,4 +1,4 @@
-"""Let a method answer questions, several at a time; each question gets a line of the journal."""
+"""Let a method answer several questions at the same time, and append each finished question to a journal."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from jrdb_avr.schema.method import (
 R = TypeVar("R")
 
 _STOP_S: Final = 1.0
-"""Maximum seconds to wait for the threads of a run that ends early."""
+"""Maximum seconds to wait for the worker threads when a run ends early."""
 
 _SWITCH_S: Final = 0.05
-"""Seconds between switches of Python threads. Shorter turns cost time, because most threads wait for a server."""
+"""Seconds between switches of Python threads. Shorter intervals gain nothing, as most threads wait for a server."""
 
 
 _PACKAGE: Final = f"{__name__.partition('.')[0]}."
@@ -43,18 +43,18 @@ _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "plat
 
 
 class Entries(Protocol):
-    """A store of finished questions, such as a journal."""
+    """A collection of finished questions that can grow, such as a journal."""
 
     @property
     def finished(self) -> Mapping[str, Finished]:
-        """The finished questions by id."""
+        """The entry of each finished question, by question id."""
 
     def append(self, entry: Finished) -> None:
-        """Add a finished question."""
+        """Add the entry of a finished question."""
 
 
 class _Stopped(BaseException):
-    """End of a run while a method works on a question. It is not an Exception, so that a method does not catch it."""
+    """Signal to a working method that the run has ended. Not an Exception, so that `except Exception` misses it."""
 
 
 def answer_one(
@@ -71,23 +71,23 @@ def answer_one(
         method: The method.
         question: The question.
         sequence: The sequence of the question.
-        observe: Returns crops.
-        panorama: Returns panoramas.
-        stopped: Returns whether the run has ended.
+        observe: The function that returns a crop of a frame.
+        panorama: The function that returns the whole panorama of a frame.
+        stopped: Called before each call that the method makes to its task. True ends the question without an entry.
 
     Returns:
-        The line of the journal. Its status is "error", with the reason, if the method raises or returns no prediction.
+        The entry for the journal. Its status is "error" if the method raises an exception or returns no prediction.
 
     Raises:
-        RunStoppedError: No question can be answered now.
-        KeyboardInterrupt: The user interrupts the main thread.
+        RunStoppedError: If no further question can be answered now, for example at the cost limit of the run.
+        KeyboardInterrupt: If this is the main thread and the user interrupts it.
     """
     steps: list[Step] = []
     writes: list[Write] = []
     calls: Counter[str] = Counter()
 
     def counted(name: str, function: Callable[..., R]) -> Callable[..., R]:
-        """Count the successful calls of a function; a call after the run has stopped ends the question."""
+        """Return the function with a counter of its successful calls. A call raises _Stopped if the run has ended."""
 
         def call(*values: Any, **named: Any) -> R:
             if stopped():
@@ -112,7 +112,7 @@ def answer_one(
     except (RunStoppedError, _Stopped):
         raise
     except BaseException as error:
-        # Python interrupts only the main thread; in another thread the method raised it.
+        # Python interrupts only the main thread. In any other thread, the method itself raised KeyboardInterrupt.
         if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
             raise
         kinds = [step.kind for step in steps if isinstance(step, Step) and isinstance(step.kind, str)]
@@ -126,18 +126,21 @@ def answer_one(
         try:
             finished = finished_entry(question, failed, steps, writes, seconds)
         except Exception:
-            # A step or a write cannot be stored.
+            # A recorded step or write cannot be stored, so the entry has none.
             finished = finished_entry(question, failed, [], [], seconds)
     return finished
 
 
 def _reason(error: BaseException) -> str:
-    """Return an exception in one line: type (unless this package raised it), message, and line of the method."""
+    """Return an exception as one line: its message, and the line of the method's code that raised it.
+
+    The message begins with the type of the exception, unless the exception is one of this package.
+    """
     text = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
     frames = list(traceback.walk_tb(error.__traceback__))
     outside = [(f.f_code, line) for f, line in frames if not str(f.f_globals.get("__name__")).startswith(_PACKAGE)]
     user_frames = [frame for frame in outside if not frame[0].co_filename.startswith(_LIBRARIES)]
-    # Errors of this package name a remedy; a line of a library would not help.
+    # An error of this package says what to do. A line number in a library would add nothing to it.
     frames_shown = user_frames or ([] if isinstance(error, AvrError) else outside)
     message = text if isinstance(error, AvrError) else f"{type(error).__name__}: {text}"
     if not frames_shown:
@@ -148,11 +151,11 @@ def _reason(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def for_many_threads() -> Iterator[None]:
-    """Configure OpenCV and Python for many threads while a block runs."""
+    """Limit OpenCV to one thread and switch Python threads less often while a block runs."""
     import cv2
 
     pool, interval = cv2.getNumThreads(), sys.getswitchinterval()
-    # Threads of OpenCV spin after each small task, and the questions in flight already use all cores.
+    # OpenCV's own threads spin after each small task, and take the cores from the threads that answer questions.
     cv2.setNumThreads(1)
     sys.setswitchinterval(_SWITCH_S)
     try:
@@ -173,27 +176,29 @@ def answer_all(
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> None:
-    """Answer the questions that the journal lacks or holds as errors.
+    """Answer each question that has no entry in the journal, and each question that ended in an error.
 
-    The threads are daemons, and one thread writes. An interrupt ends the process within seconds and loses only
-    questions in flight.
+    Worker threads call the method, and the calling thread alone appends to the journal. The workers are daemon threads,
+    so that an interrupt ends the process within seconds. An interrupt loses only the questions that are in progress.
 
     Args:
         method: The method.
-        questions: The questions.
-        sequences: The sequences by name.
-        observe: Returns crops.
-        panorama: Returns panoramas.
-        journal: Receives each finished question.
-        concurrency: The maximum number of questions in flight.
-        advance: Called with numbers of finished questions.
+        questions: All questions of the run.
+        sequences: The sequences of the questions, by name.
+        observe: The function that returns a crop of a frame.
+        panorama: The function that returns the whole panorama of a frame.
+        journal: The journal, which gets an entry for each finished question.
+        concurrency: Maximum number of questions that are in progress at the same time.
+        advance: Called once at the start with the number of questions that need no answer, then with 1 after each
+            finished question.
 
     Raises:
-        RunStoppedError: No further question can be answered now; the questions in flight have ended.
+        RunStoppedError: If no further question can be answered now, for example at the cost limit of the run. It is
+            raised after the questions in progress have ended.
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException | None] = queue.SimpleQueue()
-    # By sequence, because its panoramas are in memory and few files of the journal change at a time.
+    # Sorted by sequence: its panoramas stay in memory, and only a few files of the journal grow at the same time.
     due = sorted(unanswered(questions, journal.finished), key=lambda question: question.sequence)
     advance(len(questions) - len(due))
     for question in due:
@@ -233,11 +238,11 @@ def answer_all(
         if stopped:
             raise stopped[0]
     finally:
-        # A thread that decodes an image when the interpreter ends would abort the process. A thread that waits for a
-        # server would not, so the wait has a deadline.
+        # Wait, because the process would abort if a thread decoded an image when the interpreter ends. The wait is
+        # limited, because a thread that waits for a server does no such harm.
         stop.set()
         deadline = time.monotonic() + _STOP_S
         for thread in threads:
-            # An interrupt may come before all threads are started.
+            # If an interrupt came early, some threads have not started.
             if thread.is_alive():
                 thread.join(max(0.0, deadline - time.monotonic()))

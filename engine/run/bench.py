@@ -1,6 +1,6 @@
-"""Hand out questions and pictures of a store as tasks and episodes: the public half of a benchmark.
+"""Hand out the questions and pictures of a store as tasks and episodes. Only public files of the store are read.
 
-Only public files are read. `judge.py` has the private half, answers and evidence.
+The module `judge` scores predictions. It reads the private files: answers and evidence.
 """
 
 from __future__ import annotations
@@ -23,30 +23,31 @@ from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
 
 
 class Bench:
-    """Questions of a store and their pictures, for players. Safe for many threads.
+    """Questions of a store and their pictures, for methods, people and agents. Safe for many threads.
 
         bench = Bench.open("store")
         episode = bench.episode(bench.questions[0].question_id)
 
     Attributes:
-        questions: The questions in order, with opaque names of sequences if these are used.
-        sequences: The sequences by these names.
-        observer: The pictures of the sequences in `observed`.
-        folders: The folders of sequences with opaque names; None without.
-        synthetic: Whether a question is about a sample world.
+        questions: The questions, in order. If names are opaque, the questions have the opaque names of their sequences.
+        sequences: All sequences of the store, by name or opaque name.
+        observed: The sequences that have a question, sorted by real name.
+        observer: The source of the pictures of the sequences in `observed`.
+        folders: The real name of each sequence by its opaque name. None if names are not opaque.
+        synthetic: Whether at least one question is about the sample world.
     """
 
     def __init__(self, store: Store, questions: Sequence[QuestionRow], image_root: str | None, opaque: bool) -> None:
-        """Hold selected questions; `Bench.open` selects them first.
+        """Hold questions that are already selected. `Bench.open` selects them.
 
         Args:
             store: The store.
             questions: The questions.
-            image_root: Folder with one folder of panoramas per sequence.
-            opaque: Whether players get opaque names of sequences.
+            image_root: The folder that has one folder of panoramas per sequence.
+            opaque: Whether to replace the names of sequences by opaque names.
 
         Raises:
-            StoreError: A question is about an unknown sequence.
+            StoreError: If the store does not list the sequence of a question.
         """
         known_sequences = read_sequences(store)
         if unknown := sorted({question.sequence for question in questions} - known_sequences.keys()):
@@ -71,21 +72,21 @@ class Bench:
         images: str | Path | None = None,
         opaque: bool = False,
     ) -> Bench:
-        """Select questions of a store.
+        """Select questions of a store, and return their bench.
 
         Args:
             store: The store, or its folder.
-            questions: A selection or ids; by default all questions that have panoramas.
-            limit: A maximum number of questions.
-            images: Folder of panoramas in place of the folder that the store names.
-            opaque: Whether players get opaque names of sequences.
+            questions: A selection, or the ids of questions. Default: all questions that have panoramas.
+            limit: Maximum number of questions. None sets no maximum.
+            images: The folder of panoramas. Default: the folder that the store names.
+            opaque: Whether to replace the names of sequences by opaque names.
 
         Returns:
             The bench.
 
         Raises:
-            StoreError: A public file is missing, or no question remains.
-            InputError: The selection has an unknown name.
+            StoreError: If a public file is missing, or if no question is selected.
+            InputError: If the selection names a question, family, template or sequence that the store lacks.
         """
         store = Store.of(store)
         image_root = find_images(store, images)
@@ -104,46 +105,46 @@ class Bench:
         record: Record = lambda step: None,
         record_write: RecordWrite = lambda write: None,
     ) -> Task:
-        """Return the task of a question for a method.
+        """Return the task that a method gets for a question.
 
         Args:
             question_id: The id of the question.
-            record: Receives the steps of the method.
-            record_write: Receives writes into a world model.
+            record: Called with each step that the method records.
+            record_write: Called with each write to the world model that the method records.
 
         Returns:
             The task.
 
         Raises:
-            InputError: The id is unknown.
+            InputError: If the bench has no question with this id.
         """
         question = self.question(question_id)
         info = self.sequences[question.sequence]
         return Task(question, info, self.observer, self.observer.stored, record, record_write)
 
     def episode(self, question_id: str, *, budget: int = BUDGET, record: Record = lambda step: None) -> Episode:
-        """Begin to play a question.
+        """Return a new episode, so that a player can answer a question move by move.
 
         Args:
             question_id: The id of the question.
-            budget: The maximum number of looks.
-            record: Receives the steps of the player.
+            budget: Maximum number of looks.
+            record: Called with each step of the episode.
 
         Returns:
-            The episode.
+            The episode, before its first move.
 
         Raises:
-            InputError: The id is unknown.
+            InputError: If the bench has no question with this id.
         """
         return Episode(self.task(question_id, record), budget=budget)
 
 
 _LABELS_BESIDE: Final = ("image_stitched", "images")
-"""Names of folders between panoramas and the root folder, which also holds the labels."""
+"""Names of the folders between the panoramas and JRDB's root folder, innermost first. The root also has the labels."""
 
 
 def root_of_images(images: str | Path) -> Path:
-    """Return the root folder of JRDB that holds a folder of panoramas; the folder itself if it is not part of one."""
+    """Return JRDB's root folder, given the folder of panoramas in it. Return the folder itself if it is elsewhere."""
     root = Path(images).resolve()
     for name in _LABELS_BESIDE:
         root = root.parent if root.name == name else root
@@ -155,13 +156,13 @@ def find_images(store: Store, images: str | Path | None) -> str | None:
 
     Args:
         store: The store.
-        images: A folder in place of the folder that the store names.
+        images: The folder that the user named, or None.
 
     Returns:
-        The folder; None if the store was loaded without panoramas.
+        `images` if it is not None, otherwise the folder that the store names. None if the store has no panoramas.
 
     Raises:
-        StoreError: The store has no manifest to name the folder.
+        StoreError: If `images` is None and the store has no manifest, which names the folder.
     """
     if images is not None:
         return str(images)

@@ -1,6 +1,6 @@
-"""Connect to the server of a model: checks before a run, the server of the built-in model, and stored calibrations.
+"""Connect to the server of a model: check it before a run, start the simulated model, and store calibrations.
 
-STORE/conventions/<model>.json    how the model writes boxes, found by `calibrate`
+STORE/conventions/<model>.json    the calibration of a model: how the model writes boxes, as `calibrate` found
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from jrdb_avr.schema.errors import EndpointError, StoreError
 
 
 class Endpoint:
-    """A server after its preflight.
+    """A model server that has been checked (preflight).
 
     Attributes:
-        settings: Plain JSON for the manifest of a run; a resumed run needs equal settings (`run.check_manifest`).
-        warnings: A line per failed check.
-        served: The id of the model in the replies of the server.
+        convention: How the model writes boxes.
+        client: The client that sends requests to the server.
+        settings: Plain JSON for the manifest of a run. A run can be resumed only with equal settings.
+        warnings: One line for each check that failed.
+        served: The id of the model in the server's first reply.
     """
 
     def __init__(
@@ -43,19 +45,20 @@ class Endpoint:
         method: str | None = None,
         strict: bool = False,
     ) -> None:
-        """Check a server.
+        """Send the requests of the preflight to a server, and compare its options with the calibration.
 
         Args:
-            calibration: The calibration of the model, if any.
+            calibration: The calibration of the model, or None.
             model: The id of the model.
             base_url: The address of the server.
-            options: The options of its requests.
-            cache: The file of finished calls.
-            method: The player; its run needs only some of the checks. None needs all.
-            strict: Whether to refuse a run if a check fails that its method needs.
+            options: The options of the requests.
+            cache: The file that stores finished calls. None stores none.
+            method: The name of the method, which decides which checks must pass. If None, all checks must pass.
+            strict: Whether a failed check that must pass is an error. Otherwise it is a warning.
 
         Raises:
-            EndpointError: The server does not reply, a needed check fails, or the calibration has other options.
+            EndpointError: If the server does not reply, if `strict` is true and a check that must pass fails, or if
+                the model was calibrated with other options.
         """
         declared = convention_of(model)
         self.convention = declared if calibration is None else calibration.convention(declared)
@@ -85,26 +88,26 @@ class Endpoint:
         }
 
     def changed(self) -> str:
-        """Return a line about replies that named another model than the first reply; "" if none did."""
+        """Return a line that names the models of later replies if they differ from the first reply's, otherwise ""."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
         return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
 
 
 @contextlib.contextmanager
 def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None) -> Iterator[str]:
-    """Yield the address of the server of a model.
+    """Yield the address of the server of a model. The simulated model gets a server that ends with the block.
 
     Args:
         model: The id of the model.
-        base_url: The address; without one, the block has a server of the simulated model.
-        log: The log file of the simulated model.
-        knobs: Knobs in place of the profile of the simulated model.
+        base_url: The address of a running server. None starts the server of the simulated model.
+        log: The log file of the simulated model. None writes no log.
+        knobs: The knobs of the simulated model. Default: the knobs of its profile.
 
     Yields:
         The address.
 
     Raises:
-        EndpointError: The model is not the simulated one and has no address.
+        EndpointError: If there is no address and the model is not the simulated model.
     """
     from jrdb_avr.agent.simulated.server import marker_server
 
@@ -121,7 +124,7 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
 
 
 def convention_path(store: Store, model: str) -> Path:
-    """Return the file of the calibration of a model. A name that no file can have is shortened and gets a hash."""
+    """Return the calibration file of a model. If the model's id cannot be a file name, it is shortened and hashed."""
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", model).strip("-.")[:80]
     if plain != model or not is_plain_name(plain):
         plain = f"{plain or 'model'}-{hashlib.sha256(model.encode()).hexdigest()[:8]}".replace("..", "-")
@@ -129,17 +132,17 @@ def convention_path(store: Store, model: str) -> Path:
 
 
 def read_calibration(store: Store, model: str) -> Calibration | None:
-    """Read the calibration of a model.
+    """Read the stored calibration of a model.
 
     Args:
         store: The store.
         model: The id of the model.
 
     Returns:
-        The calibration; None if the store has none.
+        The calibration, or None if the store has no calibration of this model.
 
     Raises:
-        StoreError: The file cannot be read, or belongs to another model.
+        StoreError: If the file cannot be read, or if it is the calibration of another model.
     """
     path = convention_path(store, model)
     try:
@@ -154,7 +157,7 @@ def read_calibration(store: Store, model: str) -> Calibration | None:
 
 
 def write_calibration(store: Store, calibration: Calibration) -> Path:
-    """Write a calibration atomically, and return its file."""
+    """Write a calibration atomically, and return the path of the file."""
     path = convention_path(store, calibration.model)
     write_json(path, calibration)
     return path

@@ -1,10 +1,10 @@
-"""Evaluate a method: let it answer questions of a store, and record everything it does.
+"""Evaluate a method: let it answer questions of a store, and record everything that it does.
 
     runs/<run_id>/                    manifest, journal and tables (`Run`)
-    runs/<run_id>/calls.jsonl         model calls that finished cleanly
+    runs/<run_id>/calls.jsonl         the model calls that succeeded, so that a resumed run need not repeat them
 
-A run that is killed loses nothing that is in the journal. A resumed run answers the remaining questions and those that
-ended in an error. Only the public tables of questions and the panoramas are read.
+If a run is killed, its journal keeps all finished questions. A resumed run answers the remaining questions, and answers
+again the questions that ended in an error. The run reads only the public tables of questions and the panoramas.
 """
 
 from __future__ import annotations
@@ -53,15 +53,19 @@ from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreErr
 from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
-"""Columns of `predictions` that a run adds up."""
+"""Columns of `predictions` that `RunResult.row` sums up."""
 _TOKENS: Final = ("prompt_tokens", "completion_tokens")
 
 
 @dataclass(frozen=True, repr=False)
 class RunResult(Displayed):
-    """Result of a run: its id and its rows of `predictions`.
+    """Result of a run.
 
-    `synthetic` marks runs of the simulated model or on the sample world. `price` is the price of the model, if known.
+    Attributes:
+        run_id: The id of the run.
+        predictions: The table `predictions` of the run, one row per question.
+        synthetic: Whether the run used the simulated model or the sample world.
+        price: The price of the model, or None if it is unknown.
     """
 
     run_id: str
@@ -70,7 +74,12 @@ class RunResult(Displayed):
     price: Price | None = None
 
     def row(self) -> dict[str, Any]:
-        """Return counts by status, sums of calls, looks and tokens, mean seconds, and dollars if a price is known."""
+        """Return a summary of the run as one row.
+
+        Returns:
+            The run id, the number of questions and the number of each status, the sums of model calls, looks and
+            tokens, the mean seconds per question, and the cost in dollars if the price is known.
+        """
         status = self.predictions["status"].to_pylist()
         sums = {name.removeprefix("n_"): pc.sum(self.predictions[name]).as_py() or 0 for name in _SUMS}
         return {
@@ -83,13 +92,13 @@ class RunResult(Displayed):
         }
 
     def commonest_reason(self, status: str) -> tuple[str, int]:
-        """Return the most frequent reason of a status.
+        """Return the most frequent reason among the questions with a status.
 
         Args:
             status: "error" or "invalid".
 
         Returns:
-            The reason and its number of questions; "" and 0 if no question has the status.
+            The reason, and the number of questions that have it. "" and 0 if no question has the status.
         """
         ended = self.predictions.filter(pc.equal(self.predictions["status"], status))
         reasons = Counter(ended["reason"].to_pylist()).most_common(1)
@@ -114,24 +123,25 @@ def evaluate(
 ) -> RunResult:
     """Let a method answer questions of a store, and record every step in `runs/<run_id>/`.
 
-    A problem that does not end the run is an AvrWarning.
+    A problem that does not stop the run is reported as an AvrWarning.
 
     Args:
-        store: The store, or its folder; a public store is enough (`export --public`).
-        method: A method, a name of `METHODS`, or "FILE.py:NAME" or "MODULE:NAME" of a method of your own.
-        model: The id of the model at its server. "simulated" or "simulated:PROFILE" is the built-in model, "none" no
-            model.
+        store: The store, or its folder. A public store (`export --public`) is enough.
+        method: A method object, a name of `METHODS`, or "FILE.py:NAME" or "MODULE:NAME" of your own method.
+        model: The id of the model at its server. "simulated" or "simulated:PROFILE" is the simulated model, and "none"
+            means that the method uses no model.
         options: All further options.
-        progress: Called with steps of the run.
-        live_scores: Called from another thread with the scores so far.
+        progress: Called at the start and after each finished question, with a title, the number of finished questions
+            and the number of all questions.
+        live_scores: Called from another thread with the scores so far, each time they change.
 
     Returns:
-        The run and its predictions.
+        The run id, the predictions, and what is needed to sum them up.
 
     Raises:
-        InputError: Arguments or options are wrong or contradict each other.
-        StoreError: The store or the run does not fit.
-        EndpointError: The server cannot be used.
+        InputError: If an argument or option is wrong, or if options contradict each other.
+        StoreError: If the store has no such questions or panoramas, or if the run exists and cannot be resumed.
+        EndpointError: If the server of the model does not reply or fails a check that must pass.
 
     Example:
         evaluate("store", "react", "simulated", EvaluateOptions(selection=QuestionSelection(limit=20)))
@@ -177,48 +187,49 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
     """Check that the arguments of `evaluate` do not contradict each other.
 
     Args:
-        method: As for `evaluate`.
-        model: As for `evaluate`.
-        options: As for `evaluate`.
+        method: The argument `method` of `evaluate`.
+        model: The argument `model` of `evaluate`.
+        options: The argument `options` of `evaluate`.
 
     Raises:
-        InputError: They do; the message names the options of the command line.
+        InputError: If they contradict each other. The message names the options as on the command line.
     """
     playing, endpoint, selection = options.method, options.endpoint, options.selection
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
-        raise InputError(f"{method!r} is none of {', '.join(METHODS)}, nor FILE.py:NAME or MODULE:NAME", field="method")
+        raise InputError(f"{method!r} is not one of {', '.join(METHODS)}, FILE.py:NAME or MODULE:NAME", field="method")
     if model == NO_MODEL and method in METHODS:
         raise InputError(f"--model none: {method} needs a model", field="model")
     if playing.marker is not None and (profile_of(model) is None or endpoint.base_url is not None):
         raise InputError(
-            "--marker sets how the simulated model plays: give it with --model simulated or marker alone",
+            "--marker configures the simulated model: give it only with --model simulated, and without --base-url",
             field="marker",
         )
     policy = playing.policy or default_policy(method)
     if policy != "model" and method not in DRIVABLE:
-        raise InputError(f"--policy {policy}: of the methods {' and '.join(DRIVABLE)} only", field="policy")
+        raise InputError(f"--policy {policy} works only with the methods {' and '.join(DRIVABLE)}", field="policy")
     if playing.history is not None and (method not in CHATS or policy != "model"):
-        raise InputError(f"--history: of the methods {' and '.join(CHATS)} with --policy model only", field="history")
+        raise InputError(f"--history works only with {' and '.join(CHATS)} under --policy model", field="history")
     if options.run.world_db is not None and method not in WORLD_METHODS:
-        raise InputError(f"--world-db: {method} has no world model", field="world_db")
+        raise InputError(f"--world-db: the method {method} has no world model", field="world_db")
     if selection.shard is not None and not 1 <= selection.shard[0] <= selection.shard[1]:
         raise InputError("--shard I/N: I is a number from 1 to N", field="shard")
 
 
 def name_run(store: Store, method: str | Method, model: str, options: EvaluateOptions) -> str:
-    """Return the id of a run, with its shard and its epoch at the end.
+    """Return the id of the run that `evaluate` makes with the same arguments.
 
     Args:
         store: The store of the run.
-        method: As for `evaluate`.
-        model: As for `evaluate`.
-        options: As for `evaluate`.
+        method: The argument `method` of `evaluate`.
+        model: The argument `model` of `evaluate`.
+        options: The argument `options` of `evaluate`.
 
     Returns:
-        The id; the same arguments give the same id, so that the run can be resumed.
+        The id, which ends in the shard and the epoch if the run has them. The same arguments always give the same id,
+        so that the run can be resumed.
 
     Raises:
-        InputError: The id of the options is not a plain name.
+        InputError: If the run id in the options is not a plain name.
     """
     run_id = options.run.run_id
     if run_id is None:
@@ -231,12 +242,12 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
 
 
 def name_player(method: str, policy: Policy | None) -> str:
-    """Return the name of a method, followed by its policy if that is not the default policy of the method."""
+    """Return "METHOD-POLICY", or only the name of the method if the policy is the method's default."""
     return method if policy in (None, default_policy(method)) else f"{method}-{policy}"
 
 
 def default_run_id(method: str, model: str) -> str:
-    """Return the id of a run from the names of its method and its model."""
+    """Return the run id that is made of the names of a method and a model, with at most 80 characters."""
     text = f"{Path(method).name.replace('.py:', '-')}-{model}"
     return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:80]
 
@@ -246,7 +257,7 @@ def _name(method: str | Method) -> str:
 
 
 def _knobs(model: str, options: EvaluateOptions) -> Knobs | None:
-    """Return the knobs of a simulated model, with the epoch added to their seed; None for another model."""
+    """Return the knobs of the simulated model, or None for any other model. Each epoch has another seed."""
     if (profile := profile_of(model)) is None:
         return None
     knobs = options.method.marker or profile
@@ -258,7 +269,7 @@ def _knobs(model: str, options: EvaluateOptions) -> Knobs | None:
 def _connect(
     run: Run, method: str | Method, model: str, options: EvaluateOptions, knobs: Knobs | None
 ) -> Iterator[Endpoint]:
-    """Yield the checked server of a model; warn of failed checks."""
+    """Check the server of a model, warn of each failed check, and yield the server."""
     folder, endpoint = run.store.run_path(run.run_id), options.endpoint
     with serving(model, endpoint.base_url, folder / "marker.jsonl", knobs) as url:
         calibration = read_calibration(run.store, model)
@@ -274,7 +285,7 @@ def _connect(
 def _make(
     method: str | Method, endpoint: Endpoint | None, world: WorldModel | None, options: MethodOptions
 ) -> ConfigurableMethod:
-    """Return the method to run. Raise InputError if a method of the user cannot be made."""
+    """Return the method to run. Raise InputError if the user's own method cannot be imported or made."""
     if not isinstance(method, str):
         return CustomMethod(type(method).__name__, method)
     if is_custom(method):
@@ -285,13 +296,13 @@ def _make(
 
 @contextlib.contextmanager
 def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | None) -> Iterator[WorldModel | None]:
-    """Yield the world model of a run with the facts of its journal; None for a method without a world model."""
+    """Yield the world model of a run, which has the facts in the journal. Yield None if the method uses none."""
     if method not in WORLD_METHODS:
         yield None
         return
     if world_db is None and not store.graph_path.exists():
         raise StoreError(
-            f"{store.path} has no graph to hold the agent's world model: name one of its own by --world-db"
+            f"{store.path} has no graph for the agent's world model: name another graph file with --world-db FILE"
         )
     path = world_db or store.graph_path
     try:
@@ -299,6 +310,6 @@ def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | N
             yield world
     except LockedError as error:
         raise LockedError(
-            f"{path} is in use by {error.holder}: wait for it, or give this run a graph of its own by --world-db FILE",
+            f"{path} is in use by {error.holder}: wait for it, or name another graph file with --world-db FILE",
             holder=error.holder,
         ) from None

@@ -1,7 +1,7 @@
-"""Let a person play as a method: carry out the requests of the page `play` as moves of an episode.
+"""Let a person answer questions on the page `play`: each request of the page is a move in an episode.
 
-The person gets the same as ReAct: the question, its legal frames and the crops of their looks, under the same rules and
-budget. Only public files of the store are read. No response says whether an answer is right.
+The person sees what the method ReAct sees: the question, its legal frames, and a crop for each look. The rules and the
+budget are the same. Only public files of the store are read. No response says whether an answer is right.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jrdb_avr.schema.method import Observation
 
 
 class _Move(msgspec.Struct, forbid_unknown_fields=True):
-    """A move and its question, because another window may have gone on to the next question."""
+    """A move and the question that it belongs to. Another browser window may already play the next question."""
 
     question_id: str
     move: dict[str, Any]
@@ -34,7 +34,7 @@ _MOVE: Final = msgspec.json.Decoder(_Move)
 
 
 class HumanDesk:
-    """Server of the page of one person, who plays the questions of a run one after another."""
+    """Answers to the requests of one person's page. The person plays the questions of a run one after another."""
 
     def __init__(self, bench: Bench, run: Run, page: str) -> None:
         self._bench, self._run, self._page = bench, run, page
@@ -50,10 +50,10 @@ class HumanDesk:
             request: The request.
 
         Returns:
-            The page, the state of the question, or a picture.
+            The page as HTML, the state of the question as JSON, or a picture as JPEG.
 
         Raises:
-            AvrError: The request is unknown or refused.
+            AvrError: If the request is unknown, or if it cannot be carried out.
         """
         with self._lock:
             match request.method, request.path:
@@ -91,14 +91,14 @@ class HumanDesk:
         return self._state(error)
 
     def _record(self) -> None:
-        """Add a finished question to the run. Raise StoreError if the disk refuses; the next request tries again."""
+        """Add the question to the run if it has ended. Raise StoreError if writing fails; the next request retries."""
         play = self._play
         if play is not None and play.episode.over and play.episode.question.question_id in self._due:
             play.record(self._run)
             self._due.remove(play.episode.question.question_id)
 
     def _state(self, error: str = "") -> Response:
-        """Return what the page shows, as JSON. Begin the next question if none is in progress."""
+        """Begin the next question if none is in progress, and return everything that the page shows, as JSON."""
         if self._play is None and self._due:
             self._play, self._observations = Play.begin(self._bench, self._due[0]), []
         state: dict[str, Any] = {"due": len(self._due), "questions": len(self._bench.questions), "error": error}

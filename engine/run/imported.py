@@ -1,4 +1,4 @@
-"""Import predictions from elsewhere as a run of a store."""
+"""Import predictions that another program made, as a run of a store."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from jrdb_avr.schema.card import is_of_sample
 from jrdb_avr.schema.errors import InputError, StoreError
 
 IMPORTED: Final = "imported"
-"""Method of an imported run; its model is unknown."""
+"""Name of the method in the manifest of an imported run. The manifest names no model."""
 
 
 def import_predictions(store: Store | str | Path, path: str | Path, run_id: str | None = None) -> str:
-    """Import a file of prediction lines as a run.
+    """Import a file of predictions as a run.
 
-    The questions of the run are the questions of the lines. The same file can be imported again, which finishes a
-    killed import.
+    The file has one prediction per line, as JSON (`report.prediction_lines`). The questions of the run are the
+    questions that the lines name. If an import was killed, a second import of the same file finishes it.
 
     Args:
         store: The store, or its folder.
         path: The file.
-        run_id: The id of the run; by default the name of the file.
+        run_id: The id of the run. Default: the name of the file without its ending.
 
     Returns:
         The id of the run.
 
     Raises:
-        InputError: The file cannot be read, or names a question that the store lacks.
-        StoreError: The run exists with other predictions.
+        InputError: If the file cannot be read, or if it names a question that the store lacks.
+        StoreError: If a run with this id exists and has other predictions.
     """
     store, path = Store.of(store), Path(path)
     run_id = path.stem if run_id is None else run_id
@@ -71,14 +71,14 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
 
 
 def _in_order(predictions: pa.Table, questions: Sequence[QuestionRow]) -> pa.Table:
-    """Return the predictions in the order of the tables of runs."""
+    """Return the predictions sorted by sequence and question id, as all tables of runs are."""
     ordered = sorted((question.sequence, question.question_id) for question in questions)
     ids = predictions["question_id"].combine_chunks()
     return predictions.take(pc.index_in(pa.array([name for _, name in ordered], pa.string()), value_set=ids))
 
 
 def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
-    """Return whether the same predictions were imported before, if only in part. Raise StoreError for another run."""
+    """Return whether an import of the same file has begun. Raise StoreError if the run has other predictions."""
     if has_manifest(store, run_id):
         manifest = read_run_manifest(store, run_id)
         if (manifest.method, manifest.settings, manifest.questions_sha256) == (
@@ -88,6 +88,6 @@ def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
         ):
             return True
     elif not any(not path.name.startswith(".") for path in store.run_path(run_id).glob("*")):
-        # A killed import may have left a hidden file.
+        # The folder is missing, or it has only hidden files, which a killed import may have left.
         return False
     raise StoreError(f"run {run_id!r} exists: give the predictions another run id")

@@ -1,9 +1,9 @@
-"""Keep the journal of a run: finished questions on disk. The tables are made from it.
+"""Keep the journal of a run, which stores each finished question on disk, and write the tables of the run from it.
 
-    runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
+    runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced to disk at once
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
 
-A run that is killed loses nothing that is in the journal. The tables are sorted by sequence and question.
+If a run is killed, its journal keeps all finished questions. The tables are sorted by sequence and question.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from jrdb_avr.schema.tables import RUNS
 
 
 class Finished(msgspec.Struct, frozen=True):
-    """A line of the journal: the rows of a question in `predictions`, `steps` and `world`, without run id."""
+    """A line of the journal: the rows that a question has in `predictions`, `steps` and `world`, without the run id."""
 
     question_id: str
     prediction: dict[str, Any]
@@ -43,7 +43,7 @@ class Finished(msgspec.Struct, frozen=True):
         return bool(self.prediction["status"] == "error")
 
 
-# Made at import, because msgspec crashes if several threads make the first decoder of a type at once.
+# Made at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 _FINISHED: Final = msgspec.json.Decoder(Finished)
 
 _DAMAGE: Final = (
@@ -55,14 +55,14 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.string(): str,
     pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
     pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
-    # Larger whole numbers are not exact as floats, and Arrow refuses them.
+    # A float cannot represent every larger whole number, and Arrow refuses larger ones.
     pa.float64(): Annotated[float, msgspec.Meta(gt=-(2.0**53), lt=2.0**53)],
     pa.bool_(): bool,
 }
 
 
 def _row_type(table: str) -> Any:
-    """Return the type of a row of a table. Arrow itself would convert values silently: 0.9 to 0, True to 1.0."""
+    """Return the msgspec type that checks a row of a table. Arrow would silently convert 0.9 to 0 and True to 1.0."""
     fields = [field for field in RUNS[table] if field.name != "run_id"]
     kinds = [(f.name, _KINDS[f.type] | None if f.nullable else _KINDS[f.type]) for f in fields]
     return msgspec.defstruct(table, kinds, forbid_unknown_fields=True)
@@ -77,20 +77,21 @@ _STORABLE: Final = msgspec.json.Decoder(
 def finished_entry(
     question: Question, prediction: Prediction, steps: Sequence[Step], writes: Sequence[Write], seconds: float
 ) -> Finished:
-    """Return the line of a question in the journal.
+    """Return the journal entry of a finished question.
 
     Args:
         question: The question.
         prediction: The prediction of the method.
-        steps: Its steps.
-        writes: Its writes into a world model.
-        seconds: The seconds that it took.
+        steps: The steps that the method recorded, in order.
+        writes: The writes to the world model that the method recorded, in order.
+        seconds: The time in seconds that the method took.
 
     Returns:
-        The line.
+        The entry.
 
     Raises:
-        ValueError: Journal and tables would change a value; other errors of msgspec and Arrow mean the same.
+        ValueError: If the journal or a table would change or cannot hold a value. Some of these errors are raised as
+            other types by msgspec and Arrow.
     """
     evidence, answer = prediction.evidence, prediction.answer
     box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
@@ -111,11 +112,11 @@ def finished_entry(
 
 
 def _check(entry: Finished, question: Question) -> None:
-    """Raise ValueError, or an error of msgspec, if an entry is no answer or journal and tables would change it."""
+    """Raise ValueError or a msgspec error if an entry is not valid, or if the journal or a table would change it."""
     line, row = msgspec.json.encode(entry), entry.prediction
     _STORABLE.decode(line)
     if _FINISHED.decode(line) != entry:
-        raise ValueError("what the method returned or recorded holds a value that JSON changes, such as NaN")
+        raise ValueError("the method returned or recorded a value that JSON cannot hold unchanged, such as NaN")
     if row["status"] not in get_args(Status):
         raise ValueError(f"{row['status']!a} is no status of a prediction"[:120])
     if row["verdict"] not in (None, *get_args(Verdict)):
@@ -125,10 +126,10 @@ def _check(entry: Finished, question: Question) -> None:
 
 
 def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
-    """Return a row of a table of `RUNS` without run id: known values, and attributes of the record for all others."""
+    """Return a row of a table of `RUNS` without the run id. Columns that are not in `given` come from the record."""
     names = [name for name in RUNS[table].names if name not in given and name != "run_id"]
     values = {name: getattr(record, name) for name in names}
-    # UTF-8 cannot hold lone surrogates, so texts get escapes. In short names they are faults.
+    # UTF-8 cannot hold lone surrogates, so they are escaped in long texts. In a name they are an error, found later.
     texts = {
         name: value.encode("utf-8", "backslashreplace").decode()
         for name, value in values.items()
@@ -138,12 +139,12 @@ def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
 
 
 def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) -> list[Question]:
-    """Return the questions that have not finished or ended in an error, in order."""
+    """Return the questions that have no entry in `finished`, or an entry that is an error, in the given order."""
     return [question for question in questions if (entry := finished.get(question.question_id)) is None or entry.failed]
 
 
 class LinePosition(NamedTuple):
-    """Position of a line in a journal: the sequence that names its file, its first byte, and its length in bytes."""
+    """Position of a line in a journal: the sequence of its file, the offset of the line, and its length in bytes."""
 
     sequence: str
     at: int
@@ -151,24 +152,24 @@ class LinePosition(NamedTuple):
 
 
 class KeptEntries(Mapping[str, Finished]):
-    """Entries of a journal by question id; each is read from its file on access, because transcripts are large."""
+    """Entries of a journal by question id. An entry is read from its file on access, because transcripts are large."""
 
     def __init__(self, folder: Path, positions: dict[str, LinePosition]) -> None:
-        """Hold the positions of lines in the files of a folder."""
+        """Hold the folder of the journal, and the position of the line of each question."""
         self._folder, self._positions = folder, positions
 
     def add(self, question_id: str, position: LinePosition) -> None:
-        """Add the position of a line, in place of an earlier line of the question."""
+        """Store the position of a question's line. It replaces the position of an earlier line of the question."""
         self._positions[question_id] = position
 
     def of(self, question_ids: Iterable[str]) -> KeptEntries:
-        """Return the entries of the given questions that are finished."""
+        """Return the entries of the given questions. Questions that have no entry are left out."""
         return KeptEntries(
             self._folder, {name: self._positions[name] for name in question_ids if name in self._positions}
         )
 
     def by_sequence(self) -> Iterator[list[str]]:
-        """Yield the question ids of each sequence, both in order."""
+        """Yield one list of sorted question ids per sequence, in the order of the sequences' names."""
         ordered = sorted((position.sequence, name) for name, position in self._positions.items())
         for _, rows in itertools.groupby(ordered, operator.itemgetter(0)):
             yield [name for _, name in rows]
@@ -180,10 +181,10 @@ class KeptEntries(Mapping[str, Finished]):
             with path.open("rb") as file:
                 return _FINISHED.decode(os.pread(file.fileno(), position.size, position.at))
         except (OSError, msgspec.DecodeError, UnicodeDecodeError):
-            raise StoreError(f"{path} was changed while it is in use: run again with --resume") from None
+            raise StoreError(f"{path} was changed while it was in use: run again with --resume") from None
 
     def __iter__(self) -> Iterator[str]:
-        # A copy, because another thread may add an entry.
+        # A copy, because another thread may add an entry during the iteration.
         return iter(list(self._positions))
 
     def __len__(self) -> int:
@@ -196,12 +197,12 @@ def journal_folder(run: Path) -> Path:
 
 
 def segment_path(folder: Path, sequence: str) -> Path:
-    """Return the file of a sequence in a journal."""
+    """Return the path of the journal file of a sequence."""
     return folder / f"{safe_sequence(sequence)}.jsonl"
 
 
 def segments(folder: Path) -> list[Path]:
-    """Return the files of a journal, sorted."""
+    """Return the paths of the journal's files, sorted."""
     return sorted(folder.glob("*.jsonl"))
 
 
@@ -211,11 +212,11 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
     Args:
         folder: The folder of the journal.
-        doing: An end of the error message.
+        doing: Text at the end of the error message, such as a further remedy.
 
     Raises:
-        LockedError: Another process has the lock.
-        OSError: The folder does not exist.
+        LockedError: If another process holds the lock.
+        OSError: If the folder does not exist.
     """
     path = folder / ".lock"
     with path.open("ab") as file:
@@ -229,21 +230,21 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
 
 class Journal(contextlib.ExitStack):
-    """Finished questions on disk: a file per sequence, in the order of their ends.
+    """Journal of a run. It has a file per sequence. A file has one line per question, the first to finish on top.
 
-    If a question has several lines, the last one counts.
+    If a question has several lines, the last line counts.
     """
 
     def __init__(self, folder: Path, sequence_of: Mapping[str, str]) -> None:
-        """Open the journal, take its lock, and drop last lines that a crash cut short.
+        """Open the journal and take its lock. If a crash cut off the last line of a file, remove that line.
 
         Args:
             folder: The folder of the journal.
-            sequence_of: The sequence of each question that may be added.
+            sequence_of: The sequence of each question that may be added, by question id.
 
         Raises:
-            LockedError: Another process has the journal.
-            StoreError: A file is damaged elsewhere, or cannot be written.
+            LockedError: If another process holds the lock.
+            StoreError: If a line other than a cut-off last line is damaged, or if the folder cannot be written.
         """
         super().__init__()
         self._folder, self._sequence_of = folder, sequence_of
@@ -262,7 +263,7 @@ class Journal(contextlib.ExitStack):
         positions: dict[str, LinePosition] = {}
         for path in segments(self._folder):
             whole = 0
-            # Line by line, because the file may be larger than memory.
+            # Read line by line, because the file may be larger than memory.
             with path.open("rb") as lines:
                 for number, line in enumerate(lines, 1):
                     if not line.endswith(b"\n"):
@@ -273,13 +274,13 @@ class Journal(contextlib.ExitStack):
         return KeptEntries(self._folder, positions)
 
     def append(self, entry: Finished) -> None:
-        """Add a finished question, and return when it is on disk. Raise StoreError if the disk refuses."""
+        """Append the entry of a finished question, and return when it is on disk. Raise StoreError if writing fails."""
         line = msgspec.json.encode(entry) + b"\n"
         sequence, size = self._sequence_of[entry.question_id], len(line)
         path = segment_path(self._folder, sequence)
         try:
             exists = path.exists()
-            # Without a buffer, which would write refused bytes again when the file closes.
+            # Without a buffer, because closing the file would try again to write bytes that failed.
             with path.open("ab", buffering=0) as file:
                 end = file.seek(0, os.SEEK_END)
                 try:
@@ -287,19 +288,20 @@ class Journal(contextlib.ExitStack):
                         line = line[file.write(line) :]
                     os.fsync(file.fileno())
                 except OSError:
-                    # A partial line must not precede another line. (A partial last line is dropped on opening.)
+                    # Remove the partial line, because later lines would follow it. If the removal fails and no line
+                    # follows, opening the journal removes the partial line.
                     with contextlib.suppress(OSError):
                         file.truncate(end)
                     raise
             if not exists:
                 _sync(self._folder)
         except OSError as error:
-            raise StoreError(f"cannot write {path}: {error.strerror}; then run again with --resume") from None
+            raise StoreError(f"cannot write {path}: {error.strerror}; mend it, then run again with --resume") from None
         self.finished.add(entry.question_id, LinePosition(sequence, end, size))
 
 
 def _read_line(path: Path, number: int, line: bytes) -> str:
-    """Return the question id of a line. Raise StoreError if the tables could not hold the line."""
+    """Return the question id of a line. Raise StoreError if the line is damaged or does not fit the tables."""
     try:
         entry = _FINISHED.decode(line)
         for name in _TABLES:
@@ -310,7 +312,7 @@ def _read_line(path: Path, number: int, line: bytes) -> str:
 
 
 def _sync(folder: Path) -> None:
-    """Write the names of files in a folder to the disk. Raise OSError if that fails."""
+    """Sync a folder to the disk, so that a new file in it survives a crash. Raise OSError if that fails."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -323,43 +325,43 @@ _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
     "steps": lambda entry: entry.steps,
     "predictions": lambda entry: [entry.prediction],
 }
-"""Rows of an entry by table of a run."""
+"""Functions that return the rows of an entry, by the name of the table."""
 
 _GROUP: Final = 200
-"""Maximum questions of a row group; their transcripts are in memory while it is written."""
+"""Maximum number of questions in a row group. Their transcripts are in memory while the group is written."""
 
 
 def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
-    """Return a table of a run from entries.
+    """Make a table of a run from entries of its journal.
 
     Args:
         run_id: The id of the run.
         name: "predictions", "steps" or "world".
-        entries: The entries, in the order of the rows.
+        entries: The entries. The rows of the table are in the same order.
 
     Returns:
         The table.
 
     Raises:
-        ValueError: An entry does not fit; other errors of Arrow mean the same.
+        ValueError: If an entry does not fit the table. Some of these errors are raised as other types by Arrow.
     """
     rows = [{"run_id": run_id, **row} for entry in entries for row in _TABLES[name](entry)]
-    # Only the cast finds a null in a column without nulls.
+    # The cast refuses a null in a column that must have none. `from_pylist` does not.
     return pa.Table.from_pylist(rows, RUNS[name]).cast(RUNS[name])
 
 
 def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
     """Write the tables of a run, sorted by sequence, question and step.
 
-    A row group holds whole sequences with at most `_GROUP` questions, or a part of one larger sequence.
+    Each row group holds at most `_GROUP` questions. It has whole sequences, unless one sequence is larger than that.
 
     Args:
         store: The store.
         run_id: The id of the run.
-        finished: The finished questions.
+        finished: The entries of the finished questions.
 
     Returns:
-        The predictions.
+        The table `predictions`.
     """
 
     def groups(table: str) -> Iterator[pa.Table]:
@@ -368,7 +370,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
             if group.num_rows:
                 yield group
 
-    # Predictions come last, because a run with predictions is complete.
+    # The predictions are written last, because a run that has predictions counts as complete.
     for table in ("world", "steps", "predictions"):
         path = store.run_path(run_id) / f"{table}.parquet"
         write_groups(path, groups(table), RUNS[table])
@@ -376,7 +378,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
 
 def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
-    """Yield parts joined to groups of at most `_GROUP` questions; only a larger part is cut."""
+    """Yield groups of at most `_GROUP` questions. A group joins whole parts; only a part above the limit is cut."""
     group: list[str] = []
     for part in parts:
         if len(group) + len(part) > _GROUP and group:
@@ -391,6 +393,6 @@ def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
 
 
 def world_rows(run_id: str, finished: Mapping[str, Finished]) -> pa.Table:
-    """Return the rows of `world` of all entries that did not end in an error."""
+    """Return the table `world` of all entries that did not end in an error."""
     entries = (finished[name] for name in sorted(finished))
     return run_table(run_id, "world", (entry for entry in entries if not entry.failed))

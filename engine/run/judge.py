@@ -1,10 +1,10 @@
-"""Score one prediction at a time in a process apart: the private half of a benchmark.
+"""Score one prediction at a time in a separate process, so that the process of the model never reads the answers.
 
     python -m jrdb_avr.engine.run.judge STORE
 
-The process that talks to a model never opens the private files. A child process reads the answers. It gets rows of
-`predictions` as lines of JSON and returns four digits per row: answer, evidence and combined score, and whether the
-output was unreadable. If it cannot score, it returns one line with the reason. It ends when its standard input closes.
+The child process reads the answers. Each line of its standard input is a row of `predictions` as JSON. For each row it
+prints four digits: answer, evidence and combined score, and 1 if the output of the model could not be read. If the
+child cannot read the answers, it prints one line with the reason. It ends when its standard input closes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SCORE: Final = re.compile(r"[01]{4}")
 
 
 class QuestionScore(NamedTuple):
-    """Scores of one prediction, each 0 or 1; `invalid` marks unreadable output of the model."""
+    """Scores of one prediction, each 0 or 1. `invalid` is true if the output of the model could not be read."""
 
     answer: int
     evidence: int
@@ -41,7 +41,7 @@ class QuestionScore(NamedTuple):
 
 
 class Judge(contextlib.ExitStack):
-    """Judge of predictions of the questions of a store. Safe for many threads, which take turns.
+    """Judge that scores predictions by the answers of a store. Safe for many threads, which take turns.
 
     Example:
         with Judge.open("store") as judge:
@@ -49,9 +49,9 @@ class Judge(contextlib.ExitStack):
     """
 
     def __init__(self, store: Store) -> None:
-        """Start the process. Raise StoreError if the answers of the store are missing or unfit."""
+        """Start the child process. Raise StoreError if the store's answers are missing or cannot be read."""
         super().__init__()
-        # The child never talks to the server of the model.
+        # Keys are removed, because the child never talks to the server of the model.
         environment = {name: value for name, value in os.environ.items() if not name.endswith("_API_KEY")}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "jrdb_avr.engine.run.judge", str(store.path)],
@@ -69,7 +69,7 @@ class Judge(contextlib.ExitStack):
 
     @classmethod
     def open(cls, store: Store | str | Path) -> Judge:
-        """Return the judge of the questions of a store. Raise StoreError if its answers are missing or unfit."""
+        """Return the judge of a store. Raise StoreError if the store's answers are missing or cannot be read."""
         return cls(Store.of(store))
 
     def score(self, question: Question, prediction: Prediction) -> QuestionScore:
@@ -83,14 +83,14 @@ class Judge(contextlib.ExitStack):
             The scores.
 
         Raises:
-            InputError: The store has no answer to the question.
-            StoreError: The process has ended.
-            ValueError: No table can hold the prediction.
+            InputError: If the store has no answer to the question.
+            StoreError: If the child process has ended.
+            ValueError: If the table `predictions` cannot hold a value of the prediction.
         """
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
-        """Score a row of `predictions`. Raise errors as `score` does."""
+        """Return the scores of a row of `predictions`. Raise the same errors as `score`, except ValueError."""
         with self._lock:
             try:
                 assert self._process.stdin is not None, "stdin is a pipe"
@@ -114,7 +114,7 @@ class Judge(contextlib.ExitStack):
             return ""
 
     def _end(self) -> None:
-        # Killed at once, because it holds nothing to save.
+        # The child has nothing to save, so it need not end by itself.
         self._process.kill()
         with contextlib.suppress(OSError), self._process:
             pass
@@ -124,7 +124,7 @@ class Judge(contextlib.ExitStack):
 
 
 def judge_lines(store: Store, lines: IO[str]) -> None:
-    """Print the scores of the prediction in each line."""
+    """Read rows of `predictions` as JSON lines, and print the four digits of each."""
     import pyarrow as pa
 
     from jrdb_avr.engine.report.scoring import score_predictions

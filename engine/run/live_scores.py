@@ -1,6 +1,6 @@
-"""Compute scores of a run in progress, from the results of `Judge` for each finished question.
+"""Compute the scores of a run while it is in progress. `Judge` scores each finished question.
 
-Scores never reach a method. If there are no answers, or an error occurs, no scores are reported.
+The scores never reach the method. If the store has no answers, or if scoring fails, no further scores are reported.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jrdb_avr.schema.errors import AvrError
 
 @dataclass(frozen=True, slots=True)
 class LiveScore:
-    """Scores so far: the number of judged questions, and how many of them are right."""
+    """Scores so far: the number of judged questions, and how many of them have each of the three scores."""
 
     judged: int
     answer: int
@@ -36,17 +36,17 @@ class LiveScore:
 def report_scores(
     store: Store, before: Iterable[Finished], report: Callable[[LiveScore], None]
 ) -> Iterator[Callable[[Finished], None]]:
-    """Report scores of a run, from another thread, while a block runs.
+    """Score the questions of a run in another thread while a block runs.
 
     Args:
-        store: The store.
-        before: Entries that finished earlier.
-        report: Called with the scores if they change.
+        store: The store, which has the answers.
+        before: Entries that had finished before the block.
+        report: Called from the other thread with the scores so far, each time they change.
 
     Yields:
-        A function that takes each entry that finishes. The last entry of a question counts.
+        A function to call with each entry that finishes. If a question has several entries, the last one counts.
     """
-    # Without transcripts, which are large, because judging may fall behind.
+    # The queue may grow if judging is slow, so it has no transcripts, which are large.
     entries: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
     for entry in before:
         entries.put(entry.prediction)

@@ -1,4 +1,4 @@
-"""Join the shards of a run to one run; each was answered by `evaluate --shard`, on any machine."""
+"""Join the shards of a run into one run. `evaluate --shard` answers a shard, on any machine."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
 _KEYS: Final = ("run", "id", "episode", "source", "target", "observation", "freed")
-"""Fields of a fact (`schema.beliefs.Fact`) that hold the id of the run, or keys that begin with it."""
+"""Fields of a fact (`schema.beliefs.Fact`) that have the run id, or a key that begins with the run id."""
 
 
 def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -> pa.Table:
-    """Make one run of all shards of a run. The shards stay.
+    """Make one run of all shards of a run. The shards remain in the store.
 
     Args:
-        store: The store, or its folder; its folder `runs` holds the shards.
-        run_ids: The runs of the shards.
+        store: The store, or its folder. The folder `runs` of the store has the shards.
+        run_ids: The run ids of all shards.
         run_id: The id of the new run.
 
     Returns:
-        The predictions of the new run.
+        The table `predictions` of the new run.
 
     Raises:
-        StoreError: A shard is missing or unfinished, or differs in questions, method, model or settings.
-        LockedError: Another process uses a shard, or the graph of the store.
+        StoreError: If a shard is missing or unfinished, or if shards differ in questions, method, model or settings.
+        LockedError: If another process uses a shard, or uses the graph of the store.
     """
     store = Store.of(store)
     names = list(dict.fromkeys(run_ids))
@@ -64,7 +64,7 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
         merged = run.start(first.method, first.model, ids, first.settings, synthetic, selection)
         counts = sum((Counter(manifest.world) for manifest in manifests), Counter[str]())
         write_run_manifest(store, msgspec.structs.replace(merged, world=dict(counts)))
-        # A merge that was killed has a part of the answers.
+        # If an earlier merge was killed, the new run already has some of the answers.
         for name in ids:
             if name not in run.finished:
                 owner, finished = owners[name]
@@ -77,7 +77,7 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
 
 
 def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, Any]:
-    """Return the selection that the shards share. Raise StoreError if they are not all shards of one run."""
+    """Return the selection of the whole run. Raise StoreError if the runs are not all shards of one run."""
     first = manifests[0]
     selections = [dict(manifest.selection) for manifest in manifests]
     shards = [tuple(selection.pop("shard", ())) for selection in selections]
@@ -96,7 +96,7 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
 
 
 def _rename_world(entry: Finished, old: str, new: str) -> Finished:
-    """Return the entry with another run in the keys of its facts."""
+    """Return a copy of an entry. The keys of its facts begin with the new run id instead of the old one."""
     world = [{**row, "fact": _rename_fact(row["fact"], old, new)} for row in entry.world]
     return msgspec.structs.replace(entry, world=world)
 
@@ -114,7 +114,7 @@ def _rename_fact(fact: str, old: str, new: str) -> str:
 
 
 def _join_calls(folders: Sequence[Path], folder: Path) -> None:
-    """Join the finished calls of all shards in one file, so that a resumed run need not pay for them again."""
+    """Join the stored model calls of all shards in one file, so that a resumed run need not pay for them again."""
 
     def write(path: Path) -> None:
         with path.open("wb") as joined:

@@ -1,8 +1,8 @@
-"""Find methods by name, as `evaluate --method` takes them: built-in methods and custom methods.
+"""Make a method from its name, as `evaluate --method` takes it: a built-in method or a custom method.
 
-A custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is called with the chat client (None if the
-run has no model) and returns a `schema.method.Method`. The run stores the result of its `settings()`, if it has
-that function. A custom method is code of the user and has the user's rights.
+The name of a custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is a function or a class. It is
+called with the chat client, or with None if the run has no model, and must return a `schema.method.Method`. If the
+method has a function `settings()`, the run stores its result. A custom method runs with all rights of the user.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
-"""Name of the model of a method that calls no model."""
+"""Name of the model in the manifest of a run whose method calls no model."""
 
 METHODS: Final = (
     "monolithic",
@@ -43,20 +43,20 @@ METHODS: Final = (
 )
 
 POLICIES: Final = ("model", "guided", "driven")
-"""Ways of an agent to choose its looks."""
+"""Names of the policies. A policy says whether the program or the model chooses an agent's looks."""
 
 DRIVABLE: Final = ("agent", "agent-no-world")
-"""Methods that let the program choose looks, which is their default."""
+"""Methods that accept any policy. By default the program chooses their looks (policy `driven`)."""
 
 CHATS: Final = ("react", "agent-no-world")
-"""Methods that send all pictures again in every turn, if the model chooses the looks."""
+"""Methods that send all pictures again in every turn if the policy is `model`."""
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
-"""Methods that write into a world model."""
+"""Methods that write to a world model."""
 
 
 def default_policy(method: object) -> Policy:
-    """Return the policy of a method if the user names none."""
+    """Return the policy that a method has if the user names no policy."""
     return "driven" if method in DRIVABLE else "model"
 
 
@@ -65,16 +65,16 @@ def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel
     """Yield the world model of a run in a graph file, and close it at the end of the block.
 
     Args:
-        path: The graph file; it is made if it is missing.
+        path: The graph file. It is made if it is missing.
         run_id: The id of the run.
-        record: The world rows of the run so far; missing facts are restored first.
+        record: The run's world rows so far. Facts that the graph lacks are written to it before the block starts.
 
     Yields:
         The world model.
 
     Raises:
-        LockedError: Another process has the graph open.
-        StoreError: The graph cannot be opened.
+        LockedError: If another process has the graph open.
+        StoreError: If the graph file cannot be opened.
     """
     from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.queries.beliefs.graph import WorldGraph, open_graph
@@ -99,10 +99,10 @@ def make_method(
     Args:
         name: A name of `METHODS`.
         chat: The client of the model.
-        convention: The convention of the model.
-        world: The world model, for a method of `WORLD_METHODS`.
-        policy: The policy of an agent; by default `default_policy`.
-        history: The number of pictures that a method of `CHATS` sends; by default all.
+        convention: How the model writes boxes.
+        world: The world model, which a method of `WORLD_METHODS` needs.
+        policy: The policy of an agent. Default: `default_policy`.
+        history: Maximum number of pictures that a method of `CHATS` sends in a turn. None sends all.
 
     Returns:
         The method.
@@ -131,12 +131,12 @@ _SPEC: Final = re.compile(r"(?P<where>.+):(?P<name>[A-Za-z_][A-Za-z0-9_]*)")
 
 
 class CustomMethod:
-    """A method of the user; it has settings even if the user's class has none."""
+    """A custom method with settings. If the user's class has no settings, the file or module alone is recorded."""
 
     def __init__(self, spec: str, method: Any) -> None:
         if not callable(getattr(method, "answer", None)) or not isinstance(getattr(method, "name", None), str):
             raise InputError(
-                f"{spec}: what it makes is no method: it needs a 'name' and 'answer(task)'", field="method"
+                f"{spec} does not return a method: a method has a 'name' and 'answer(task)'", field="method"
             )
         self._spec = spec
         self._method = method
@@ -147,40 +147,40 @@ class CustomMethod:
         return str(self._method.name)
 
     def settings(self) -> dict[str, Any]:
-        """Return the file or module of the method, and the settings that it reports."""
+        """Return the file or module of the method under "from", and the method's own settings under "settings"."""
         settings: Any = getattr(self._method, "settings", dict)()
         return {"from": Path(self._spec).name, "settings": settings}
 
     def answer(self, task: Task) -> Prediction:
-        """Answer one question."""
+        """Return the method's prediction for one question."""
         prediction: Prediction = self._method.answer(task)
         return prediction
 
 
 def is_custom(spec: str) -> bool:
-    """Return whether the name of a method is FILE.py:NAME or MODULE:NAME."""
+    """Return whether the name of a method has the form FILE.py:NAME or MODULE:NAME."""
     return _SPEC.fullmatch(spec) is not None
 
 
 def load_custom_method(spec: str, chat: Chat | None) -> CustomMethod:
-    """Import and make a custom method.
+    """Import a custom method, and make it by a call with the chat client.
 
     Args:
         spec: FILE.py:NAME or MODULE:NAME.
-        chat: The client of the model, or None.
+        chat: The client of the model, or None if the run has no model.
 
     Returns:
         The method.
 
     Raises:
-        InputError: The method cannot be imported or made; the message has the reason.
+        InputError: If the import or the call fails. The message has the reason.
     """
     match = _SPEC.fullmatch(spec)
     if match is None:
         raise InputError(f"{spec!r} is not a method: write FILE.py:NAME or MODULE:NAME", field="method")
     make: Callable[[Chat | None], Any] | None = getattr(_module(match["where"]), match["name"], None)
     if not callable(make):
-        raise InputError(f"{match['where']} has no {match['name']} that can be called", field="method")
+        raise InputError(f"{match['where']} has no function or class {match['name']}", field="method")
     try:
         return CustomMethod(spec, make(chat))
     except InputError:
@@ -197,7 +197,7 @@ def _module(where: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(Path(where).stem, where)
         assert spec is not None and spec.loader is not None, "the name ends in .py"
         module = importlib.util.module_from_spec(spec)
-        # Because dataclasses of the file look up their module.
+        # Registered, because a dataclass in the file looks up its module.
         sys.modules.setdefault(spec.name, module)
         spec.loader.exec_module(module)
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""Replace names of sequences by opaque names for methods, because a real name tells the place of a recording.
+"""Replace the names of sequences by opaque names, because a real name tells a method where a recording was made.
 
-An opaque name is the HMAC-SHA256 of the real name under a key of the store, the file `opaque.key`. The names are equal
-in all runs of a store. Nothing of `agent` opens the file of the key.
+An opaque name is made of the HMAC-SHA256 of the real name. The key is the file `opaque.key` of the store, so that all
+runs of a store have the same opaque names. No module of `agent` opens this file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _KEY_BYTES: Final = 32
 
 
 def key_path(store: Store) -> Path:
-    """Return the file of the key of a store."""
+    """Return the path of the file with the store's key."""
     return store.path / "opaque.key"
 
 
@@ -30,47 +30,47 @@ def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
     """Return the opaque name of each sequence.
 
     Args:
-        store: The store, which gets a key if it has none.
-        sequences: Real names.
+        store: The store. If it has no key, a new key is written.
+        sequences: The real names.
 
     Returns:
-        Opaque names by real name.
+        The opaque name by real name.
 
     Raises:
-        StoreError: The key is damaged, or cannot be written.
+        StoreError: If the file of the key is damaged, or if it cannot be read or written.
     """
     key = _key(key_path(store))
     return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
 
 
 def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return a table with other names of sequences.
+    """Return a copy of a table with new names of sequences.
 
     Args:
-        table: A table with the column `sequence`.
-        names: New names by old name.
+        table: A table that has the column `sequence`.
+        names: The new name by old name.
 
     Returns:
-        The table, with the rows and columns in the same order.
+        The table, with its rows and columns in the same order.
     """
     renamed = pa.array([names[name] for name in table["sequence"].to_pylist()], pa.string())
     return table.set_column(table.column_names.index("sequence"), table.schema.field("sequence"), renamed)
 
 
 def key_fingerprint(store: Store) -> str:
-    """Return a text that identifies the key and does not reveal it. Raises StoreError as `opaque_names` does."""
+    """Return a text that identifies the store's key without revealing it. Raise StoreError as `opaque_names` does."""
     # The empty name belongs to no sequence.
     return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 
 def _key(path: Path) -> bytes:
-    """Return the key; make it first if it is missing, for the owner alone to read."""
+    """Return the key. If the file is missing, write a new key that only the owner of the file can read."""
     if not path.exists():
         write_once(path, secrets.token_hex(_KEY_BYTES).encode())
     try:
         key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError) as error:
-        raise StoreError(f"{path} cannot be used: {error}; delete it, and runs get new opaque names") from None
+        raise StoreError(f"{path} cannot be used: {error}; delete it, then runs get new opaque names") from None
     if len(key) != _KEY_BYTES:
-        raise StoreError(f"{path} is damaged: delete it, and runs get new opaque names")
+        raise StoreError(f"{path} is damaged: delete it, then runs get new opaque names")
     return key

@@ -20,15 +20,15 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import StoreError, did_you_mean
 
 _REASONS: Final = 3
-"""Maximum reasons per status that `show_run` lists."""
+"""Maximum number of reasons per status that `show_run` lists."""
 
 
 _TRASH: Final = ".removed-"
-"""Prefix of folders in deletion; the next removal deletes remains that a killed process left."""
+"""Prefix of folders that are being deleted. If a process is killed meanwhile, the next removal deletes the rest."""
 
 
 class _Line(msgspec.Struct):
-    """Part of a line of the journal."""
+    """The fields of a journal line that this module needs."""
 
     question_id: str
     prediction: dict[str, Any]
@@ -41,12 +41,13 @@ def list_runs(store: Store | str | Path) -> list[dict[str, Any]]:
         store: The store, or its folder.
 
     Returns:
-        A row per run, by id: method, model, label, state, questions by status, and start time. The state is "complete",
-        "unfinished", "other questions" if the questions of the store have changed, or "damaged".
+        One row per run, sorted by run id: method, model, label, state, number of questions, number of questions of each
+        status, and start time. The state is "complete", "unfinished", "damaged", or "other questions". The last one
+        means that the questions of the store have changed since the run.
     """
     store = Store.of(store)
     if not run_ids(store):
-        store.manifest()  # It raises for a folder without a store.
+        store.manifest()  # Raises if the folder is not a store.
     return [_row(store, name) for name in run_ids(store)]
 
 
@@ -73,24 +74,24 @@ def _state(store: Store, manifest: RunManifest, played: int) -> str:
     path = store.question_path("questions")
     if path.exists() and questions_hash(store) != manifest.questions_sha256:
         return "other questions"
-    # A person may stop early, which leaves tables of the finished questions.
+    # If a person stops early, the tables have only the finished questions.
     written = (store.run_path(manifest.run_id) / "predictions.parquet").exists()
     return "complete" if written and played == len(manifest.question_ids) else "unfinished"
 
 
 def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:
-    """Return the facts of a run as plain values.
+    """Describe a run.
 
     Args:
         store: The store, or its folder.
         run_id: The id of the run.
 
     Returns:
-        The row of `list_runs`, the selection, the settings, the most frequent reasons of invalid questions and
-        errors, and the folder.
+        The row of `list_runs`, the selection, the settings, the folder, and the most frequent reasons of invalid
+        predictions and of errors, all as plain values.
 
     Raises:
-        StoreError: The run is missing or damaged.
+        StoreError: If the run is missing or damaged.
     """
     store = Store.of(store)
     _require(store, run_id)
@@ -110,15 +111,15 @@ def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:
 
 
 def remove_run(store: Store | str | Path, run_id: str) -> None:
-    """Delete the folder of a run, and its world model in the graph of the store.
+    """Delete the folder of a run, and delete its world model from the graph of the store.
 
     Args:
         store: The store, or its folder.
         run_id: The id of the run.
 
     Raises:
-        StoreError: The run is missing.
-        LockedError: The run is in progress, or another process has the graph.
+        StoreError: If the run is missing.
+        LockedError: If the run is in progress, or if another process has the graph open.
     """
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
@@ -136,7 +137,7 @@ def remove_run(store: Store | str | Path, run_id: str) -> None:
         if believes and store.graph_path.exists():
             with open_graph(store.graph_path) as graph, graph.transaction():
                 drop_world(graph, run_id)
-        # Moved first, because a partly deleted folder would count as a run.
+        # The folder is moved first, because a partly deleted folder would still count as a run.
         try:
             trash = Path(tempfile.mkdtemp(prefix=_TRASH, dir=store.path))
             shutil.move(folder, trash)
@@ -153,14 +154,14 @@ def _require(store: Store, run_id: str) -> None:
 
 @contextlib.contextmanager
 def _idle(folder: Path) -> Iterator[None]:
-    """Hold the lock of a run. Raise LockedError if another process runs it."""
+    """Hold the lock of a run's journal while a block runs. Raise LockedError if the run is in progress."""
     journal = journal_folder(folder)
     with journal_lock(journal, "") if journal.exists() else contextlib.nullcontext():
         yield
 
 
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
-    """Return status and reason of each finished question; an unfinished run has them in its journal."""
+    """Return the status and the reason of each finished question, from the predictions or else from the journal."""
     folder = store.run_path(run_id)
     path = folder / "predictions.parquet"
     try:
@@ -170,7 +171,7 @@ def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
         answers = {}
         for segment in segments(journal_folder(folder)):
             with segment.open("rb") as lines:
-                # Another process may still write the last line.
+                # Another process may be writing the last line.
                 for line in (msgspec.json.decode(text, type=_Line) for text in lines if text.endswith(b"\n")):
                     answers[line.question_id] = {
                         name: str(line.prediction.get(name, "")) for name in ("status", "reason")

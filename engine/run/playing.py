@@ -1,4 +1,4 @@
-"""Play the questions of a run one move at a time, by a person or an agent outside this program."""
+"""Make runs of a person, or of an agent outside this program, who answers questions move by move."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ def played_run(
     images: str | Path | None = None,
     opaque: bool = False,
 ) -> Iterator[tuple[Bench, Run]]:
-    """Yield the bench and the run of a player. An interrupt ends the block, and the tables are written at its end.
+    """Yield the bench and the run of a player. Write the tables of the run when the block ends or is interrupted.
 
     Args:
         store: The store.
-        method: The method of the run.
-        model: The player, as the model of the run.
+        method: The name of the method in the manifest.
+        model: The name of the player, which the manifest has as the name of the model.
         run_id: The id of the run.
-        questions: The selection of the questions.
-        limit: A maximum number of questions.
-        resume: Whether the run may exist.
-        images: Folder of panoramas in place of the folder that the store names.
-        opaque: Whether the player gets opaque names of sequences.
+        questions: The selection of questions. None selects all questions.
+        limit: Maximum number of questions. None sets no maximum.
+        resume: Whether to continue the run if it exists.
+        images: The folder of panoramas. Default: the folder that the store names.
+        opaque: Whether to replace the names of sequences by opaque names.
 
     Yields:
         The bench and the run.
 
     Raises:
-        StoreError: The store or the run does not fit.
-        InputError: The selection does not fit.
+        StoreError: If the store has no such questions or panoramas, or if the run exists and cannot be resumed.
+        InputError: If the selection names a question, family, template or sequence that the store lacks.
     """
     image_root = find_images(store, images)
     chosen, selection = run_questions(store, run_id, QuestionSelection.of(questions, limit), resume, image_root)
@@ -68,13 +68,13 @@ def played_run(
 
 
 def due_questions(bench: Bench, run: Run) -> list[str]:
-    """Return the ids of questions that the run has not answered, in order."""
+    """Return the ids of the questions that the run must still answer, in the order of the bench."""
     return [question.question_id for question in unanswered(bench.questions, run.finished)]
 
 
 @dataclass
 class Play:
-    """A question in progress: its episode, its recorded steps, and its start time."""
+    """A question in progress: its episode, the recorded steps, and the start time of the performance counter."""
 
     episode: Episode
     steps: list[Step]
@@ -82,11 +82,11 @@ class Play:
 
     @classmethod
     def begin(cls, bench: Bench, question_id: str) -> Play:
-        """Begin a question."""
+        """Return a new play of a question, before its first move."""
         steps: list[Step] = []
         return cls(bench.episode(question_id, budget=BUDGET, record=lambda step: steps.append(step)), steps)
 
     def record(self, run: Run) -> None:
-        """Add the question to the run."""
+        """Append the entry of the question to the run."""
         seconds = time.perf_counter() - self.started
         run.append(finished_entry(self.episode.question, self.episode.finished(), self.steps, (), seconds))

@@ -1,9 +1,9 @@
-"""Write a public store: the questions and panoramas of a store, without answers and labels.
+"""Write a public store: the questions and panoramas of a store, without its answers and labels.
 
-DIR/store.json
-DIR/questions/questions.parquet, sequences.parquet    columns that a method may see
+DIR/store.json                                        the manifest
+DIR/questions/questions.parquet, sequences.parquet    the columns that a method may see
 DIR/images/<sequence>/<frame>.jpg                     the frames that can be observed
-DIR/runs/                                             for the runs of `evaluate`
+DIR/runs/                                             an empty folder for the runs of `evaluate`
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 _IMAGES: Final = "images"
 _START, _SCAN, _END = 0xD8, 0xDA, 0xD9
 _KEPT: Final = (0xE0, 0xEE)
-"""Application segments that decoders need: JFIF and Adobe."""
+"""Markers of the application segments that decoders need: JFIF and Adobe."""
 _NEXT_MARKER: Final = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
-"""Marker after the coded data of a scan, which has stuffed zeros and restart markers."""
+"""Pattern of the marker that ends a scan. In the scan, 0xFF is followed only by a zero or by a restart marker."""
 
 
 def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = False) -> int:
@@ -39,15 +39,15 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
 
     Args:
         store: The store, or its folder.
-        folder: The folder of the public store; it must not exist or be empty.
-        opaque: Whether to replace the names of sequences by hashes and to remove the metadata of the pictures.
+        folder: The folder of the public store. It must be missing or empty.
+        opaque: Whether to replace the names of sequences by hashes, and to remove the metadata of the pictures.
 
     Returns:
-        The number of questions.
+        The number of questions in the public store.
 
     Raises:
-        InputError: The folder is in use.
-        StoreError: The store has no questions or no panoramas, holds a training set, or a picture is damaged.
+        InputError: If the folder is not empty.
+        StoreError: If the store has no questions or no panoramas, if it has a training set, or if a picture is damaged.
     """
     store = Store.of(store)
     store.refuse_training()
@@ -66,7 +66,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
             schema = pa.schema([field for field in QUESTIONS[name] if field.name not in HIDDEN])
             renamed = rename_sequences(table.select(schema.names), names)
             if opaque:
-                # The order of the real names would tell which sequence is which.
+                # Sorted anew, because the order of the real names would reveal which sequence is which.
                 renamed = renamed.sort_by(schema.names[0])
             write_table(public.question_path(name), renamed, schema, metadata)
         for row in sequences.to_pylist():
@@ -78,7 +78,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
 
 
 def _write_pictures(source: Path, target: Path, frames: list[int], strip: bool) -> None:
-    """Write the pictures of a sequence, as links if possible; missing ones are left out."""
+    """Write the pictures of a sequence that exist. Make hard links of unchanged files if possible, else copies."""
     target.mkdir(parents=True)
     for name in (f"{frame:06d}.jpg" for frame in frames):
         path = source / name
@@ -94,17 +94,19 @@ def _write_pictures(source: Path, target: Path, frames: list[int], strip: bool) 
 
 
 def strip_metadata(data: bytes, path: Path) -> bytes:
-    """Return a JPEG file without comments, application segments that decoders do not need, and bytes after its end.
+    """Remove the metadata of a JPEG file.
+
+    Metadata are comments, application segments that decoders do not need, and bytes after the end of the picture.
 
     Args:
         data: The bytes of the file.
-        path: The file, for messages.
+        path: The path of the file, for messages.
 
     Returns:
-        The bytes of the shorter file, with the same pixels.
+        The bytes of a file that has the same pixels.
 
     Raises:
-        StoreError: The file is not a whole JPEG.
+        StoreError: If the file is not a JPEG, or if its end is missing.
     """
     kept, at = [data[:2]], 2
     if data[:2] != bytes([0xFF, _START]):

@@ -1,7 +1,7 @@
 """Store a run on disk: its manifest, its journal, and its tables.
 
-runs/<run_id>/run.json                    the manifest: questions, method, model and settings; written first
-runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced as it finishes
+runs/<run_id>/run.json                    the manifest, written first: questions, method, model and settings
+runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, written when the question finishes
 runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
 """
 
@@ -27,16 +27,16 @@ _ACCESS: Final = (
     *("base_url", "timeout_s", "retries", "token_parameter", "headers", "api_key_env"),
     *("rpm", "tpm", "price", "max_cost"),
 )
-"""Settings of an endpoint that do not shape replies, such as its address."""
+"""Settings of an endpoint that do not influence replies, such as its address."""
 
 _MAY_BE_EMPTY: Final = ("server version",)
-"""Settings that are empty if the server was too busy to report them."""
+"""Settings that are empty if the server was too busy to report them. An empty setting equals any other."""
 
 
 class Run(Journal):
-    """A run in progress: `start` writes its manifest, `append` its journal, `finish` its tables.
+    """A run in progress. `start` writes the manifest, `append` writes to the journal, and `finish` writes the tables.
 
-    `listeners` are called with each entry when it is on disk.
+    Each function in `listeners` is called with each appended entry, after the entry is on disk.
 
         with Run(store, "mine") as run:
             run.start("method", "model", ids, {}, False, {})
@@ -52,8 +52,8 @@ class Run(Journal):
             run_id: The id of the run.
 
         Raises:
-            LockedError: Another process has the run.
-            StoreError: The run is damaged.
+            LockedError: If another process holds the lock.
+            StoreError: If the journal is damaged, if it cannot be written, or if it has answers but no manifest.
         """
         folder = store.run_path(run_id)
         super().__init__(journal_folder(folder), sequences_of_questions(store))
@@ -63,9 +63,9 @@ class Run(Journal):
         self.listeners: list[Callable[[Finished], None]] = []
         if self.finished and not has_manifest(store, run_id):
             self.close()
-            # Without a manifest, the answers may be of another model.
+            # Without a manifest, the answers may come from another model.
             raise StoreError(
-                f"{store.run_path(run_id)} holds answers and no run.json: delete it, or give another --run-id"
+                f"{store.run_path(run_id)} has answers but no run.json: delete the folder, or give another --run-id"
             )
 
     def start(
@@ -77,21 +77,23 @@ class Run(Journal):
         synthetic: bool,
         selection: dict[str, Any],
     ) -> RunManifest:
-        """Write the manifest, or compare it with the manifest of the run on disk, which more questions enlarge.
+        """Write the manifest of a new run, or compare it with the manifest of the run that is resumed.
+
+        A resumed run may have more questions than before. The manifest on disk then gets the new questions.
 
         Args:
             method: The name of the method.
             model: The id of the model.
-            question_ids: The questions of the run.
-            settings: Everything else that shapes the answers, as plain JSON.
-            synthetic: Whether the run is of the simulated model or on the sample world.
-            selection: `QuestionSelection.record()` of the questions.
+            question_ids: The ids of the questions.
+            settings: Everything else that influences the answers, as plain JSON.
+            synthetic: Whether the run uses the simulated model or the sample world.
+            selection: The result of `QuestionSelection.record()` for these questions.
 
         Returns:
             The manifest.
 
         Raises:
-            StoreError: The run on disk differs.
+            StoreError: If the run on disk has another method, model or setting that influences answers.
         """
         manifest = RunManifest(
             run_id=self.run_id,
@@ -108,13 +110,13 @@ class Run(Journal):
         return manifest
 
     def append(self, entry: Finished) -> None:
-        """Add a finished question, and return when it is on disk.
+        """Append the entry of a finished question to the journal, and return when it is on disk.
 
         Args:
-            entry: The question.
+            entry: The entry.
 
         Raises:
-            StoreError: The disk refuses, or the run has ended; the thread of a player may still be at work then.
+            StoreError: If writing fails, or if `finish` was called before. A player's thread may end later than that.
         """
         with self._writing:
             if self._over:
@@ -124,7 +126,7 @@ class Run(Journal):
             listen(entry)
 
     def finish(self) -> pa.Table:
-        """Write the tables of all finished questions of the run, and return the predictions."""
+        """Write the tables of all finished questions of the run, and return the table `predictions`."""
         with self._writing:
             self._over = True
         ids = read_run_manifest(self.store, self.run_id).question_ids
@@ -132,14 +134,17 @@ class Run(Journal):
 
 
 def check_manifest(store: Store, manifest: RunManifest) -> None:
-    """Write the manifest of a new run, or compare it with the manifest on disk; more questions enlarge the run.
+    """Write the manifest of a new run, or compare it with the manifest of the run on disk.
+
+    If the new manifest has more questions, they are added to the manifest on disk. The tables `predictions` and
+    `scores` are then deleted, so that the run counts as unfinished.
 
     Args:
         store: The store of the run.
         manifest: The manifest.
 
     Raises:
-        StoreError: A setting that shapes predictions differs; the message names it.
+        StoreError: If a setting that influences predictions differs. The message names the setting.
     """
     if not has_manifest(store, manifest.run_id):
         write_run_manifest(store, manifest)
@@ -148,7 +153,7 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
     if what := find_difference(before, manifest):
         raise StoreError(f"run {manifest.run_id!r} had another {what}: resume it as it was, or give another --run-id")
     if set(before.question_ids) != set(manifest.question_ids):
-        # A run without predictions counts as unfinished. The journal keeps its answers.
+        # A run without the table `predictions` counts as unfinished. Its answers remain in the journal.
         for name in ("scores", "predictions"):
             (store.run_path(manifest.run_id) / f"{name}.parquet").unlink(missing_ok=True)
         grown = {"question_ids": manifest.question_ids, "selection": manifest.selection}
@@ -156,7 +161,7 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
 
 
 def find_difference(first: RunManifest, second: RunManifest) -> str:
-    """Return the name of the first setting that shapes predictions and differs between two runs; "" if none does."""
+    """Return the name of the first setting that differs between two runs and influences predictions, otherwise ""."""
     before, now = _shaping(first), _shaping(second)
     for what in dict.fromkeys(["method", "model", *sorted(before.keys() | now.keys())]):
         pair = before.get(what), now.get(what)
@@ -171,7 +176,7 @@ def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> No
     Args:
         store: The store of the run.
         run_id: The id of the run.
-        counts: Numbers of statements of this session, by kind.
+        counts: The number of statements of each kind since the world model was opened.
     """
     manifest = read_run_manifest(store, run_id)
     total = {kind: manifest.world.get(kind, 0) + count for kind, count in counts.items()}
@@ -179,12 +184,12 @@ def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> No
 
 
 def has_manifest(store: Store, run_id: str) -> bool:
-    """Return whether a run has begun."""
+    """Return whether a run has a manifest, which means that the run has begun."""
     return (store.run_path(run_id) / "run.json").exists()
 
 
 def _shaping(manifest: RunManifest) -> dict[str, Any]:
-    """Return the settings that must be equal if a run is resumed, by their names in the error message."""
+    """Return the settings that must be equal when a run is resumed, by the names that error messages use."""
     settings = dict(manifest.settings)
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
     # Preflight results belong to the server that the run began with.
@@ -201,21 +206,22 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
 def run_questions(
     store: Store, run_id: str, selection: QuestionSelection, resume: bool, image_root: str | None
 ) -> tuple[list[QuestionRow], dict[str, Any]]:
-    """Return the questions of a new or a resumed run.
+    """Select the questions of a new or a resumed run.
 
     Args:
         store: The store of the run.
         run_id: The id of the run.
-        selection: The options of the selection; without any, a resumed run keeps its questions.
-        resume: Whether the run may exist.
-        image_root: Folder with one folder of panoramas per sequence.
+        selection: The selection. If it is the default, a resumed run keeps its questions.
+        resume: Whether to continue the run if it exists.
+        image_root: The folder that has one folder of panoramas per sequence. None means that there are no panoramas.
 
     Returns:
-        The questions, and the record of their selection.
+        The questions, and the selection as plain JSON (`QuestionSelection.record`).
 
     Raises:
-        InputError: The selection has an unknown name.
-        StoreError: The run exists and `resume` is false, or the selection leaves out some of its questions.
+        InputError: If the selection names a question, family, template or sequence that the store lacks.
+        StoreError: If no question is selected, if the run exists and `resume` is false, if the questions of the store
+            have changed since the run, or if the selection leaves out a question of the run.
     """
     questions = read_question_rows(store)
     exists, record = has_manifest(store, run_id), selection.record()
@@ -231,7 +237,7 @@ def run_questions(
     chosen = select_questions(questions, selection, image_root)
     if left_out := set(manifest.question_ids) - {question.question_id for question in chosen}:
         raise StoreError(
-            f"run {run_id!r} has {len(left_out)} questions that this selection leaves out: choose more, leave the "
-            "selection out to finish it as it is, or give another --run-id"
+            f"run {run_id!r} has {len(left_out)} questions that this selection leaves out: select more, select nothing "
+            "to finish the run as it is, or give another --run-id"
         )
     return chosen, record

@@ -1,4 +1,4 @@
-"""Select the questions of a run, by `QuestionSelection`."""
+"""Select the questions of a run, as the options of a `QuestionSelection` say."""
 
 from __future__ import annotations
 
@@ -20,28 +20,31 @@ _COLUMNS: Final = {
     "templates": "template",
     "sequences": "sequence",
 }
-"""Column of the questions by option of names."""
+"""Column of the table `questions` that each option with names selects by."""
 
 
 def select_questions(
     questions: Sequence[QuestionRow], selection: QuestionSelection, image_root: str | None
 ) -> list[QuestionRow]:
-    """Select questions of sequences that have panoramas.
+    """Select questions that have panoramas.
 
-    Questions without panoramas are left out first, with a warning; maximum numbers count the others.
+    Questions without panoramas are left out first, with a warning. The options `limit` and `per_template` then count
+    only the remaining questions.
 
     Args:
-        questions: All questions of the store, in the order of its file.
-        selection: The options.
-        image_root: Folder with one folder of panoramas per sequence.
+        questions: All questions of the store, in the order of the questions file.
+        selection: The options of the selection.
+        image_root: The folder that has one folder of panoramas per sequence. None means that there are no panoramas.
 
     Returns:
-        The selected questions, in the order of the ids of the selection, of the draw, or of the file. They may be
-        none only if the selection is a shard.
+        The selected questions. With a seed they are in random order, otherwise in the order of `matching`. With
+        `per_template`, the first question of each template comes before all second questions, and so on. The list can
+        be empty only if the selection is a shard.
 
     Raises:
-        InputError: The selection has an unknown name, or needs columns that the store lacks.
-        StoreError: No question remains.
+        InputError: If the selection names a question, family, template or sequence that the store lacks, or if it
+            selects by a column that a public store leaves out.
+        StoreError: If no question matches, or if no matching question has panoramas.
     """
     if selection.per_template is not None:
         _check_columns(questions, "template")
@@ -55,24 +58,25 @@ def select_questions(
     chosen = chosen[: selection.limit]
     if selection.shard is None:
         return chosen
-    # All sequences of the store: more questions must not move a sequence to another shard.
+    # Count all sequences of the store, so that selecting more questions moves no sequence to another shard.
     index, shards = selection.shard
     members = set(sorted({row.sequence for row in questions})[index - 1 :: shards])
     return [row for row in chosen if row.sequence in members]
 
 
 def matching(questions: Sequence[QuestionRow], selection: QuestionSelection) -> list[QuestionRow]:
-    """Return all questions that match the names of a selection.
+    """Return all questions that match the ids, families, templates and sequences of a selection.
 
     Args:
-        questions: All questions of the store, in the order of its file.
-        selection: The options.
+        questions: All questions of the store, in the order of the questions file.
+        selection: The options of the selection. Its seed, its limits and its shard are ignored.
 
     Returns:
-        The questions, in the order of the ids of the selection or of the file.
+        The questions. They are in the order of the selection's ids if it lists ids, otherwise in the given order.
 
     Raises:
-        InputError: The selection has an unknown name, or needs columns that the store lacks.
+        InputError: If the selection names a question, family, template or sequence that the store lacks, or if it
+            selects by a column that a public store leaves out.
     """
     for field, column in _COLUMNS.items():
         names, values = getattr(selection, field), {getattr(row, column): None for row in questions}
@@ -80,7 +84,7 @@ def matching(questions: Sequence[QuestionRow], selection: QuestionSelection) -> 
             _check_columns(questions, column)
         if unknown := [name for name in names if name not in values]:
             which = f"{len(unknown)} of {len(names)} {field}" if len(names) > 1 else column.replace("_", " ")
-            # Ids are too much alike for a suggestion.
+            # Ids are too similar to each other for a suggestion to help.
             near = "" if field == "questions" else did_you_mean(unknown[0], values)
             raise InputError(f"{which} {unknown[0][:60]!r} is not in the store's questions{near}", field=column)
     if selection.questions:
@@ -104,7 +108,7 @@ def _count(counts: Counter[str], name: str) -> int:
 
 
 def _draw(seed: int | None, question: QuestionRow) -> bytes:
-    """Return the sort key of a question in a draw; it does not depend on the other questions."""
+    """Return the sort key of a question in a seeded draw. The key does not depend on any other question."""
     return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 
@@ -113,12 +117,12 @@ def _with_panoramas(questions: Sequence[QuestionRow], image_root: str | None) ->
     without = [name for name in sequences if image_root is None or not any(Path(image_root, name).glob("*.jpg"))]
     complete = [question for question in questions if question.sequence not in without]
     if not questions:
-        raise StoreError("no question is of all the chosen families, templates and sequences: choose fewer")
+        raise StoreError("no question matches all selected families, templates and sequences: select by fewer options")
     lacking = (
         f"{len(without)} sequences have no panoramas ({', '.join(without[:3])}{', ...' if len(without) > 3 else ''})"
     )
     if not complete:
-        raise StoreError(f"no selected question can be asked: {lacking}; choose others, or give --images")
+        raise StoreError(f"no selected question can be asked: {lacking}; select others, or give --images")
     if without:
         left = f"{len(questions) - len(complete)} of {len(questions)} questions are left out: {lacking}"
         warnings.warn(f"{left}; {len(complete)} can be asked", AvrWarning, stacklevel=4)

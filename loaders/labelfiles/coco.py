@@ -1,9 +1,10 @@
-"""Files in the COCO style: lists of images, annotations and categories, joined by numbers of the file.
+"""Reader of label files in the COCO format: lists of images, annotations and categories.
 
-The frame of an image comes from the base name of its `file_name` only: image numbers follow the frames by rules that
-differ between releases, and `width` and `height` belong to another camera. An image of another sequence, or with the
-number of another image, is refused together with its annotations. Category numbers also belong to the file, so
-categories are known by name. A name outside the vocabulary of `schema/things.py` stays as written and is reported.
+Each annotation refers to its image and its category by their ids. These ids have a meaning only inside one file.
+The frame of an image is read from the base name of its `file_name`. It is not computed from the image id, because
+releases number their images differently. `width` and `height` are not read, because they describe another camera. An
+image is refused, together with its annotations, if it belongs to another sequence or if two images share its id.
+Categories are identified by name. A name outside the vocabulary of `schema/things.py` is kept as written and reported.
 """
 
 from __future__ import annotations
@@ -29,24 +30,24 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.things import OBJECTS, normal_category
 
 MAX_LISTED: Final = 400_000
-"""Maximum images or annotations of a file, twice the boxes of people in JRDB's fullest sequence."""
+"""Maximum length of each list of a file. JRDB's largest sequence has half as many boxes of people."""
 CHUNK: Final = 1000
-"""Records that are decoded together. Their numbers fit into the processor's cache."""
+"""Number of records that are decoded together. A decoded chunk fits into the processor's cache."""
 
-Number = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
-"""A number of the file for an image."""
-Index = Annotated[int, msgspec.Meta(ge=0, le=records.MAX_TRACK)]
-"""A number that is stored in 32 bits: a track or a category."""
+ImageId = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
+"""Id of an image, unique within its file."""
+ShortId = Annotated[int, msgspec.Meta(ge=0, le=records.MAX_TRACK)]
+"""Id of a track or of a category. The tables store it in 32 bits."""
 
 _FRAME: Final = re.compile(r"([0-9]{6})\.(?:jpg|jpeg|png)")
 _SEQUENCE: Final = re.compile(r".+-[0-9]{4}-[0-9]{2}-[0-9]{2}_[0-9]+")
-"""The names of JRDB's sequences: place, date and number."""
+"""Pattern of the names of JRDB's sequences, which consist of a location, a date and an index."""
 
 _R = TypeVar("_R", bound=msgspec.Struct)
 
 
 class CocoFile(msgspec.Struct):
-    """A whole file: its raw records by list."""
+    """Content of a whole file: three lists of raw records. Each record is decoded later."""
 
     images: list[msgspec.Raw]
     annotations: list[msgspec.Raw]
@@ -54,16 +55,16 @@ class CocoFile(msgspec.Struct):
 
 
 class Image(msgspec.Struct, gc=False):
-    """One image of a file."""
+    """One record of the list `images`."""
 
-    id: Number
+    id: ImageId
     file_name: str
 
 
 class Category(msgspec.Struct, gc=False):
-    """One entry of the list of categories of a file."""
+    """One record of the list `categories`."""
 
-    id: Index
+    id: ShortId
     name: str
 
 
@@ -76,10 +77,10 @@ _CATEGORIES: Final = RecordReader(Category)
 
 
 def open_coco(path: Path) -> CocoFile:
-    """Read a file.
+    """Read a file and split it into its raw records.
 
     Raises:
-        InputError: the file is not JSON, has no images or annotations, or too many.
+        InputError: If the file is unreadable or not JSON, lacks `images` or `annotations`, or has too long a list.
     """
     file = decode_file(path, CocoFile)
     for section in ("images", "annotations", "categories"):
@@ -89,7 +90,17 @@ def open_coco(path: Path) -> CocoFile:
 
 
 def read_chunks(raws: list[msgspec.Raw], kind: str, reader: RecordReader[_R], problems: Problems) -> Iterator[list[_R]]:
-    """Yield the usable records of a list in chunks, at least one. `kind` and the id name a refused record."""
+    """Decode a list of raw records in chunks. An empty list gives one empty chunk.
+
+    Args:
+        raws: raw records.
+        kind: word for a record, such as "annotation". The report names a refused record by this word and its id.
+        reader: decoder of the records.
+        problems: counter of refused records.
+
+    Yields:
+        The usable records of each chunk of `CHUNK` raw records.
+    """
     for i in range(0, max(1, len(raws)), CHUNK):
         text = b"[" + b",".join(raws[i : i + CHUNK]) + b"]"
         yield reader.read(text, problems, lambda raw: f"{kind} {_id_of(raw)}")[0]
@@ -106,13 +117,13 @@ def _id_of(raw: msgspec.Raw) -> str:
 
 
 class Images:
-    """The frame of each image number, for images that are frames of the sequence.
+    """Map from image ids to frames, for the images that are frames of the sequence.
 
-    ids: ascending image numbers. frame: the frame of each number, all different.
+    ids: image ids, ascending. frame: the frame of each id in `ids`. No two ids have the same frame.
     """
 
     def __init__(self, file: CocoFile, sequence: str, problems: Problems) -> None:
-        """Refuse images that are not frames of `sequence`."""
+        """Map the usable images of a file. Refuse and count images that are not frames of `sequence`."""
         images = [image for chunk in read_chunks(file.images, "image", _IMAGES, problems) for image in chunk]
         frames: dict[int, set[int | None]] = {}
         for image in images:
@@ -121,10 +132,10 @@ class Images:
         for image in images:
             (frame, reason), field = _frame_of(image.file_name, sequence), "images.file_name"
             if frame is not None and len(frames[image.id]) > 1:
-                # The annotations of the number may belong to either image.
-                reason, field = "image number of two files, neither is kept", "images.id"
+                # An annotation with this id may belong to either image.
+                reason, field = "two images with this id, neither is kept", "images.id"
             elif frame is not None and frame in number_of:
-                reason = "frame listed twice, the first is kept"
+                reason = "frame has two images, the first is kept"
             if reason:
                 name = shorten(image.file_name)
                 problems.add("frame", reason, frame=name, field=field, value=image.id)
@@ -134,7 +145,7 @@ class Images:
         self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
-        """Return the frame per annotation by its `image_id`. It is -1, and counted, without a usable image."""
+        """Return the frame of each annotation's image. If the image is missing or refused, count it and return -1."""
         image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
         frame = np.full(len(image_id), -1, np.int64)
         if len(self.ids):
@@ -142,17 +153,17 @@ class Images:
             frame = np.where(self.ids[row] == image_id, self.frame[row], -1)
         if len(lost := np.flatnonzero(frame < 0)):
             first = annotations[lost[0]]
-            reason, name = "its image is not in the file, or was refused", f"annotation {shorten(bytes(first.id), 30)}"
+            reason, name = "image of the annotation is missing or refused", f"annotation {shorten(bytes(first.id), 30)}"
             problems.add("record", reason, frame=name, field="image_id", value=first.image_id, count=len(lost))
         return frame
 
 
 def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
-    """Return the frame number of an image by its base name, or the reason why it is not a frame of the sequence."""
+    """Return the frame and "", or None and the reason if the image is not a frame of the sequence."""
     *folders, name = file_name.replace("\\", "/").split("/")
     match = _FRAME.fullmatch(name)
     if match is None:
-        return None, "file name is not six digits and jpg/jpeg/png"
+        return None, "file name is not six digits with the suffix jpg/jpeg/png"
     if any(_SEQUENCE.fullmatch(folder) and folder != sequence for folder in folders):
         return None, "image of another sequence"
     return int(match[1]), ""
@@ -161,15 +172,19 @@ def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
 # -- categories ----------------------------------------------------------------------------------------------------
 
 Categories = dict[int, tuple[str, str | None]]
-"""Per category number of the file: the name as written, and its usual name (None outside the vocabulary)."""
+"""Two names by category id: the name as written, and the name in the vocabulary or None."""
 
 
 def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Counter[tuple[str, str]]]:
-    """Return the categories of a file by number, and the names outside the vocabulary."""
+    """Decode the categories of a file. Refuse an id that stands for two categories.
+
+    Returns:
+        The categories by id, and a counter of ("categories", name) for the names outside the vocabulary.
+    """
     names: Categories = {}
     ambiguous: set[int] = set()
     if file.categories is None:
-        problems.add("file", "there is no list of categories: what things are is unknown", field="categories")
+        problems.add("file", "there is no list of categories, so things have no category", field="categories")
     for chunk in read_chunks(file.categories or [], "category", _CATEGORIES, problems):
         for category in chunk:
             try:
@@ -181,15 +196,15 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
             if names.setdefault(category.id, (raw, usual if usual in OBJECTS else None))[0] == raw:
                 continue
             if normal_category(names[category.id][0]) != usual:
-                # The annotations of the number may belong to either name.
+                # An annotation with this id may belong to either category.
                 ambiguous.add(category.id)
-                problems.add("record", "category number of two names, neither is kept", field="categories", value=raw)
+                problems.add("record", "two categories with this id, neither is kept", field="categories", value=raw)
     kept = {category_id: names[category_id] for category_id in sorted(names) if category_id not in ambiguous}
     return kept, Counter(("categories", normal_category(raw)) for raw, name in kept.values() if name is None)
 
 
 def categories_table(categories: Categories) -> pa.Table:
-    """Return the columns of the annotation table `categories`, by number."""
+    """Return the annotation table `categories` without its column `sequence`, in the order of `categories`."""
     usual, raw = [name for _, name in categories.values()], [raw for raw, _ in categories.values()]
     types = {name: ANNOTATIONS["categories"].field(name).type for name in ("category_id", "category", "raw")}
     columns = zip(types.items(), (list(categories), usual, raw), strict=True)

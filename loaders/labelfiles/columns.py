@@ -1,4 +1,8 @@
-"""Columns of numbers and of Arrow values: row keys, runs of equal rows, coded texts, and counts of refusals."""
+"""Operations on columns of numbers and of Arrow values, and the tables of a layer.
+
+The functions make sort keys of rows, find runs of equal rows, and replace repeated values by codes. `Refusals` counts
+rows that cannot be used.
+"""
 
 from __future__ import annotations
 
@@ -18,37 +22,39 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 PAIR_BITS: Final = 31
+"""Number of bits of the lower number of a pair."""
 _DIGITS: Final = 16
+"""Number of bits of the columns that numpy sorts by digits."""
 MAX_DISTINCT: Final = 100_000
-"""Maximum distinct values of one field in a file. Labels repeat from frame to frame, and ids are a few hundred."""
+"""Maximum distinct values of one field in a file. Labels repeat between frames, and a file has a few hundred ids."""
 
 Columns = dict[str, npt.NDArray[Any]]
-"""Columns of records by name."""
+"""Columns by name, with one element per record."""
 
 
 def paired(high: Ints, low: Ints) -> Ints:
-    """Return one number per pair of numbers below 2**31, such as (frame, track). It sorts like the pair."""
+    """Combine each pair of numbers below 2**31, such as (frame, track), into one number that sorts like the pair."""
     return (high << PAIR_BITS) | low
 
 
 def unpaired(pairs: Ints) -> tuple[Ints, Ints]:
-    """Return the two numbers of each pair from `paired`."""
+    """Split the results of `paired` into the high and the low numbers."""
     return pairs >> PAIR_BITS, pairs & ((1 << PAIR_BITS) - 1)
 
 
 def whole_numbers(table: pa.Table, name: str) -> Ints:
-    """Return a column of whole numbers without nulls as 64 bits."""
+    """Return a table's column of whole numbers as 64-bit integers. The column must not have nulls."""
     return np.asarray(table[name].to_numpy(), np.int64)
 
 
 def texts(values: Sequence[str], codes: Ints) -> pa.Array:
-    """Return the strings `values[code]`, null for negative codes."""
+    """Return the string `values[code]` for each code. The result is null for a negative code."""
     dictionary = pa.array(values, pa.string())
     return dictionary.take(pa.array(codes, pa.int64(), mask=codes < 0))
 
 
 def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
-    """Return the column `values[code]` of a type. Texts are coded (an Arrow dictionary)."""
+    """Return an Arrow column of a type with `values[code]` for each code. Strings become a dictionary array."""
     column, taken = pa.array(values, kind), pa.array(codes)
     if not pa.types.is_string(kind):
         return column.take(taken)
@@ -57,7 +63,7 @@ def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
 
 
 def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
-    """Return the distinct texts of a column, ascending, and the index of each row's text, -1 for null."""
+    """Return the distinct strings of a column, ascending, and the index of each row's string (-1 for null)."""
     written = column.combine_chunks().dictionary_encode()
     spelled = written.dictionary.to_pylist()
     names = sorted(spelled)
@@ -67,7 +73,8 @@ def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
 
 
 def rank_values(values: Ints) -> tuple[Ints, Ints]:
-    """Return the distinct numbers, ascending, and the index of each value. Takes a fifth of the time of a sort."""
+    """Return the distinct values, ascending, and the index of each value among them."""
+    # `np.unique` would sort all values, which takes five times as long.
     coded = pa.array(values).dictionary_encode()
     distinct = coded.dictionary.to_numpy()
     order = np.argsort(distinct)
@@ -77,28 +84,29 @@ def rank_values(values: Ints) -> tuple[Ints, Ints]:
 
 
 def constant(value: str, n: int) -> pa.Array:
-    """Return a coded column of `n` equal strings."""
+    """Return a dictionary array of `n` equal strings."""
     return pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), pa.array([value], pa.string()))
 
 
 def annotation_table(name: str, sequence: str, table: pa.Table) -> pa.Table:
-    """Return an annotation table with the column of the sequence, cast to its schema.
+    """Add the column `sequence` to an annotation table, and cast it to the schema of the table called `name`.
 
-    Coded texts stay coded: written out they would take most of the memory of a load.
+    Dictionary arrays of strings are kept, because plain strings would take most of the memory of a load.
     """
     table = table.add_column(0, "sequence", constant(sequence, len(table)))
     return table.cast(with_numbered(ANNOTATIONS[name], table))
 
 
 def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.Array:
-    """Return values as an Arrow array with nulls at `missing`."""
+    """Return an Arrow array of the type `kind` that is null in the rows that `missing` marks."""
     return pa.array(values, mask=missing).cast(kind)
 
 
 class Distinct(dict[Any, int]):
-    """Codes of distinct values by first occurrence: `codes[value]` adds a new value.
+    """Dictionary from distinct values to codes 0, 1, 2, ... in the order of first use.
 
-    Raises InputError beyond MAX_DISTINCT, which bounds the memory.
+    A lookup of an unknown value adds the value. It raises InputError if there are `MAX_DISTINCT` values already. The
+    limit keeps a broken file from filling the memory.
     """
 
     def __missing__(self, value: Any) -> int:
@@ -109,12 +117,12 @@ class Distinct(dict[Any, int]):
 
 
 def numbered(codes: Distinct, values: Iterable[Any], n: int) -> Ints:
-    """Return the codes of `n` values."""
+    """Return the code of each of `n` values. New values are added to `codes`."""
     return np.fromiter(map(codes.__getitem__, values), np.int64, n)
 
 
 class Refusals:
-    """Counter of refused records or fields. It names the frame of the first one."""
+    """Counter of refused records and fields. For each problem it reports the frame of the first refused row."""
 
     def __init__(self, frame: Ints, problems: Problems, suffix: str = "jpg") -> None:
         self._frame, self._problems, self._suffix = frame, problems, suffix
@@ -122,46 +130,55 @@ class Refusals:
     def count(
         self, mask: Bools, kind: str, reason: str, field: str, value: Callable[[int], object] = lambda row: ""
     ) -> None:
-        """Add the rows of a mask as one problem. `value` returns the offending value of a row."""
+        """Count the refused rows together, as one problem.
+
+        Args:
+            mask: mask of the refused rows. If it is False everywhere, nothing is counted.
+            kind: "record" or "field".
+            reason: reason of the refusal.
+            field: name of the field.
+            value: function that is called with the index of the first refused row, and returns its offending value.
+        """
         n = int(mask.sum())
         if n:
             row = int(mask.argmax())
             self.add(kind, reason, field, row, value(row), n)
 
     def add(self, kind: str, reason: str, field: str, row: int, value: object, count: int) -> None:
-        """Add a problem of `count` rows. `row` is the first of them."""
+        """Count a problem of `count` rows. `row` is the index of the first of these rows."""
         frame = f"{int(self._frame[row]):06d}.{self._suffix}"
         self._problems.add(kind, reason, frame=frame, field=field, value=value, count=count)
 
 
 @dataclass(frozen=True)
 class LayerTables:
-    """The tables of one layer of one sequence."""
+    """Content of one label file: the tables of a layer for one sequence."""
 
     tables: dict[str, pa.Table]
-    """Annotation tables by name, without the column of the sequence."""
+    """Annotation tables by name, without the column `sequence` unless `of` has added it."""
     frames: dict[str, tuple[Ints, Ints]]
-    """Per layer of the `frames` table: its frames, ascending, and the number of records in each."""
+    """Content of the table `frames` by layer: the frames, ascending, and the number of records in each frame."""
     unknown: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """Labels outside the vocabulary: count per (field, label)."""
+    """Number of occurrences of each (field, label) with a label outside the vocabulary."""
     boxes: pa.Table | None = None
-    """2D boxes of a file of another layer: columns frame, track, x, y, w, h. They show whether the frame numbers of the
-    file agree with the 2D layer."""
+    """2D boxes in a file that does not give the 2D layer, or None: columns frame, track, x, y, w, h.
+
+    Comparing these boxes with the 2D layer shows whether both files number their frames alike."""
 
     def of(self, sequence: str) -> LayerTables:
-        """Return the same with complete annotation tables of a sequence."""
+        """Return a copy with the column `sequence` in every annotation table, cast to the schema of its name."""
         return replace(self, tables={name: annotation_table(name, sequence, t) for name, t in self.tables.items()})
 
 
 class Rows:
-    """Base of dataclasses of parallel arrays, with one value per row in each array."""
+    """Base class of dataclasses with parallel arrays. The elements of all arrays at one index form a row."""
 
     def at(self, rows: npt.NDArray[Any]) -> Self:
-        """Return some rows of every array, by index or mask."""
+        """Return a copy with the selected rows only. `rows` is an array of indices or a mask."""
         return self._with({name: getattr(self, name)[rows] for name in self._arrays()})
 
     def joined(self, others: Sequence[Self]) -> Self:
-        """Return these rows, followed by the rows of others."""
+        """Return a copy with these rows, followed by the rows of `others`."""
         parts = (self, *others)
         return self._with({name: np.concatenate([getattr(x, name) for x in parts]) for name in self._arrays()})
 
@@ -175,20 +192,20 @@ class Rows:
 
 
 def mask_of(rows: Ints, n: int) -> Bools:
-    """Return a mask over `n` rows, True at `rows`."""
+    """Return a mask of length `n` that is True at the indices `rows`."""
     mask = np.zeros(n, np.bool_)
     mask[rows] = True
     return mask
 
 
 def ascending(*columns: npt.NDArray[Any]) -> Ints:
-    """Return a stable order of rows by the first column of whole numbers, then the next, ..."""
-    # numpy sorts numbers of 16 bits by digits, which takes a fifth of the time of comparisons.
+    """Return the row indices that sort columns of whole numbers by the first column, then by the second, and so on."""
+    # numpy sorts 16-bit numbers by digits, which takes a fifth of the time of a sort by comparisons.
     return np.asarray(np.lexsort([part for column in reversed(columns) for part in _narrow(column)]))
 
 
 def _narrow(column: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
-    """Return columns of 16 bits that sort like a column, the lowest digits first; the column itself if it is wide."""
+    """Split a column into 16-bit columns, lowest digits first. Return the column itself if it needs over 32 bits."""
     low = int(column.min(initial=0))
     width = (int(column.max(initial=0)) - low).bit_length()
     if width > 2 * _DIGITS:
@@ -198,31 +215,35 @@ def _narrow(column: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
 
 
 def first_of_equal(*columns: Ints) -> tuple[Ints, Bools]:
-    """Return a stable ascending order of rows, and a mask over it: True at the first of each run of equal rows."""
+    """Sort rows by their columns, and find the first row of each run of equal rows.
+
+    Returns:
+        The row indices in ascending stable order, and a mask in that order: True at the first row of each run.
+    """
     order = ascending(*columns)
     return order, begins(*(column[order] for column in columns))
 
 
 def distinct_of(ascending: Ints) -> Ints:
-    """Return the distinct values of an ascending array, without another sort."""
+    """Return the distinct values of an array that is already sorted."""
     return ascending[begins(ascending)]
 
 
 def begins(*columns: Ints) -> Bools:
-    """Return the mask of the rows that differ from the row before in any column. The first row counts."""
+    """Return a mask of the rows that differ in any column from the row before. The first row is always True."""
     new = np.ones(len(columns[0]), np.bool_)
     new[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
     return new
 
 
 def ragged(counts: Ints) -> tuple[Ints, Ints]:
-    """Return the group of each member, and its position in the group, for groups of `counts` members."""
+    """Return the group index of each member, and its index within the group. Group i has `counts[i]` members."""
     group = np.repeat(np.arange(len(counts)), counts)
     start = np.cumsum(counts) - counts
     return group, np.arange(len(group)) - np.repeat(start, counts)
 
 
 def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:
-    """Return ascending frames with the number of `rows` (one frame number each) in each."""
+    """Return the ascending frames, and the number of records in each. `rows` holds the frame of each record."""
     rows = np.sort(rows)
     return frames, np.searchsorted(rows, frames, "right") - np.searchsorted(rows, frames, "left")

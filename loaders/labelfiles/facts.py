@@ -1,7 +1,8 @@
-"""People of label records, and rows of facts from raw sub-objects of their records.
+"""Selection of the records of people, and the facts in the raw sub-objects of these records.
 
-The labels of a person repeat from frame to frame as the same bytes. A column of raw objects is therefore numbered, each
-distinct object is decoded once into a few values, and numpy spreads the values over the rows.
+A fact is one label of a person in a frame, such as an action. The labels of a person repeat between frames as the
+same bytes. Therefore a column stores a code for each raw object, and each distinct object is decoded once. numpy then
+copies the decoded facts to all rows with the same code.
 """
 
 from __future__ import annotations
@@ -33,36 +34,41 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 MAX_FACTS: Final = 2_000_000
-"""Maximum labels of one kind in a file. JRDB's fullest sequence has about 1.5 million labels of its groups."""
+"""Maximum labels of one kind in a file. JRDB's largest sequence has about 1.5 million labels of groups."""
 
 _THING: Final = -1
+"""Code for the label id of a thing, in place of a track."""
 _BAD: Final = -2
+"""Code for an unreadable label id, in place of a track."""
 
 Issue = tuple[str, str, object]
-"""Reason, field and offending value."""
+"""Reason, field and offending value of a refused part of a record."""
 
 Value = tuple[Any, ...]
+"""Content of a fact, such as (label, label as written, difficulty)."""
 
 
 # -- people --------------------------------------------------------------------------------------------------------
 
 
 class KeptRecords(NamedTuple):
-    """The kept records: people with a usable box, the first record of a person in a frame."""
+    """The records that are used: per frame and person, the first record without a fault."""
 
     row: Ints
-    """Their numbers, sorted by (frame, track)."""
+    """Indices of the kept records among all records, sorted by (frame, track)."""
     frame: Ints
+    """Frame of each kept record."""
     track: Ints
+    """Track of the person of each kept record."""
     partial: set[int]
-    """Frames with a refused record that may be a person."""
+    """Frames with a refused record that may be a person's."""
 
     def whole_frames(self, complete: Iterable[int]) -> Ints:
-        """Return the frames of `complete`, ascending, that lost no record of a person."""
+        """Return the frames of `complete` without a refused record of a person, ascending."""
         return np.array(sorted(set(complete) - self.partial), np.int64)
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
-        """Return the frames of some people (ascending rows), as a layer of the `frames` table."""
+        """Return the distinct frames of the kept records `rows` (ascending), and how many of them each frame has."""
         frame = self.frame[distinct_of(rows)]
         return known_frames(distinct_of(frame), frame)
 
@@ -74,14 +80,14 @@ def keep_people(
     faults: Sequence[tuple[Bools, str]] = (),
     box: Callable[[int], object] = lambda row: "",
 ) -> KeptRecords:
-    """Choose the records to keep, and count the others.
+    """Select the records that can be used, and count the refused records.
 
     Args:
         columns: columns `frame` and `label_id` (a code) of the records.
-        codes: distinct values of the coded columns.
+        codes: distinct values of each coded column, by its name.
         refusals: counter of the refused records.
-        faults: masks of unusable boxes with reasons. A record counts for its first fault.
-        box: function that returns the box of a record for the report.
+        faults: masks of unusable boxes with reasons. A record with several faults is counted for the first.
+        box: function that is called with the index of a refused record and returns its box for the report.
     """
     frame, labels, code = columns["frame"], list(codes["label_id"]), columns["label_id"]
     track = np.array([_track_or_code(label) for label in labels], np.int64)[code]
@@ -100,11 +106,12 @@ def keep_people(
     reason = "same person twice in a frame"
     refusals.count(again, "record", reason, "label_id", lambda row: labels[code[row]])
     row = usable[order[first]]
-    # The second of two records may be another person under a wrong number.
+    # The second record with a track may be another person's, with a wrong track.
     return KeptRecords(row, frame[row], track[row], set(frame[refused | again].tolist()))
 
 
 def _track_or_code(label: str) -> int:
+    """Return the track of a label id, or `_THING` or `_BAD` if it has none."""
     try:
         return records.read_track(label)
     except records.NotAPersonError:
@@ -118,20 +125,20 @@ def _track_or_code(label: str) -> int:
 
 @dataclass
 class Decoded:
-    """The content of one distinct raw value."""
+    """Decoded content of one distinct raw value."""
 
     values: list[Value] = field(default_factory=list)
     issues: list[Issue] = field(default_factory=list)
     whole: bool = True
-    """Whether nothing was refused, so that every missing label is false."""
+    """True if no part of the value was refused. Then each label that the value lacks is known to be false."""
 
     def refuse(self, reason: str, name: str, value: object) -> None:
-        """Count a value or a part of it as unusable."""
+        """Report that `value` is unusable. The content is then no longer whole."""
         self.issues.append((reason, name, value))
         self.whole = False
 
     def members(self, value: object, name: str) -> dict[str, Any]:
-        """Return the members of an object, raw or decoded. Anything else is refused."""
+        """Return the members of a JSON object, which may be raw or decoded. Refuse any other value and return {}."""
         try:
             members = records.parse(value) if isinstance(value, bytes) else value
             if not isinstance(members, dict):
@@ -142,7 +149,7 @@ class Decoded:
         return members
 
     def labels(self, value: object, name: str) -> Iterator[tuple[str, Any]]:
-        """Yield the usable labels of an object `{label: value}` with their values."""
+        """Yield each usable label of a JSON object `{label: value}` with its value. Refuse unusable labels."""
         for label, inner in self.members(value, name).items():
             try:
                 usable = records.read_text(label)
@@ -152,7 +159,7 @@ class Decoded:
                 yield usable, inner
 
     def read(self, read: Callable[[Any], Any], value: object, name: str, reason: str = "") -> Any:
-        """Return `read(value)`. Count the value and return None if it is unusable."""
+        """Return `read(value)`. If it raises ValueError, report the value and return None."""
         try:
             return read(value)
         except ValueError as error:
@@ -160,22 +167,25 @@ class Decoded:
             return None
 
     def difficulty(self, value: object, name: str) -> int | None:
-        """Return a difficulty code. Its label stays as an unknown fact if the code is unusable."""
+        """Return a difficulty code. If it is unusable, return None; its label is then kept as an unknown fact."""
         code: int | None = self.read(records.read_difficulty, value, name, "difficulty: ")
         return code
 
 
 class ColumnFacts(NamedTuple):
-    """Facts of a column: the row of each fact, ascending, and its number in `values`."""
+    """Facts in a column of raw objects. A row of the column may have any number of facts."""
 
     row: Ints
+    """Row of each fact, ascending."""
     code: Ints
+    """Index of each fact's content in `values`."""
     values: list[Value]
+    """Distinct contents of facts."""
     whole: Bools
-    """Per row of the column: a value is present, and nothing of it was refused."""
+    """True for each row of the column that has a raw object without a refused part."""
 
     def tally(self, name: Callable[[Value], tuple[str, str] | None]) -> Counter[tuple[str, str]]:
-        """Count the values that have a name, by name."""
+        """Return the number of facts by key. `name` returns the key of a content, or None to leave its facts out."""
         counts: Counter[tuple[str, str]] = Counter()
         for value, n in zip(self.values, np.bincount(self.code, minlength=len(self.values)).tolist(), strict=True):
             key = name(value)
@@ -191,17 +201,17 @@ def expand(
     refusals: Refusals,
     absent: Sequence[Issue] = (),
 ) -> ColumnFacts:
-    """Decode every distinct raw value, and spread its content over the rows.
+    """Decode every distinct raw value, and copy its facts to all rows with this value.
 
     Args:
-        codes: number of the raw value of each row.
-        raws: distinct raw values by number.
-        decode: function that fills a `Decoded` from a raw value.
-        refusals: counter. An issue of a value counts once per row with the value.
-        absent: issues of a missing value.
+        codes: code of the raw value of each row.
+        raws: distinct raw values, in the order of their codes.
+        decode: function that is called with each raw value that is present, and an empty `Decoded` that it fills.
+        refusals: counter. An issue of a value is counted once per row with the value.
+        absent: issues that are reported for each row with a missing value.
 
     Raises:
-        InputError: there are more than MAX_FACTS facts.
+        InputError: If there are more than `MAX_FACTS` facts.
     """
     numbers = Distinct()
     held: list[list[int]] = []
@@ -231,17 +241,23 @@ def expand(
 
 
 def check_size(facts: int) -> None:
-    """Raise InputError if a file holds more labels than the memory is planned for."""
+    """Raise InputError if a file has more than `MAX_FACTS` labels of one kind, which could fill the memory."""
     if facts > MAX_FACTS:
         raise InputError(f"more than {MAX_FACTS:,} labels of one kind: is it a file of one sequence?")
 
 
 def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals) -> None:
-    """Report the issues of each code, once per row with the code."""
+    """Count each issue of a raw value as often as there are rows with the value.
+
+    Args:
+        codes: code of the raw value of each row.
+        issues: issues of the raw values by code.
+        refusals: counter.
+    """
     if not issues:
         return
     distinct, first, counts = np.unique(codes, return_index=True, return_counts=True)
-    # Sorted by first row, so that the first example of a problem is the first by frame.
+    # The report shows the example that is counted first, so codes are sorted by their first row.
     for begin, code, count in sorted(zip(first.tolist(), distinct.tolist(), counts.tolist(), strict=True)):
         for reason, name, value in issues.get(code, ()):
             refusals.add("field", reason, name, begin, value, count)
@@ -250,14 +266,17 @@ def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals
 def facts_table(
     layer: str, people: KeptRecords, facts: ColumnFacts, names: tuple[str, ...], ends: dict[str, Ints] | None = None
 ) -> pa.Table:
-    """Return the annotation table of a layer without the sequence, sorted by person, then `ends`, then value.
+    """Return an annotation table without its column `sequence`, one row per fact.
 
     Args:
         layer: name of the annotation table.
         people: the kept records.
-        facts: facts with rows of `people`.
-        names: columns of the table that the value tuples fill.
-        ends: further columns of numbers, one per fact.
+        facts: facts. Their rows are indices of `people`.
+        names: columns of the table for the members of a fact's content.
+        ends: further columns of numbers by name, with one number per fact.
+
+    Returns:
+        The table, sorted by frame and track, then by the columns of `ends`, then by content.
     """
     rows = {"frame": people.frame[facts.row], "track": people.track[facts.row], **(ends or {})}
     by_value = sorted(

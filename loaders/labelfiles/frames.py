@@ -1,8 +1,8 @@
-"""Label files `{"labels": {"<frame>.<suffix>": [record, ...]}}`, decoded into columns of their records.
+"""Reader that turns label files `{"labels": {"<frame>.<suffix>": [record, ...]}}` into columns.
 
-msgspec splits a file into frames and decodes each frame into typed records. The records of a frame that fails are
-decoded one by one, and each record that fails is refused. Decoded records need the most memory, so they are turned into
-columns after every `BATCH` records.
+msgspec splits a file into frames and decodes each frame into typed records. If a frame cannot be decoded, its records
+are decoded one by one, and only the records that fail are refused. Because decoded records take much memory, they are
+turned into columns after every `BATCH` records.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.errors import InputError
 
 MAX_FILE: Final = 320 << 20
-"""Maximum bytes of a file, twice the bytes of JRDB's fullest sequence."""
+"""Maximum bytes of a file. The largest file of JRDB has half as many."""
 MAX_RECORDS: Final = 1000
-"""Maximum records of a frame. JRDB's fullest frames have about a hundred; pairs of people grow with the square."""
+"""Maximum records of a frame, which bounds the number of pairs of people. JRDB's fullest frames have about 100."""
 MAX_GATHERED: Final = 400_000
-"""Maximum records of a file, twice the boxes of JRDB's fullest sequence."""
+"""Maximum records of a file. JRDB's largest sequence has half as many boxes."""
 BATCH: Final = 1000
-"""Records that are turned into columns together. They fit into the processor's cache."""
+"""Number of records that are turned into columns together. A batch fits into the processor's cache."""
 
 _LIST: Final = msgspec.json.Decoder(list[msgspec.Raw])
 _MISSING: Final = re.compile("Object missing required field `(.*)`")
@@ -40,11 +40,11 @@ _R = TypeVar("_R", bound=msgspec.Struct)
 _F = TypeVar("_F", bound=msgspec.Struct)
 
 Fields = dict[str, tuple[Any, ...]]
-"""The values of a batch of records by field."""
+"""Fields of a batch of records: a tuple of one value per record, by name of the field."""
 
 
 class LabelFile(msgspec.Struct):
-    """A whole label file: the raw list of records of each frame."""
+    """Content of a whole label file: the raw list of records of each frame, by the key of the frame."""
 
     labels: dict[str, msgspec.Raw]
 
@@ -53,7 +53,7 @@ def read_file(path: Path) -> bytes:
     """Return the content of a file without a byte order mark.
 
     Raises:
-        InputError: the path is not a regular file, or the file is too large, unreadable or empty.
+        InputError: If the path is not a regular file, or if the file is too large, unreadable or empty.
     """
     name = path.name
     try:
@@ -72,15 +72,15 @@ def read_file(path: Path) -> bytes:
 
 
 def decode_file(path: Path, form: type[_F]) -> _F:
-    """Decode a JSON file into a type.
+    """Decode a JSON file into an object of the type `form`.
 
     Raises:
-        InputError: the file is unreadable, not JSON, or of another form.
+        InputError: If the file is unreadable, is not JSON, or does not fit the type `form`.
     """
     data = read_file(path)
     try:
         if not data.isascii():
-            # msgspec does not check the text of raw values.
+            # msgspec does not check whether raw values are UTF-8.
             data.decode()
         return msgspec.json.decode(data, type=form)
     except msgspec.ValidationError as error:
@@ -92,7 +92,7 @@ def decode_file(path: Path, form: type[_F]) -> _F:
 
 
 class RecordReader(Generic[_R]):
-    """Decoder of lists of records. It refuses a record that does not fit the type, and keeps the others."""
+    """Decoder of JSON lists of records. It refuses each record that does not fit the type, and keeps the rest."""
 
     def __init__(self, record: type[_R]) -> None:
         self.type = record
@@ -102,18 +102,18 @@ class RecordReader(Generic[_R]):
     def read(
         self, raw: bytes | msgspec.Raw, problems: Problems, name: Callable[[msgspec.Raw], str]
     ) -> tuple[list[_R], bool]:
-        """Decode a list.
+        """Decode a list of records.
 
         Args:
             raw: JSON list.
             problems: counter of refused records.
-            name: function that names a raw record in the report.
+            name: function that is called with each refused raw record, and returns its name for the report.
 
         Returns:
-            The usable records, and whether the list has no other records.
+            The usable records, and True if no record was refused.
 
         Raises:
-            msgspec.DecodeError: the value is not a list.
+            msgspec.DecodeError: If `raw` is not a list.
         """
         try:
             return self._all.decode(raw), True
@@ -128,13 +128,13 @@ class RecordReader(Generic[_R]):
         return records, len(records) == len(raws)
 
     def fields(self, records: list[_R]) -> Fields:
-        """Return the values of records by field."""
+        """Return a tuple of the records' values for each field."""
         columns = zip(*map(msgspec.structs.astuple, records), strict=True) if records else ((),) * 99
         return dict(zip(self.type.__struct_fields__, columns, strict=False))
 
 
 def fault_of(error: BaseException) -> tuple[str, str]:
-    """Return the reason and the field of a decoding error."""
+    """Return the reason of a decoding error, and the field that it concerns ("" if the error names none)."""
     reason, _, path = str(error).partition(" - at `$")
     field = path.split("[")[0].strip(".`")
     if missing := _MISSING.fullmatch(reason):
@@ -143,14 +143,14 @@ def fault_of(error: BaseException) -> tuple[str, str]:
 
 
 class Gathered(NamedTuple):
-    """Columns of all usable records of a file, in the order of the file."""
+    """Content of a label file: columns of all usable records, in the order of the file."""
 
     columns: Columns
-    """`frame` beside the columns of the layer."""
+    """The column `frame`, and the columns that the function `take` of `gather` makes."""
     listed: list[int]
-    """Frames with a list of records."""
+    """Frames with a usable list of records, which may be empty."""
     complete: list[int]
-    """Frames without a refused record."""
+    """Frames of `listed` without a refused record."""
 
 
 def gather(
@@ -164,13 +164,13 @@ def gather(
 
     Args:
         path: label file.
-        suffixes: suffixes of frame keys, such as "jpg".
+        suffixes: permitted suffixes of frame keys, such as "jpg".
         reader: decoder of the records.
-        take: function that makes columns of the fields of a batch of records.
+        take: function that is called with the fields of each batch of records, and returns their columns.
         problems: counter of refused frames and records.
 
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     listed: list[int] = []
     complete: list[int] = []
@@ -181,7 +181,7 @@ def gather(
         try:
             records, whole = reader.read(raw, problems, lambda _, key=key: key)  # type: ignore[misc]
         except BROKEN as error:
-            problems.add("frame", "frame is no list of records", frame=key, value=str(error))
+            problems.add("frame", "frame is not a list of records", frame=key, value=str(error))
             continue
         if len(records) > MAX_RECORDS:
             problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=key)
@@ -202,22 +202,28 @@ def gather(
 
 
 def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[str, int, msgspec.Raw]]:
-    """Yield the key, number and raw list of each frame with a usable key."""
+    """Yield the key, the frame number and the raw list of each frame with a usable key. Count the rest."""
     form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     listed: set[int] = set()
     for key, raw in decode_file(path, LabelFile).labels.items():
         match = form.fullmatch(key)
         if match is None:
-            problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
+            problems.add("frame", "frame key is not six digits with suffix " + "/".join(suffixes), frame=shorten(key))
         elif int(match[1]) in listed:
-            problems.add("frame", "frame key twice, the first is kept", frame=key)
+            problems.add("frame", "frame key is repeated, the first is kept", frame=key)
         else:
             listed.add(int(match[1]))
             yield key, int(match[1]), raw
 
 
 def take_fields(fields: Fields, names: tuple[str, ...], codes: dict[str, Distinct]) -> Columns:
-    """Return columns of fields as numbers of their distinct values, by bytes for raw fields."""
+    """Return a column of codes for each field in `names`.
+
+    Args:
+        fields: fields of a batch of records.
+        names: fields to code. Raw fields are compared by their bytes.
+        codes: codes of the distinct values by field. New values are added.
+    """
     columns = {}
     for name in names:
         values = fields[name]

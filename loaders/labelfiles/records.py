@@ -1,7 +1,7 @@
-"""Readers of single JSON values of label records.
+"""Functions that convert single JSON values of label records into values of the tables.
 
-Each function takes a decoded value of any type and returns what can be stored. It raises ValueError with the reason if
-the value is unusable.
+Each `read_` function takes a decoded value and returns the value to store. It raises ValueError with the reason if the
+value is unusable.
 """
 
 from __future__ import annotations
@@ -17,23 +17,25 @@ from jrdb_avr.schema.labels import plain
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 
 MAX_TRACK: Final = 2**31 - 2
+"""Maximum track or category id."""
 MAX_PIXEL: Final = 1e5
-"""Maximum coordinate of a stitched 2D box in pixels. The panorama has 3760 columns."""
+"""Maximum absolute coordinate or size of a stitched 2D box in pixels. The panorama is 3760 pixels wide."""
 MAX_METRE: Final = 1e4
+"""Maximum absolute coordinate, size or distance of a 3D box in metres."""
 MAX_TEXT: Final = 100
 """Maximum characters of a label."""
 
 BROKEN: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
-"""Errors that msgspec raises for text that does not decode."""
+"""Errors that msgspec raises if it cannot decode a text."""
 ABSENT: Final = (b"", b"null")
-"""Raw values of a missing key. A null says no more than a missing key."""
+"""Raw values of a missing field. A null is treated like a missing key."""
 NOTHING: Final = msgspec.Raw(b"")
-"""Default of raw fields."""
+"""Default of raw fields: the raw value of a missing key."""
 
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
 _PREFIXED: Final = re.compile(r"([^:]+):-?[0-9]+")
-# The category "other" may be anything, also a person.
+# A thing of the category "other" may be a person, so this category is left out.
 _THINGS: Final = frozenset(
     plain(name)
     for category in set(OBJECTS) - PERSON_CATEGORIES - {"other"}
@@ -42,11 +44,15 @@ _THINGS: Final = frozenset(
 
 
 class NotAPersonError(ValueError):
-    """A well-formed label id with the prefix of a category of things."""
+    """Error for a well-formed label id of a thing, such as `car:3`."""
 
 
 def parse(raw: bytes | msgspec.Raw) -> Any:
-    """Return a decoded JSON value. Raises ValueError."""
+    """Decode a JSON value.
+
+    Raises:
+        ValueError: If the value is not JSON or is nested too deeply.
+    """
     try:
         return msgspec.json.decode(raw)
     except RecursionError:
@@ -56,13 +62,11 @@ def parse(raw: bytes | msgspec.Raw) -> Any:
 
 
 def read_track(label_id: str) -> int:
-    """Return the N of `pedestrian:N`.
-
-    Any unknown prefix or number may be a badly written person.
+    """Return the track N of the label id `pedestrian:N`.
 
     Raises:
-        NotAPersonError: the prefix is a category of things.
-        ValueError: anything else.
+        NotAPersonError: If the prefix is a category of things.
+        ValueError: If the id is neither a person's nor a thing's. It may then be a misspelt id of a person.
     """
     match = _PERSON.fullmatch(label_id)
     if match and int(match[1]) <= MAX_TRACK:
@@ -73,7 +77,7 @@ def read_track(label_id: str) -> int:
 
 
 def read_number(value: object) -> float:
-    """Return a finite number. A bool is refused."""
+    """Return a finite number. Raise ValueError for any other value, including a bool."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("not a number")
     try:
@@ -86,13 +90,13 @@ def read_number(value: object) -> float:
 
 
 def read_whole(value: object, low: int, high: int) -> int:
-    """Return a whole number in [low, high], also from 7.0 or "7"."""
+    """Return a whole number from `low` to `high`, both included. Values such as 7.0 and "7" are accepted."""
     if isinstance(value, str) and _WHOLE.fullmatch(value):
         value = int(value)
     result = read_number(value)
     if result != math.floor(result):
         raise ValueError("not a whole number")
-    # An int beyond 2**53 would lose digits as a float.
+    # An int above 2**53 would lose digits as a float.
     exact = value if isinstance(value, int) else int(result)
     if not low <= exact <= high:
         raise ValueError("number out of range")
@@ -100,7 +104,7 @@ def read_whole(value: object, low: int, high: int) -> int:
 
 
 def read_flag(value: object) -> bool:
-    """Return a bool, also from "true" or "false" in any case."""
+    """Return a bool. The strings "true" and "false" are accepted in upper or lower case."""
     if isinstance(value, bool):
         return value
     if isinstance(value, str) and value.lower() in ("true", "false"):
@@ -109,13 +113,13 @@ def read_flag(value: object) -> bool:
 
 
 def read_difficulty(value: object) -> int:
-    """Return a difficulty code 1..3, also from 1.0 or "1"."""
+    """Return a difficulty code: 1, 2 or 3. Values such as 1.0 and "1" are accepted."""
     return read_whole(value, 1, 3)
 
 
 @functools.lru_cache(maxsize=10_000)
 def read_text(value: str) -> str:
-    """Return printable text of 1 to MAX_TEXT characters, without surrogates and control characters."""
+    """Return a text without unprintable characters. Raise ValueError if it is blank or longer than `MAX_TEXT`."""
     clean = "".join(c if c.isprintable() else " " for c in value).strip()
     if not clean:
         raise ValueError("empty text")

@@ -1,9 +1,9 @@
-"""The stitched 2D layer with JRDB-Act: `labels_2d_stitched/<sequence>.json` -> annotation tables.
+"""Loader of the 2D layer with the labels of JRDB-Act, from `labels_2d_stitched/<sequence>.json`.
 
-Boxes, actions, groups and social activities of one sequence, one row per fact, in stitched pixels. A frame is listed
-in `frames` for the layer `2d` only if every person of it could be read: a frame with a refused person cannot prove that
-a person is absent, or that a description fits one person only. The layers `actions` and `groups` know the frames with
-such a label.
+It makes the annotation tables of boxes, actions, groups and social activities, with one row per fact. Boxes are in
+pixels of the stitched panorama. The table `frames` lists a frame for the layer `2d` only if no record of a person in it
+was refused. Otherwise the frame could not prove that a person is absent, or that a description fits only one person.
+For the layers `actions` and `groups` the table lists the frames with at least one action or group label.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import ACTIONS, IMPOSSIBLE, OCCLUSIONS, normal_action
 
 SUFFIXES: Final = ("jpg", "jpeg", "png")
+"""Suffixes of the keys of frames."""
 
 StitchedBox = tuple[float, float, float, float]
-"""x, y, width and height in stitched pixels."""
+"""Left edge, top edge, width and height of a box in pixels of the stitched panorama."""
 
 
 class Attributes2D(msgspec.Struct, gc=False, frozen=True):
-    """The `attributes` object. A missing attribute is None."""
+    """The object `attributes` of a record. A missing attribute is None."""
 
     occlusion: str | None = None
     truncated: bool | str | None = None
@@ -44,7 +45,10 @@ class Attributes2D(msgspec.Struct, gc=False, frozen=True):
 
 
 class Record2D(msgspec.Struct, gc=False):
-    """One person in one frame. Sub-objects that repeat from frame to frame stay raw; each is decoded once."""
+    """Record of one person in one frame.
+
+    Sub-objects that repeat between frames are kept as raw bytes. Each distinct sub-object is decoded once, later.
+    """
 
     label_id: str
     box: StitchedBox
@@ -62,15 +66,22 @@ _CODED: Final = ("label_id", "attributes", "file_id", "action_label", "social_gr
 def load_2d(path: Path, problems: Problems) -> LayerTables:
     """Read a stitched 2D label file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The tables of boxes, actions, groups and social activities, and the frames of each layer.
+
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     codes: dict[str, Distinct] = defaultdict(Distinct)
     columns, _, complete = gather(path, SUFFIXES, _READER, lambda fields: take_people(fields, _CODED, codes), problems)
     box = columns["box"]
     refusals = Refusals(columns["frame"], problems)
     people = keep_people(columns, codes, refusals, box_faults(box), lambda row: box[row].tolist())
-    # From here on rows are sorted by frame and person.
+    # From here on, rows are sorted by frame and person, so refusals are counted in the new order.
     refusals = Refusals(people.frame, problems)
     columns = {name: column[people.row] for name, column in columns.items()}
 
@@ -98,14 +109,23 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
 
 
 def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinct]) -> Columns:
-    """Return the column `box`, shape (n, 4), and the coded columns of a batch of people."""
+    """Return the columns of a batch of records.
+
+    Args:
+        fields: fields of the records.
+        coded: names of the fields that become columns of codes.
+        codes: codes of the distinct values by field. New values are added.
+
+    Returns:
+        The column `box` of shape (n, 4), and a column of codes for each field in `coded`.
+    """
     boxes = fields["box"]
     numbers = np.fromiter(chain.from_iterable(boxes), np.float64, 4 * len(boxes))
     return {"box": numbers.reshape(-1, 4), **take_fields(fields, coded, codes)}
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Return masks of unusable boxes, shape (n, 4), with the reasons."""
+    """Return a mask of faulty boxes and the reason for each kind of fault. `box` has the shape (n, 4)."""
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
         (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),
@@ -113,7 +133,7 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 
 
 def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -> Bools:
-    """Return the mask of usable boxes. Report the others, except missing boxes (NaN)."""
+    """Return a mask of the usable boxes. Count the unusable ones, except missing boxes (NaN)."""
     usable = ~np.isnan(box[:, 0])
     for fault, reason in box_faults(box):
         refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())
@@ -156,7 +176,7 @@ def _taken(
     field: str = "",
     read: Callable[[Any], Any] | None = None,
 ) -> pa.Array:
-    """Return the column `read(values[code])`. An unreadable value is null and counted."""
+    """Return the column `read(values[code])`. If `read` raises ValueError, the row is null and counted."""
     usable: list[Any] = []
     wrong: dict[int, str] = {}
     for i, value in enumerate(values):
@@ -172,7 +192,7 @@ def _taken(
 
 def _occlusion(value: str) -> str:
     if value not in OCCLUSIONS:
-        raise ValueError("unknown word")
+        raise ValueError("not a known degree of occlusion")
     return value
 
 

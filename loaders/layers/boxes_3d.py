@@ -1,8 +1,9 @@
-"""The 3D layer: `labels_3d/<sequence>.json` -> the annotation table `boxes_3d`.
+"""Loader of the 3D layer, which makes the annotation table `boxes_3d` from `labels_3d/<sequence>.json`.
 
-Metres in the robot frame: x forward, y left, z up, the centre of the box. `rot_z` is stored as written. The heading
-that follows from it is `wrap(pi - rot_z)`; `heading_check` compares it with the motion of people. If a refused record
-may be a person, its frame has no rows, because any of its boxes could belong to another person.
+The centre and the size of a box are in metres, in the frame of the robot: x forward, y left, z up. `rot_z` is stored as
+written. A person's heading is `wrap(pi - rot_z)`, and `heading_check` compares it with the person's motion. If a
+refused record may be a person's, all rows of its frame are dropped, because any box of the frame could then belong to
+another person than its label id says.
 """
 
 from __future__ import annotations
@@ -35,11 +36,13 @@ from jrdb_avr.loaders.report import Heading
 from jrdb_avr.schema.rules import FPS, frames
 
 NUMBERS: Final = ("cx", "cy", "cz", "l", "w", "h", "rot_z")
+"""Members of a box: centre, length, width and height in metres, and rotation in radians."""
 MOVING_MPS: Final = 0.5
+"""Minimum speed, in metres per second, of the people that the check of headings uses."""
 
 
 class Attributes3D(msgspec.Struct, gc=False, frozen=True):
-    """The `attributes` object. A missing attribute is None."""
+    """The object `attributes` of a record. A missing attribute is None."""
 
     distance: float | None = None
     num_points: float | None = None
@@ -51,7 +54,7 @@ Box: Final = msgspec.defstruct("Box", [(name, float) for name in NUMBERS], gc=Fa
 
 
 class Record3D(msgspec.Struct, gc=False):
-    """One person in one frame."""
+    """Record of one person in one frame."""
 
     label_id: str
     box: Box  # type: ignore[valid-type]
@@ -64,8 +67,15 @@ _READER: Final = RecordReader(Record3D)
 def load_3d(path: Path, problems: Problems) -> LayerTables:
     """Read a 3D label file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The table `boxes_3d`, and the frames of the layer `3d`.
+
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     codes: dict[str, Distinct] = defaultdict(Distinct)
     columns, listed, complete = gather(path, ("pcd", "pcb"), _READER, lambda fields: _take(fields, codes), problems)
@@ -105,13 +115,14 @@ def load_3d(path: Path, problems: Problems) -> LayerTables:
 
 
 def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:
+    """Return the columns of a batch of records. `numbers` has the shape (n, 7), in the order of `NUMBERS`."""
     n = len(fields["box"])
     numbers = chain.from_iterable(map(msgspec.structs.astuple, fields["box"]))
     attributes: list[Any] = [item or Attributes3D() for item in fields["attributes"]]
     return {
         **take_fields(fields, ("label_id",), codes),
         "numbers": np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)),
-        # None becomes NaN. JSON has no NaN, so NaN means "missing" from here on.
+        # JSON has no NaN, so NaN can mean "missing" from here on. numpy converts None to NaN.
         "distance": np.array([item.distance for item in attributes], np.float64),
         "points": np.array([item.num_points for item in attributes], np.float64),
         "flags": numbered(codes["flags"], [(item.interpolated, item.no_eval) for item in attributes], n),
@@ -119,9 +130,16 @@ def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:
 
 
 def heading_check(table: pa.Table) -> Heading:
-    """Return the median angle between heading and displacement over one second, for people faster than 0.5 m/s.
+    """Compare the headings of people faster than `MOVING_MPS` with their displacements over one second.
 
-    Positions are in the robot frame, so a driving robot blurs the measure. A reversed sign is visible anyway.
+    Positions are relative to the robot, so the angles are less exact if the robot drives. A heading with the wrong sign
+    is noticed nevertheless.
+
+    Args:
+        table: annotation table `boxes_3d`.
+
+    Returns:
+        The number of displacements, and the median angle between heading and displacement.
     """
     located = read_located(table)
     step = frames(1.0)

@@ -1,8 +1,9 @@
-"""The cameras of a JRDB root: `calibration/cameras.yaml` -> the table `calibration`, and a check of our constants.
+"""Loader of the camera calibration, which makes the table `calibration` from `calibration/cameras.yaml`.
 
-Under `cameras`, each `sensor_N` has a `width`, a `height` and a 3x3 matrix `K`, written as nine numbers in one text:
-fx 0 cx, 0 fy cy, 0 0 1, in pixels. JRDB publishes its file in this layout (also in StanfordVL/JRMOT_ROS). The rows of
-the panorama follow from the medians of fy and cy over the cameras (`schema.panorama`).
+Under `cameras`, each `sensor_N` has a `width`, a `height` and a 3x3 matrix `K`. The matrix is one string of nine
+numbers in pixels: fx 0 cx, 0 fy cy, 0 0 1. JRDB publishes its file in this layout (also in StanfordVL/JRMOT_ROS).
+`schema.panorama` computes rows of the panorama with two constants. They should equal the medians of fy and cy over the
+cameras, and `cameras_check` compares them.
 """
 
 from __future__ import annotations
@@ -26,14 +27,15 @@ from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 _MAX_BYTES: Final = 64 << 10
-"""Maximum bytes of the file, twenty times the real file. The parser takes a second for a file of this size."""
+"""Maximum bytes of the file. JRDB's file is twenty times smaller. The parser takes a second for the maximum."""
 MAX_PIXELS: Final = 100_000
+"""Maximum width, height, focal length and centre of a camera in pixels."""
 TOLERANCE: Final = 0.05
-"""Maximum relative difference between the cameras' medians and the panorama's constants."""
+"""Maximum relative difference between a median over the cameras and the constant of the panorama."""
 
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
-# All sequences of a root share the file, and the parser takes as long as the reader of hundreds of frames.
+# All sequences of a root share the file, and its parser is slow. Therefore the last tree is kept.
 _tree: Final = functools.lru_cache(maxsize=1)(lambda text: yaml.compose(text, yaml.SafeLoader))
 
 _Row = tuple[str, int | None, int | None, float, float, float, float]
@@ -42,8 +44,15 @@ _Row = tuple[str, int | None, int | None, float, float, float, float]
 def load_calibration(path: Path, problems: Problems) -> LayerTables:
     """Read the cameras of a root.
 
+    Args:
+        path: `cameras.yaml`.
+        problems: counter of refused parts.
+
+    Returns:
+        The table `calibration`, sorted by camera, without frames.
+
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     rows: list[_Row] = []
     for name, node in _cameras(path, problems).items():
@@ -57,7 +66,7 @@ def load_calibration(path: Path, problems: Problems) -> LayerTables:
 
 
 def cameras_check(table: pa.Table) -> Cameras | None:
-    """Compare the medians over the cameras with the constants for rows of the panorama. Return None without cameras."""
+    """Compare the medians of fy and cy with the constants of the panorama. Return None if the table is empty."""
     if not table.num_rows:
         return None
     fy, cy = float(np.median(table["fy"].to_numpy())), float(np.median(table["cy"].to_numpy()))
@@ -66,9 +75,9 @@ def cameras_check(table: pa.Table) -> Cameras | None:
 
 
 def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
-    """Return the nodes under `cameras` by name.
+    """Return the YAML nodes under `cameras` by name.
 
-    Only the tree of the text is built, without values: aliases are not followed, and tags have no effect.
+    The text is only parsed to nodes, and no values are constructed. Therefore tags have no effect.
     """
     text = read_file(path)
     if len(text) > _MAX_BYTES:
@@ -80,7 +89,7 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
         line = f" in line {mark.line + 1}" if mark else ""
         raise InputError(f"{path.name}: not YAML{line}", file=path.name) from None
     except (RecursionError, UnicodeError, ValueError):
-        raise InputError(f"{path.name}: not YAML that can be read", file=path.name) from None
+        raise InputError(f"{path.name}: cannot be read as YAML", file=path.name) from None
     cameras = _members(top, "", problems).get("cameras")
     if not isinstance(cameras, yaml.MappingNode):
         raise InputError(f'{path.name}: there is no mapping "cameras"', file=path.name)
@@ -88,20 +97,20 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
 
 
 def _members(node: yaml.Node | None, name: str, problems: Problems) -> dict[str, yaml.Node]:
-    """Return the members of a mapping, the first of equal keys; nothing for any other node."""
+    """Return the members of a mapping, or {} for any other node. If a key is repeated, its first value is kept."""
     members: dict[str, yaml.Node] = {}
     for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
         if not isinstance(key, yaml.ScalarNode):
-            problems.add("field", "key is not text", frame=name)
+            problems.add("field", "key is not a string", frame=name)
         elif key.value in members:
-            problems.add("field", "key twice, the first is kept", frame=name, field=shorten(key.value))
+            problems.add("field", "key is repeated, the first is kept", frame=name, field=shorten(key.value))
         else:
             members[key.value] = value
     return members
 
 
 def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
-    """Return a row of the table. Raise ValueError if the matrix is unusable."""
+    """Return a camera's row of the table. Raise ValueError if its matrix is unusable."""
     sensor = records.read_text(name)
     values = _members(node, sensor, problems)
     sizes: list[int | None] = []
@@ -126,7 +135,7 @@ def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
 
 
 def _texts(node: yaml.Node) -> list[str]:
-    """Return the nine texts of a matrix, which is one text, a list, or three lists of three."""
+    """Return the elements of a matrix as strings. The node is one string, a list of nine, or three lists of three."""
     if isinstance(node, yaml.ScalarNode):
         return str(node.value).split()
     if not isinstance(node, yaml.SequenceNode):

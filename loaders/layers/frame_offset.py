@@ -1,14 +1,17 @@
-"""Check whether two layers number their frames alike, by the people in both.
+"""Check whether a layer numbers its frames like the 2D layer, by comparing the people in both layers.
 
-Train files come in two numberings that are two frames apart, and no file states its numbering. A layer at frame f is
-compared with the 2D boxes at frame f + s. There are two tests:
+Files of the train sequences use two numberings that are two frames apart, and no file states its numbering. The people
+of a layer at frame f are compared with the 2D boxes at frame f + s. There are two tests:
 
-- Equal boxes, for layers that repeat the 2D boxes: the shift is the s with the most equal boxes.
-- Motion, for 3D boxes: a person's 3D box may be off to one side throughout, camera and lidar are read up to 40 ms
-  apart, and standing people show nothing. Therefore the distance between the two columns of a person is regressed on
-  the speed of the column. The slope is the shift in frames. Its error comes from independent spells of people and time.
+- Equal boxes, for layers that repeat the 2D boxes. The shift is the s with the most equal boxes.
+- Motion, for 3D boxes. A 3D box cannot equal a 2D box, and may be too far left or right in every frame. Camera and
+  lidar are read up to 40 ms apart, and standing people show no shift. Therefore the horizontal distance between a
+  person's 3D box and 2D box is regressed on the person's horizontal speed in the panorama. The slope is the shift in
+  frames. Its standard error is the larger of two estimates: from blocks of frames of each person, and from blocks of
+  frames of all people.
 
-Columns are centres of people in stitched pixels. For 3D boxes they follow from the azimuth a: 3760 * (0.5 - a / 2 pi).
+The column of a person is the horizontal centre of the person in pixels of the panorama. For a 3D box at the azimuth a
+it is 3760 * (0.5 - a / 2 pi).
 """
 
 from __future__ import annotations
@@ -27,60 +30,75 @@ from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.panorama import WIDTH, angle_of_azimuth, column_of_angle
 
 TRIED: Final = (0, 1, -1, 2, -2)
-"""Shifts in frames that are tried."""
+"""Shifts in frames that the tests can find."""
 MAX_ROWS: Final = 20_000
-"""Maximum boxes that are compared. Of more boxes, evenly spread ones are taken."""
+"""Maximum number of boxes that are compared. If there are more, every nth box is taken."""
 
 SAME: Final = 1.0
-"""Maximum distance of equal boxes in pixels."""
+"""Maximum difference in pixels between the coordinates of equal boxes."""
 MIN_LEAD: Final = 20
-"""Minimum number of equal boxes that a shift has more than any other shift."""
+"""Minimum difference between the numbers of equal boxes at the best and at the second best shift."""
 SHIFTED_SHARE: Final = 0.9
-"""Minimum share of equal boxes for the claim that a layer is shifted."""
+"""Minimum share of equal boxes among the compared boxes for the result "shifted"."""
 AGREEING_SHARE: Final = 0.5
-"""Minimum share of equal boxes for the claim that a layer is not shifted."""
+"""Minimum share of equal boxes among the compared boxes for the result "agrees"."""
 
 MAX_GAP: Final = 15
-"""Maximum frames between two boxes of a person that are joined by a straight line."""
+"""Maximum distance in frames between two boxes of a person for interpolation between them."""
 REACH: Final = 4
-"""Frames to both sides for the speed of a column."""
+"""Distance in frames to the earlier and the later column that give the speed at a frame."""
 MAX_SPEED: Final = 40.0
-"""Maximum speed of a column in pixels per frame."""
+"""Maximum speed of a person's column in pixels per frame. Faster observations are ignored."""
 MAX_APART: Final = 300.0
-"""Maximum distance of two columns of a person in pixels."""
+"""Maximum distance in pixels between a person's columns in two layers. Larger distances are ignored."""
 SPELL: Final = 45
-"""Frames of a person, or of all people, that count as one observation."""
+"""Length of a block in frames. The standard error treats each block as one independent observation."""
 MAX_SPELL_SHARE: Final = 0.05
-"""Maximum share of all motion that one spell adds. One fast person must not outweigh all others."""
+"""Maximum weight of one block, as a share of all motion, so that one fast person does not outweigh all others."""
 MIN_SPELLS: Final = 10.0
+"""Minimum effective number of blocks with motion."""
 MIN_TRACKS: Final = 2.0
+"""Minimum effective number of people with motion."""
 CLOCK: Final = 0.7
-"""Maximum apparent shift in frames between sensors that are read at different moments."""
+"""Maximum apparent shift in frames that arises because camera and lidar are read at different moments."""
 MIN_RESPONSE: Final = 0.5
-"""Minimum share of a planted shift that the slope must show, or agreement is not claimed."""
+"""Minimum value of `response_of` for the result "agrees"."""
 ERRORS_BEYOND: Final = 3.0
-"""Standard errors by which a shift must exceed `CLOCK`."""
+"""Minimum margin in standard errors.
+
+For the result "shifted", a shift must exceed `CLOCK` by the margin. For the result "agrees", it must stay below the
+value of `response_of` by the margin.
+"""
 ERRORS_AWAY: Final = 6.0
-"""Standard errors by which a shift must exceed zero."""
+"""Minimum size of a shift in standard errors for the result "shifted"."""
 
 NO_BOXES: Final = "the 2D layer has no boxes to compare with"
 NO_COMMON_PERSON: Final = "no person is in both layers"
 TOO_STILL: Final = "too few of the people in both layers move enough to tell"
-FOREIGN: Final = "the boxes fit the 2D boxes at no shift of up to 2 frames"
+FOREIGN: Final = "no shift of up to 2 frames makes the boxes fit the 2D boxes"
 
 
 @dataclass(frozen=True)
 class Tracks(Rows):
-    """Positions of the people of a layer, sorted by track and frame."""
+    """Positions of the people of a layer, with one row per person and frame, sorted by track and frame."""
 
     frame: Ints
     track: Ints
     column: Floats
+    """Horizontal centres of the people, in pixels of the panorama."""
     box: Floats | None
-    """Boxes in the panorama, shape (n, 4), or None for a layer without boxes there."""
+    """Boxes x, y, width, height in pixels of the panorama, shape (n, 4). None for 3D boxes."""
 
     def columns_at(self, track: Ints, frame: Ints) -> Floats:
-        """Return columns of people at any frame, on straight lines between the layer's frames, NaN beyond them."""
+        """Return the column of each person at a frame, by linear interpolation between the person's frames.
+
+        Args:
+            track: tracks of the people.
+            frame: frame for each track.
+
+        Returns:
+            The columns in pixels: NaN before a person's first frame, after the last, and in gaps above `MAX_GAP`.
+        """
         key, after = self._rows_from(track, frame)
         before = np.where(self._keys[after] == key, after, np.maximum(after - 1, 0))
         start, end = self._keys[before], self._keys[after]
@@ -89,14 +107,14 @@ class Tracks(Rows):
         return np.asarray(self.column[before] + part * _difference(self.column[after], self.column[before]))
 
     def boxes_at(self, track: Ints, frame: Ints) -> Floats:
-        """Return boxes of people at frames of the layer, shape (n, 4), NaN for a missing box."""
+        """Return the box of each person at a frame, shape (n, 4). It is NaN if the person has no box at the frame."""
         assert self.box is not None
         key, row = self._rows_from(track, frame)
         present = (self._keys[row] == key) & (frame >= 0)
         return np.where(present[:, None], self.box[row], np.nan)
 
     def _rows_from(self, track: Ints, frame: Ints) -> tuple[Ints, Ints]:
-        """Return the key of each person and frame, and the first row at or after the key."""
+        """Return a key for each person and frame, and the index of the first row at or after the key."""
         key = paired(track, np.maximum(frame, 0))
         return key, np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
 
@@ -106,16 +124,21 @@ class Tracks(Rows):
 
 
 class Slope(NamedTuple):
-    """A shift in frames, estimated from motion, and its standard error."""
+    """Shift in frames that is estimated from motion, and its standard error in frames."""
 
     frames: float
     error: float
 
 
 def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
-    """Return the people of a file, or None for a layer without positions.
+    """Return the positions of the people in a file, or None for a layer without boxes.
 
-    Poses are left out: the visible points lead or trail a walking person, which looks like a shift.
+    Poses are not used, because the visible key points are ahead of or behind a walking person. That would look like a
+    shift.
+
+    Args:
+        layer: name of the layer.
+        reading: tables of the file.
     """
     if layer == "3d":
         return _tracks_3d(reading.tables["boxes_3d"])
@@ -124,7 +147,16 @@ def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
 
 
 def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCheck:
-    """Compare the people of a layer with the 2D boxes."""
+    """Check whether a layer numbers its frames like the 2D layer.
+
+    Args:
+        layer: name of the layer.
+        tracks: people of the layer.
+        reference: people of the 2D layer, or None if the sequence has no usable 2D file.
+
+    Returns:
+        The result `agrees`, `shifted` or `not tested`, with the reason.
+    """
     if reference is None or not len(reference.frame):
         return ShiftCheck(layer, "not tested", NO_BOXES)
     shared = np.isin(tracks.track, reference.track)
@@ -150,7 +182,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
 
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
-    """Return the shift with the most boxes equal to the reference, or None if no shift is clearly best."""
+    """Return the shift with the most boxes that equal a box of the reference, or None if no shift is clearly best."""
     assert tracks.box is not None
     apart = [_difference(tracks.box, reference.boxes_at(tracks.track, tracks.frame + s)) for s in TRIED]
     compared = [int((~np.isnan(difference[:, 0])).sum()) for difference in apart]
@@ -162,10 +194,10 @@ def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
 
 
 def response_of(tracks: Tracks, reference: Tracks) -> float:
-    """Return the change of the slope for a layer that is moved by one frame: 1 if all motion is real.
+    """Return how much the slope changes if the layer is moved by one frame on purpose.
 
-    It is near 0 if the boxes of standing people are only drawn a little elsewhere each time. Then a slope of zero does
-    not prove agreement.
+    The result is 1 if all motion is real. It is near 0 if people stand and only the annotated positions of their boxes
+    vary. In that case a slope of zero does not prove that the layers agree.
     """
     slopes = [slope_of(tracks, reference, moved) for moved in (-1, 1)]
     if slopes[0] is None or slopes[1] is None:
@@ -174,15 +206,15 @@ def response_of(tracks: Tracks, reference: Tracks) -> float:
 
 
 def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
-    """Estimate the shift by regression on motion.
+    """Estimate the shift of a layer by a regression of distances on speeds.
 
     Args:
         tracks: people of the layer.
         reference: people of the 2D layer.
-        moved: frames by which the layer is moved before the comparison.
+        moved: number of frames to add to the frames of the layer before the comparison.
 
     Returns:
-        The shift, or None if too little moves for an estimate with an error.
+        The shift and its standard error, or None if too few people move to estimate both.
     """
     frame = tracks.frame + moved
     apart = _difference(tracks.column, reference.columns_at(tracks.track, frame))
@@ -217,6 +249,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
 
 
 def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
+    """Return the result for a known shift. `slope` is its estimate from motion, or None if boxes were equal."""
     if shift:
         about = "about " if slope else ""
         reason = f"agrees with the 2D boxes only when moved by {about}{shift:+d} frames: renumber it or load without it"
@@ -230,7 +263,7 @@ def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
 
 def _tracks_2d(table: pa.Table) -> Tracks:
     box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
-    # The centre of a box that is cut off at the seam is not the centre of the person.
+    # A box that is cut off at the seam is left out, because its centre is not the centre of the person.
     whole = (box[:, 0] > SAME) & (box[:, 0] + box[:, 2] < WIDTH - SAME)
     return _sorted(table, box[:, 0] + box[:, 2] / 2, box, whole)
 
@@ -241,13 +274,14 @@ def _tracks_3d(table: pa.Table) -> Tracks:
 
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:
+    """Return the usable rows, sorted by track and frame."""
     tracks = Tracks(whole_numbers(table, "frame"), whole_numbers(table, "track"), column, box)
     order = ascending(tracks.track, tracks.frame)
     return tracks.at(order[usable[order]])
 
 
 def _difference(a: Floats, b: Floats) -> Floats:
-    """Return the differences of columns, or of boxes with shape (n, 4). Columns differ by the short way round."""
+    """Return `a - b` for columns or for boxes of shape (n, 4). Columns differ by the shorter way round the image."""
     difference = a - b
     columns = difference if difference.ndim == 1 else difference[:, 0]
     columns[:] = (columns + WIDTH / 2) % WIDTH - WIDTH / 2
@@ -255,10 +289,11 @@ def _difference(a: Floats, b: Floats) -> Floats:
 
 
 def _without_means(values: Floats, track: Ints) -> Floats:
+    """Subtract from each value the mean over its track."""
     _, group = rank_values(track)
     return values - (np.bincount(group, values) / np.bincount(group))[group]
 
 
 def _effective(weights: npt.NDArray[Any]) -> float:
-    """Return the number of equal weights with the same spread."""
+    """Return the effective number of weights: the squared sum over the sum of squares."""
     return float(weights.sum() ** 2 / (weights * weights).sum())

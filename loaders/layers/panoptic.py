@@ -1,8 +1,9 @@
-"""The panoptic layer: `labels_2d_panoptic_stitched_CW/<sequence>.json` -> the tables `panoptic` and `categories`.
+"""Loader of the panoptic layer, from `labels_2d_panoptic_stitched_CW/<sequence>.json`.
 
-Masks of things and of their surroundings, once per second. A thing is known by its track and its category together:
-tracks restart in each category. Category numbers belong to the file, so its list of names is stored too. People are
-annotated here as well; they stay in the table, but only the box layers count people.
+It makes the tables `panoptic` and `categories`. The files have masks of things and of their surroundings for one frame
+per second. Tracks restart in each category, so a thing is identified by its track and its category together. Category
+ids have a meaning only inside one file, so the names of its categories are stored too. The files also annotate people.
+These rows are kept in the table, but people are counted from the box layers only.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.coco import (
+    ImageId,
     Images,
-    Index,
-    Number,
+    ShortId,
     categories_table,
     open_coco,
     read_categories,
@@ -37,26 +38,28 @@ from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Ints
 
 MAX_SEGMENTATION: Final = 1 << 20
-"""Maximum bytes of a stored mask. A mask of every second pixel of the panorama takes about as much."""
+"""Maximum bytes of a mask. A mask of every second pixel of the panorama has about this size."""
 NO_TRACK: Final = -1
+"""Track of a record without a usable track. Some files write this value for a missing track."""
 
 _NO_BOX: Final = (math.nan,) * 4
 
 Track = int | float | str | None
+"""Track as written in a file."""
 
 
 class Attributes(msgspec.Struct, gc=False):
-    """The `attributes` object. Some files have the track here."""
+    """The object `attributes` of a record. In some files it holds the track."""
 
     tracking_id: Track = None
     floor_id: Track = None
 
 
 class SegmentAnnotation(msgspec.Struct, gc=False):
-    """One thing, or a whole kind of surroundings, in one image."""
+    """Record of one thing in one image, or of all surroundings of one category, such as the floor."""
 
-    image_id: Number
-    category_id: Index
+    image_id: ImageId
+    category_id: ShortId
     tracking_id: Track = None
     attributes: Attributes | None = None
     bbox: StitchedBox | None = None
@@ -66,7 +69,7 @@ class SegmentAnnotation(msgspec.Struct, gc=False):
 
 
 class RunLengths(msgspec.Struct, gc=False):
-    """A mask as run lengths, column by column: numbers, or packed into text."""
+    """Mask in the run-length format of COCO, column by column. `counts` is a list or COCO's packed string."""
 
     size: tuple[int, int]
     counts: str | list[int]
@@ -79,8 +82,15 @@ _SEGMENTATION: Final = msgspec.json.Decoder(RunLengths | list[list[float]])
 def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     """Read a panoptic file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The tables `panoptic` and `categories`, and the frames of the layer `panoptic`.
+
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     file = open_coco(path)
     images = Images(file, path.stem, problems)
@@ -93,7 +103,7 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     columns = {name: np.concatenate(parts.pop(name)) for name in list(parts)}
     frame, track, category = (columns[name] for name in ("frame", "object", "category_id"))
     refusals = Refusals(frame, problems)
-    # By frame, category and track. Things without a track come last, in the order of the file.
+    # Records of the same thing must be neighbours, so rows are sorted by frame, category and track.
     rows = ascending(frame, category, track == NO_TRACK, track)
     same = np.zeros(len(rows), np.bool_)
     same[1:] = track[rows[1:]] != NO_TRACK
@@ -128,7 +138,7 @@ def _number_column(values: npt.NDArray[Any]) -> pa.Array:
 
 
 def _item(values: Any) -> Callable[[int], object]:
-    """Return a function that returns the value of a row, for the report."""
+    """Return a function that takes a row index and returns the value of the row for the report."""
     return lambda row: int(values[row])
 
 
@@ -136,7 +146,7 @@ def _item(values: Any) -> Callable[[int], object]:
 
 
 def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> dict[str, Any]:
-    """Return the columns of the annotations with a frame. A missing number is NaN."""
+    """Return the columns of those annotations that have a frame. A missing number is NaN."""
     rows = np.flatnonzero(frame >= 0)
     chunk = [chunk[row] for row in rows.tolist()]
     refusals = Refusals(frame[rows], problems)
@@ -151,7 +161,7 @@ def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> di
 
 
 def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
-    """Return the first track under the three names, or NO_TRACK for a missing or unusable track."""
+    """Return the track from the first of three fields that is present. Return NO_TRACK if it is missing or unusable."""
     inner = annotation.attributes or Attributes()
     values = (annotation.tracking_id, inner.tracking_id, inner.floor_id)
     value = next((value for value in values if value is not None), NO_TRACK)
@@ -163,7 +173,7 @@ def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
 
 
 def _segmentations(chunk: Sequence[SegmentAnnotation], refusals: Refusals) -> pa.Array:
-    """Return the masks as text without blanks. A missing or unusable mask is null."""
+    """Return the masks as JSON strings without blanks. A missing or unusable mask is null."""
     texts: list[bytes | None] = []
     for row, annotation in enumerate(chunk):
         raw = bytes(annotation.segmentation)
@@ -176,7 +186,7 @@ def _segmentations(chunk: Sequence[SegmentAnnotation], refusals: Refusals) -> pa
 
 
 def _compact(raw: bytes) -> bytes:
-    """Return a mask without blanks. Raise ValueError if it is neither run lengths nor polygons."""
+    """Return the JSON of a mask without blanks. Raise ValueError if it is neither run lengths nor polygons."""
     if len(raw) > MAX_SEGMENTATION:
         raise ValueError(f"larger than {MAX_SEGMENTATION >> 20} MB")
     try:

@@ -1,7 +1,8 @@
-"""The pose layer: `labels_2d_pose_stitched_coco/<sequence>.json` -> the annotation table `poses`.
+"""Loader of the pose layer, which makes the table `poses` from `labels_2d_pose_stitched_coco/<sequence>.json`.
 
-Seventeen points per person in stitched pixels, stored as written: they may lie past column 3760 or before column 0, and
-occluded points have coordinates too. Only a part of the people have a pose, so a missing pose proves nothing.
+A pose has seventeen key points of a person in pixels of the panorama. They are stored as written, so a point may be
+outside the columns 0 to 3760, and an occluded point has coordinates too. Only some people have poses, so a missing pose
+proves nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
-from jrdb_avr.loaders.labelfiles.coco import Images, Index, Number, open_coco, read_chunks
+from jrdb_avr.loaders.labelfiles.coco import ImageId, Images, ShortId, open_coco, read_chunks
 from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, first_of_equal, known_frames, mask_of
 from jrdb_avr.loaders.labelfiles.frames import RecordReader
 from jrdb_avr.loaders.labelfiles.records import NOTHING
@@ -24,15 +25,16 @@ from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Floats, Ints
 
 POINTS: Final = 17
+"""Number of key points of a pose."""
 VALUES: Final = 3 * POINTS
-"""Numbers of a pose: x, y and visibility of each point."""
+"""Number of values of a pose: x, y and visibility of each key point."""
 
 
 class PoseAnnotation(msgspec.Struct, gc=False):
-    """One person in one image."""
+    """Record of one person in one image."""
 
-    image_id: Number
-    track_id: Index
+    image_id: ImageId
+    track_id: ShortId
     keypoints: tuple[(float,) * VALUES]  # type: ignore[valid-type]
     id: msgspec.Raw = NOTHING
 
@@ -44,8 +46,15 @@ _PACKED: Final = struct.Struct(f"{VALUES}d")
 def load_pose(path: Path, problems: Problems) -> LayerTables:
     """Read a pose file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The table `poses`, and the frames of the layer `pose`.
+
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     file = open_coco(path)
     images = Images(file, path.stem, problems)
@@ -72,7 +81,7 @@ def load_pose(path: Path, problems: Problems) -> LayerTables:
 
 
 def _usable(frame: Ints, values: Floats, problems: Problems) -> Ints:
-    """Return the rows with a frame and usable points, of values with shape (n, 51)."""
+    """Return the indices of the poses that have a frame and usable key points. `values` has the shape (n, 51)."""
     refusals = Refusals(frame, problems)
     points = values.reshape(-1, POINTS, 3)
     near = (np.abs(points[:, :, :2]) <= records.MAX_PIXEL).all(axis=(1, 2))

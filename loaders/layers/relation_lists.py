@@ -1,13 +1,13 @@
-"""Lists of relations inside a record: `H-interaction` (or `HHI`) with people, `HOI` with things.
+"""Reader of the lists of relations in a person's record: `H-interaction` or `HHI` to people, `HOI` to things.
 
-An entry is `{"pair": ..., "inter_labels": {label: difficulty}}`. Further members are not read (a partner's box can be
-stale). Entries change from frame to frame, but their pairs and labels repeat: these are numbered, and each distinct one
-is decoded once.
+An entry of a list is `{"pair": ..., "inter_labels": {label: difficulty}}`. Further members are ignored, because the box
+of a partner may be from an earlier frame. Entries differ between frames, but their pairs and labels repeat. Therefore
+each distinct pair and each distinct object of labels gets a code and is decoded once.
 
-A list is *whole* if nothing of it was refused: then every relation that it lacks is false. An entry is refused if its
-pair cannot be read or is the person itself, or if its labels are not an object. A label "impossible" gives no fact, and
-its list is not whole. A list with a label outside the vocabulary is not whole either, because the label may be another
-word for any relation. If a difficulty cannot be read, the label is kept as an unknown fact.
+A list is *whole* if no part of it was refused. Then every relation that it lacks is known to be false. An entry is
+refused if its pair cannot be read or is the person itself, or if its labels are not an object. A label "impossible"
+gives no fact, and its list is not whole. A list with a label outside the vocabulary is not whole either, because the
+label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as an unknown fact.
 """
 
 from __future__ import annotations
@@ -33,21 +33,29 @@ _DIGITS: Final = re.compile(r"[0-9]{1,10}")
 
 
 class Entry(msgspec.Struct, gc=False):
-    """A relation as written."""
+    """Entry of a list of relations, as written."""
 
     pair: msgspec.Raw = NOTHING
     inter_labels: msgspec.Raw = NOTHING
 
 
 def person_of(pair: object) -> tuple[int]:
-    """Return the partner's track, from "pedestrian:9", "9" or 9. Raises ValueError."""
+    """Return the track of the partner from a pair such as "pedestrian:9", "9" or 9.
+
+    Raises:
+        ValueError: If the pair is not of a person.
+    """
     if isinstance(pair, str) and not _DIGITS.fullmatch(pair):
         return (records.read_track(pair),)
     return (records.read_whole(pair, 0, records.MAX_TRACK),)
 
 
 def thing_of(pair: object) -> tuple[int, int]:
-    """Return the track and category of a thing in the panoptic layer. Raises ValueError."""
+    """Return the track and the category id of a thing, as in the panoptic layer, from a pair [track, category id].
+
+    Raises:
+        ValueError: If the pair is not a list of two ids.
+    """
     if not isinstance(pair, list) or len(pair) != 2:
         raise ValueError("not a track and a category")
     return records.read_whole(pair[0], 0, records.MAX_TRACK), records.read_whole(pair[1], 0, records.MAX_TRACK)
@@ -55,23 +63,25 @@ def thing_of(pair: object) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class RelationKind:
-    """One kind of list of relations in the label files."""
+    """Description of one kind of relation: the form of its lists in the files, and its annotation table."""
 
     layer: str
-    """Name of its annotation table, and of the field of its records."""
+    """Name of the annotation table."""
     key: str
-    """Usual key in the files."""
+    """Key of the list in a record. Problems are reported under this key."""
     read_pair: Callable[[object], tuple[int, ...]]
+    """Function that returns the values of `ends` from a decoded pair, or raises ValueError."""
     ends: tuple[str, ...]
-    """Columns of the table for the content of a pair."""
+    """Columns of the table that identify the partner or the thing."""
     label: str
-    """Column of the table for the label."""
+    """Column of the table that holds the label."""
     normal: Callable[[str], str]
     """Function that returns the vocabulary's spelling of a label."""
     vocabulary: Collection[str]
+    """Known labels."""
 
     def decode(self, raw: bytes, decoded: Decoded) -> None:
-        """Decode the labels of an entry to (label, label as written, difficulty)."""
+        """Add (label, label as written, difficulty) to `decoded` for each label in the raw labels of an entry."""
         for label, code in decoded.labels(raw, self.key):
             name = self.normal(label)
             decoded.whole &= name in self.vocabulary
@@ -79,12 +89,22 @@ class RelationKind:
                 decoded.values.append((name, label, decoded.difficulty(code, self.key)))
 
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
-        """Return the field and label of a fact with a label outside the vocabulary, else None."""
+        """Return the key and the label if the label of a fact is outside the vocabulary, otherwise None."""
         return None if fact[0] in self.vocabulary else (self.key, fact[0])
 
 
 def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: dict[str, Distinct]) -> Columns:
-    """Return the size of each list (-1 for a missing list), and the numbers of pair and labels per entry."""
+    """Return the columns of the lists of a batch of records.
+
+    Args:
+        lists: list of each record, or None if the record has no list.
+        kind: kind of the relations.
+        codes: codes of the distinct raw values by column. New values are added.
+
+    Returns:
+        The column `<layer>.size` has the length of each record's list, or -1 if it is missing. The columns
+        `<layer>.pair` and `<layer>.labels` have one code per entry, with the entries of all records in one sequence.
+    """
     entries = list(chain.from_iterable(filter(None, lists)))
     pairs, labels = (bytes(entry.pair) for entry in entries), (bytes(entry.inter_labels) for entry in entries)
     return {
@@ -95,11 +115,11 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
 
 
 class Relations:
-    """The relations in the lists of the kept people. Refused parts are counted.
+    """Decoded relations of one kind, from the lists of the kept records. Refused parts are counted.
 
-    facts: per fact the person (a row of `people`) and (label, label as written, difficulty). ends: per fact the content
-    of the pair, by column. present: per person, whether the record has the list. refused: per person, whether a part of
-    the list was refused or cannot be known.
+    facts: facts with the content (label, label as written, difficulty); their rows are indices of `people`.
+    ends: partner or thing of each fact, by the columns of `RelationKind.ends`.
+    present: mask of the kept records that have a list. refused: mask of the kept records with a list that is not whole.
     """
 
     def __init__(
@@ -136,7 +156,7 @@ class Relations:
 
 
 def _read_pairs(pairs: Iterable[bytes], kind: RelationKind) -> tuple[Ints, dict[int, list[Issue]]]:
-    """Return the content of each distinct pair, a column per end, and the issues of unreadable pairs."""
+    """Return the content of each distinct pair, with one column per end, and the issues of unreadable pairs by code."""
     issues: dict[int, list[Issue]] = {}
     ends = []
     for i, raw in enumerate(pairs):

@@ -1,11 +1,13 @@
-"""Social and reasoning files: attributes of people and groups, and relations between people and to things.
+"""Loaders of social and reasoning files: attributes of people and groups, and relations to people and things.
 
 `labels_2d_activity_social_stitched/<sequence>.json` and its successors are 2D files with further members in every
-record: demographics and group information (lists of at most one object of label objects), interactions with people, and
-in reasoning files also with things. The first record of a person in a frame counts. Its facts do not need its box; the
-boxes only show whether the frame numbers agree with the 2D layer. If a refused record may be a person, no list of its
-frame is whole, and the attributes of the frame are not used. Demographics and group information repeat from frame to
-frame; each distinct object is decoded once.
+record: demographics, group information and interactions with people. Reasoning files also have relations to things.
+Demographics and group information are lists of at most one object `{key: {label: difficulty}}`. These objects repeat
+between frames, and each distinct object is decoded once.
+
+If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes only
+show whether the file numbers its frames like the 2D layer. If a refused record may be a person's, no list in its frame
+is whole, and the attributes in the frame are not used.
 """
 
 from __future__ import annotations
@@ -36,16 +38,18 @@ from jrdb_avr.schema.things import VERBS, normal_verb
 INTERACTING: Final = RelationKind(
     "interactions", "H-interaction", person_of, ("partner",), "label", normal_interaction, INTERACTIONS
 )
+"""Relations between two people."""
 HANDLING: Final = RelationKind("handles", "HOI", thing_of, ("object", "category_id"), "verb", normal_verb, VERBS)
+"""Relations of a person to a thing."""
 
 ATTRIBUTES: Final = (("demographics", "demographics_info", DEMOGRAPHICS), ("group_info", "group_info", GROUP_INFO))
-"""Layers of attributes, their fields, and the attributes by their keys in the field."""
+"""For each layer of attributes: its name, the key of its list in a record, and its attributes by key in the list."""
 
 _NO_BOX: Final = (math.nan,) * 4
 
 
 class HandlingRecord(msgspec.Struct, gc=False):
-    """One person in one frame, with the relations to things only."""
+    """Record of one person in one frame. Of its lists only the relations to things are decoded."""
 
     label_id: str
     box: StitchedBox | None = None
@@ -53,7 +57,7 @@ class HandlingRecord(msgspec.Struct, gc=False):
 
 
 class SocialRecord(HandlingRecord, gc=False):
-    """One person in one frame, with all fields."""
+    """Record of one person in one frame, with all fields."""
 
     demographics_info: msgspec.Raw = NOTHING
     group_info: msgspec.Raw = NOTHING
@@ -68,27 +72,44 @@ _HANDLING: Final[RecordReader[Any]] = RecordReader(HandlingRecord)
 def load_social(path: Path, problems: Problems) -> LayerTables:
     """Read demographics, interactions and group information of a social file.
 
-    The interactions of a record without `H-interaction` (or `HHI`) are unknown. An empty list means "none".
+    If a record has neither `H-interaction` nor `HHI`, the interactions of the person in the frame are unknown. If the
+    list is empty, the person has no interaction.
+
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The tables of attributes, interactions and complete lists, the frames of each layer, and the boxes of the file.
 
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     return _load(path, problems, (INTERACTING,), False)
 
 
 def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
-    """Read relations to things; with `social` also demographics, interactions and group information.
+    """Read a reasoning file.
 
-    A record without a list of relations has no such relation: in these files a missing list means an empty list.
+    Reasoning files leave out empty lists. If a record lacks the list of a kind of relation, the person therefore has no
+    such relation in the frame.
+
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+        social: True to read demographics, interactions and group information beside the relations to things.
+
+    Returns:
+        The tables of relations, attributes and complete lists, the frames of each layer, and the boxes of the file.
 
     Raises:
-        InputError: the file as a whole cannot be used.
+        InputError: If the file as a whole cannot be used.
     """
     return _load(path, problems, (INTERACTING, HANDLING) if social else (HANDLING,), True)
 
 
 def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absent_is_empty: bool) -> LayerTables:
-    """Return the tables of relations (beside interactions also of attributes), `listed`, and the boxes of the file."""
+    """Read the relations `kinds` of a file. If INTERACTING is one of them, read the attributes too."""
     reader, layers = (_SOCIAL, ATTRIBUTES) if INTERACTING in kinds else (_HANDLING, ())
     codes: dict[str, Distinct] = defaultdict(Distinct)
     coded = ("label_id", *(name for _, name, _ in layers))
@@ -128,7 +149,10 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
 
 
 def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
-    """Return the lists of a kind. The files use two keys for interactions; a record with both has both lists."""
+    """Return each record's list of relations of a kind, or None if the record has no list.
+
+    Interactions are written under two keys. If a record has both, its two lists are joined.
+    """
     if kind is HANDLING:
         return fields["handles"]
     return [
@@ -138,12 +162,13 @@ def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
 
 
 def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.Table:
+    """Return the rows of the table `listed` for the people with a whole list, which the mask `whole` marks."""
     columns = {"frame": people.frame[whole], "track": people.track[whole]}
     return pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns})
 
 
 def _box_table(box: npt.NDArray[np.float64], people: KeptRecords, refusals: Refusals) -> pa.Table:
-    """Return the usable boxes, as `LayerTables` has them."""
+    """Return the usable boxes of the kept records for `LayerTables.boxes`."""
     usable = usable_boxes(box, refusals, "box")
     columns = {"frame": people.frame, "track": people.track, **{name: box[:, i] for i, name in enumerate("xywh")}}
     return pa.table(columns).filter(pa.array(usable))
@@ -153,7 +178,7 @@ def _box_table(box: npt.NDArray[np.float64], people: KeptRecords, refusals: Refu
 
 
 class _AttributeDecoder:
-    """Decoder of a list of at most one object `{key: {label: difficulty}}` to (attribute, value, label, difficulty)."""
+    """Decoder that turns `[{key: {label: difficulty}}]` into facts (attribute, value, label, difficulty)."""
 
     def __init__(self, field: str, keys: Mapping[str, str]) -> None:
         self._field, self._keys = field, keys
@@ -183,7 +208,7 @@ class _AttributeDecoder:
             decoded.values += [(attribute, value, label, difficulty) for value in values]
 
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
-        """Return the field and value of a fact with a value outside the vocabulary, else None."""
+        """Return the field and the value if the value of a fact is outside the vocabulary, otherwise None."""
         attribute, value = fact[:2]
         listed = value is None or value in VALUES[attribute]
         return None if listed else (f"{self._field}.{self._key_of[attribute]}", value)

@@ -1,8 +1,9 @@
-"""Times of frames: `timestamps/<sequence>/frames_img.json` and `frames_pc.json` -> the table `timestamps`.
+"""Loader of the times of frames, which makes the table `timestamps` from two files in `timestamps/<sequence>`.
 
-Seconds since the epoch, one stamp per frame and sensor, strictly increasing with the frames. The frame of an entry is
-its `frame_id`, or the base name of its images or clouds, or both if they agree. An entry that contradicts itself is
-refused. A file with stamps that do not increase with the frames is refused as a whole.
+`frames_img.json` has the stamps of images, and `frames_pc.json` has the stamps of point clouds. A stamp is in seconds
+since the epoch, and each frame has at most one stamp per sensor. The frame of an entry is its `frame_id`, or the number
+in the base names of its images or clouds. If an entry has both and they differ, the entry is refused. If the stamps of
+a file do not strictly increase with the frames, the whole file is refused.
 """
 
 from __future__ import annotations
@@ -24,12 +25,13 @@ from jrdb_avr.schema.arrays import Floats, Ints
 from jrdb_avr.schema.errors import InputError
 
 _MAX_ENTRIES: Final = 100_000
+"""Maximum entries of a file."""
 MAX_SECONDS: Final = 1e11
-"""Maximum stamp. A larger number does not count seconds since the epoch."""
+"""Maximum stamp in seconds. A larger number must have another unit."""
 
 
 class Sensor(NamedTuple):
-    """One of the two files: its sensor, its name, and the suffixes of the files that it lists."""
+    """Sensor with a file of stamps. `suffixes` is a regular expression for the suffixes of the images or clouds."""
 
     name: str
     file: str
@@ -40,7 +42,7 @@ SENSORS: Final = (
     Sensor("clouds", "frames_pc.json", "pcd|pcb|bin"),
     Sensor("images", "frames_img.json", "jpg|jpeg|png"),
 )
-"""Sorted by name, as the table is."""
+"""The two sensors, sorted by name like the rows of the table `timestamps`."""
 
 
 class _Listed(msgspec.Struct, gc=False):
@@ -48,7 +50,7 @@ class _Listed(msgspec.Struct, gc=False):
 
 
 class StampedFrame(msgspec.Struct, gc=False):
-    """One frame of a file, with its images or clouds."""
+    """Entry of a file: the stamp of a frame, and the images or clouds of the frame."""
 
     timestamp: Annotated[float, msgspec.Meta(ge=0, le=MAX_SECONDS)]
     frame_id: Annotated[int, msgspec.Meta(ge=0, le=999_999)] | None = None
@@ -64,10 +66,14 @@ _READER: Final = RecordReader(StampedFrame)
 
 
 def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
-    """Read the two files of a sequence. An unusable file does not cost the other.
+    """Read the two files of a sequence. If one file is missing or unusable, the other file is still used.
+
+    Args:
+        folder: folder `timestamps/<sequence>`.
+        problems: counter of refused files and entries.
 
     Raises:
-        InputError: the folder has neither file, or neither is usable.
+        InputError: If the folder has neither file, or if no file in it is usable.
     """
     columns: dict[str, tuple[Ints, Floats]] = {}
     errors = []
@@ -80,7 +86,7 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
         except OSError as error:
             errors.append(InputError(f"{sensor.file}: cannot be read: {error.strerror}", file=sensor.file))
     if not columns:
-        raise errors[0] if errors else InputError("there is neither frames_img.json nor frames_pc.json")
+        raise errors[0] if errors else InputError("the folder has neither frames_img.json nor frames_pc.json")
     for unusable in errors:
         problems.add("file", str(unusable))
     table = pa.concat_tables(
@@ -92,14 +98,14 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
 
 
 def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
-    """Return the median frames per second over neighbouring stamps in order of frames, or None for fewer than two."""
+    """Return the median of frames per second between successive stamps, or None if there are fewer than two."""
     if len(frame) < 2:
         return None
     return float(np.median(np.diff(frame) / np.diff(np.asarray(seconds, np.float64))))
 
 
 def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Floats]:
-    """Return the frames, ascending, and the stamps of the usable entries."""
+    """Return the frames of the usable entries, ascending, and their stamps in seconds."""
     try:
         entries, _ = _READER.read(decode_file(path, _File).data, problems, lambda raw: sensor.file)
     except msgspec.DecodeError:
@@ -116,9 +122,9 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Float
         if len(frames) == 1:
             stamps.append((frames.pop(), entry.timestamp))
         else:
-            reason = "neither a frame_id nor a file named after a frame"
+            reason = "there is neither a frame_id nor a file name with a frame number"
             if frames:
-                reason = "frame_id and the names of files do not agree"
+                reason = "frame_id and file names are of different frames"
             problems.add("record", reason, frame=sensor.file, field="frame_id", value=_shown(entry, names))
     stamps.sort()
     frame = np.array([frame for frame, _ in stamps], np.int64)
@@ -129,4 +135,5 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Float
 
 
 def _shown(entry: StampedFrame, names: list[str]) -> Any:
+    """Return what the report shows of a refused entry: its frame_id and file names, or its stamp."""
     return entry.timestamp if entry.frame_id is None else (entry.frame_id, *names)

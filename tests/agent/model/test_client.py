@@ -607,7 +607,7 @@ def test_what_cannot_be_read_leaves_no_file_open(tmp_path, monkeypatch):
     before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(20):
         assert calls.read("a") is None
-    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before
     monkeypatch.undo()
     assert calls.read("a").content == "hi"
 

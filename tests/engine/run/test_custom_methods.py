@@ -68,11 +68,11 @@ def test_a_run_is_resumed_under_equal_settings_only(store, tmp_path):
 
 BAD = {
     "nowhere.py:X": "no such file",
-    "json:X": "json has no X",
+    "json:X": "json has no function or class X",
     "no_such_module_at_all:X": "cannot import",
     "json:loads": "cannot be made",
     "json:JSONEncoder": "cannot be made",
-    "builtins:repr": "is no method",
+    "builtins:repr": "does not return a method",
     "{tmp}/broken.py:X": "SyntaxError",
     "{tmp}/raises.py:X": "RuntimeError: not today",
     "{tmp}/ends.py:X": "SystemExit: 0",
