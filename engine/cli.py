@@ -130,7 +130,7 @@ def main() -> None:
         sys.exit(1)
     except UnicodeEncodeError as error:
         # A file name that is not UTF-8 contains surrogate characters, which cannot be written.
-        click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is no Unicode text: use other names", err=True)
+        click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is not Unicode text: use other names", err=True)
         sys.exit(1)
     except OSError as error:
         click.echo(f"jrdb-avr: {error.strerror or error}: {error.filename or ''}", err=True)

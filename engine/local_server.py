@@ -120,14 +120,14 @@ class LocalServer(ThreadingHTTPServer):
         """Return the response of the function to a request. If the request is not allowed, return a refusal."""
         host, origin = headers.get_all("Host", []), headers.get_all("Origin", [])
         if len(host) != 1 or host[0] not in self.hosts or any(own != f"http://{host[0]}" for own in origin):
-            return _refused("this server takes requests of its own pages only")
+            return _refused("this server accepts only requests from its own pages")
         try:
             address = urllib.parse.urlsplit(target)
         except ValueError:
-            return Response(b"no address\n", PLAIN, 400)
+            return Response(b"not an address\n", PLAIN, 400)
         sent, _, path = address.path.removeprefix("/").partition("/")
         if not same_token(sent.encode("utf-8", "replace"), self._token.encode()):
-            return _refused("this address needs its token: open the one that the command printed")
+            return _refused("the token is missing: open the address that the command printed")
         try:
             query = urllib.parse.parse_qs(address.query, errors="replace", max_num_fields=500)
         except ValueError:
@@ -156,7 +156,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not (length.isascii() and length.isdecimal() and len(length) < 8 and int(length) <= _LONGEST_BODY):
             # The body is not read, so it would be taken for the next request of the connection.
             self.close_connection = True
-            self._send(Response(b"a body of a stated length of at most 64 KB is needed\n", PLAIN, 413))
+            self._send(Response(b"the request needs a Content-Length of at most 64 KB\n", PLAIN, 413))
             return
         self._send(self.server.answer("POST", self.path, self.headers, self.rfile.read(int(length))))
 

@@ -43,7 +43,7 @@ class _Object(click.ParamType[dict[str, Any]]):
         try:
             decoded = json.loads(value) if isinstance(value, str) else value
         except (ValueError, RecursionError) as error:
-            self.fail(f"{value[:80]!r} is no JSON: {error}", param, ctx)
+            self.fail(f"{value[:80]!r} is not JSON: {error}", param, ctx)
         if not isinstance(decoded, dict):
             self.fail("it must be a JSON object", param, ctx)
         return decoded

@@ -77,8 +77,8 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
       jrdb-avr evaluate --store S --method agent --model marker --resume
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
-    A public store holds no answers and no labels ('export --public' writes it). It suits a machine that must not have
-    them. On a public store, --family, --template and --per-template are refused, and a world model needs --world-db:
+    A public store ('export --public' writes it) holds no answers and no labels, for machines that must not have the
+    answers. It takes no --family, --template and --per-template. Methods with a world model need --world-db:
 
       jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
@@ -122,7 +122,7 @@ def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
     ):
         reason, count = run.commonest_reason(status)
         if count:
-            ended = f"{row[status]} of {row['n']} questions ended {ending}, {count} of them so: {reason[:300]}"
+            ended = f"{row[status]} of {row['n']} questions ended {ending}, {count} of them because: {reason[:300]}"
             note(f"{prefix}{ended}{remedy}")
 
 
@@ -170,7 +170,7 @@ def _epochs(evaluation: _Evaluation, count: int | None) -> list[_Evaluation]:
     if count is None:
         return [evaluation]
     if count > 1 and options.endpoint.temperature == 0 and options.endpoint.base_url is not None:
-        note("warning: at temperature 0 epochs repeat each other: give --temperature")
+        note("warning: at temperature 0, all epochs give the same answers: give --temperature")
     runs = [replace(options, run=replace(options.run, epoch=epoch)) for epoch in range(1, count + 1)]
     return [evaluation._replace(options=run) for run in runs]
 

@@ -50,7 +50,7 @@ def export(
     if jsonl is hf is public is None:
         raise click.UsageError("say what to write: --public, --hf or --jsonl")
     if (run is None) is (jsonl is not None):
-        raise click.UsageError("--jsonl writes the predictions of a RUN, the others need no RUN")
+        raise click.UsageError("--jsonl needs a RUN; --public and --hf take no RUN")
     if opaque and public is None:
         raise click.UsageError("--opaque is an option of --public")
     if public is not None:

@@ -98,8 +98,8 @@ def generate(
 def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
     """Count the questions of a store by family, template, sequence and answer, and score guessers that see no image.
 
-    The command also prints how many candidates of each template each rule refused, and why a template has few
-    questions. With --json and --csv, the column "table" says which table a row belongs to.
+    The command also prints how many candidates each rule refused per template, and why a template has few questions.
+    With --json and --csv, the column "table" names the table of a row.
     """
     if form and as_latex:
         raise click.UsageError(f"choose one of --{form} and --latex")

@@ -48,7 +48,7 @@ def score(
     from jrdb_avr.engine.report import comparison
 
     if (jsonl and len(runs) > 1) or (bundle and (runs or jsonl)):
-        raise click.UsageError("--jsonl takes one RUN at most, --bundle none and no --jsonl")
+        raise click.UsageError("--jsonl takes at most one RUN, --bundle takes neither RUN nor --jsonl")
     if jsonl is not None:
         from jrdb_avr.engine.run.imported import import_predictions
 
@@ -62,7 +62,7 @@ def score(
             scores = comparison.score(store, runs, iou)
     print_rows(scores.rows, form=form)
     if not form:
-        note(f"percent of n; evidence scores from IoU {iou:g} on")
+        note(f"scores are percent of n; a box is right from IoU {iou:g} on")
     if not form and bundle is None:
         note(f"next: jrdb-avr report --store {store.path} && jrdb-avr view --store {store.path} --answers")
 
@@ -88,9 +88,9 @@ def score(
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
     """Compare the scores of each RUN in tables, or of all runs if no RUN is given.
 
-    Columns of scores are percent of the n questions: answer, evidence, combined, hallucination (a right answer without
-    right evidence) and invalid. 95 % intervals come from a bootstrap over sequences with 10,000 seeded draws. Macro
-    averages are means over the seven families and over the paper's five groups.
+    The columns answer, evidence, combined, hallucination and invalid are percent of the n questions. A hallucination is
+    a right answer without right evidence. 95 % intervals come from a bootstrap over sequences with 10,000 seeded draws.
+    Macro averages are means over the seven families, and over the paper's five groups.
 
     Examples:
       jrdb-avr report --store S
@@ -146,11 +146,9 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
             click.echo((f"% {title}\n" if title else "") + text, nl=False)
         else:
             _print_table(name, rows_of[name], title)
-    note(f"percent of n; evidence scores from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
+    note(f"scores are percent of n; a box is right from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
     if any(map(formats.other_counts, rows_of.values())):
-        note(
-            f"{formats.MARK} another number of questions than most runs: --table pairs compares on those that two share"
-        )
+        note(f"{formats.MARK} fewer or more questions than most runs; --table pairs compares common questions")
     if paper and "ablation" in names:
         from jrdb_avr.engine.report.directions import direction_lines
 

@@ -111,7 +111,7 @@ def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
 
     if not yes:
         if not sys.stdin.isatty():
-            raise click.UsageError("nobody is there to be asked: add --yes")
+            raise click.UsageError("no terminal for the question whether to delete: add --yes")
         click.confirm(f"Delete {', '.join(run_ids)} of {store.path} for good?", abort=True)
     for run_id in dict.fromkeys(run_ids):
         remove_run(store, run_id)
@@ -157,10 +157,10 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     if questions:
         # The columns of right scores already show which run alone is right.
         columns = [name for name in questions[0] if name != "only"]
-        title = f"{len(questions)} questions that one of them alone scores: {score}"
+        title = f"{len(questions)} questions that only one of the runs scores: {score}"
         print_rows(questions, title, columns)
     else:
-        note(f"no question is scored by one of them alone: {score}")
+        note(f"no question is scored by only one of the runs: {score}")
     note(f"next: jrdb-avr view --store {store.path} --answers")
     if compared.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")

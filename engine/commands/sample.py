@@ -17,9 +17,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 @click.option(
     "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Number of frames per sequence."
 )
-@click.option(
-    "--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at any time."
-)
+@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at once.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the synthetic data.")
 @click.option("--no-images", is_flag=True, help="Write label files, but no panoramas.")
 @click.option(

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")
 @store_option()
-@click.option(
-    "--replay", is_flag=True, help="Also repeat all proofs, and run each plan as a Cypher query on the graph."
-)
+@click.option("--replay", is_flag=True, help="Also repeat all proofs, and run each plan as a Cypher query.")
 @executor_option
 @pairs_option("--rule", "overrides", "Rule that was given to 'generate'. May be repeated.")
 @form_option
@@ -27,9 +25,9 @@ def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple
     """Check the questions of a store, and derive all answers and proofs again with a second program.
 
     The command checks files, ids, choices, answers, texts and evidence. The second program reads only the annotation
-    tables, and shares no code with 'generate'. With --replay, 'generate' also proves the stored plans again, and each
-    plan runs as a Cypher query, which must find the stored people and answer. Each difference is printed with question
-    and proof. The exit code is 1 if there is a fault.
+    tables, and shares no code with 'generate'. With --replay, the code of 'generate' also repeats all proofs of the
+    stored plans. Each plan then also runs as a Cypher query on the graph, which must find the stored people and the
+    stored answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override

@@ -82,13 +82,13 @@ class MethodOptions:
     policy: Policy | None = option(
         None,
         "Who chooses the looks of agent and agent-no-world. 'model': the model. 'guided': the model, among the looks "
-        "that the program rates best. 'driven' (default): the program. 'guided' and 'driven' send single pictures.",
+        "that the program rates best. 'driven' (default): the program. 'guided' and 'driven' send pictures one by one.",
         choices=POLICIES,
     )
     history: int | None = option(
         None,
-        "For react, and for agent-no-world with --policy model: send only the last N pictures in each turn, and frame "
-        "and angle of each older picture. Default: send all pictures.",
+        "For react, and for agent-no-world with --policy model: send the last N pictures in each turn, and only frame "
+        "and angle of older pictures. Default: send all pictures.",
         minimum=1,
         metavar="N",
     )
