@@ -1,7 +1,7 @@
 """The command `jrdb-avr`.
 
-Commands live in `engine/commands/` and are imported only when they run, so that `--help` answers at once. Errors of
-this package become one line on stderr and exit code 1; a wrong call is exit code 2.
+The module of a command in `engine/commands/` is imported only when the command runs, so that `--help` is fast. An
+AvrError is printed as one line on stderr, and the exit code is 1. The exit code of a wrong call is 2.
 """
 
 from __future__ import annotations
@@ -21,70 +21,70 @@ from jrdb_avr import __version__
 from jrdb_avr.schema.errors import AvrError, did_you_mean
 
 COMMANDS: Final[dict[str, str]] = {
-    "sample": "Write a synthetic JRDB root with panoramas.",
-    "load": "Read annotations into a store and build its graph.",
-    "generate": "Find questions, prove them and write the benchmark.",
-    "rules": "List the thresholds of the benchmark.",
-    "validate": "Check the question files against the annotations.",
-    "stats": "Count questions; show what a blind guesser scores.",
-    "cypher": "Query the scene graph.",
-    "sql": "Query the Parquet tables.",
-    "schema": "Print the tables of graph and store, or draw them.",
+    "sample": "Write synthetic data in the layout of JRDB.",
+    "load": "Load a copy of JRDB into a store.",
+    "generate": "Find and prove the questions of a store.",
+    "rules": "List the rules of the benchmark.",
+    "validate": "Check the questions, and derive their answers again.",
+    "stats": "Count questions, and score guessers without images.",
+    "cypher": "Query the graph with Cypher.",
+    "sql": "Query the tables with SQL.",
+    "schema": "Print the tables of the graph and of the store.",
     "observe": "Write a crop of a panorama as PNG.",
     "preflight": "Check a model's server before a run.",
-    "calibrate": "Find out how a model writes boxes.",
-    "evaluate": "Run a method on the questions.",
+    "calibrate": "Find out how a model writes coordinates of boxes.",
+    "evaluate": "Let a method answer the questions.",
     "mcp": "Serve the questions to an MCP agent.",
     "play": "Let a person answer the questions in the browser.",
     "world": "Add world models of runs to the graph, or drop them.",
-    "runs": "List, show, compare or remove runs.",
+    "runs": "List, show, compare, merge or remove runs.",
     "score": "Score the predictions of runs.",
-    "report": "Compare runs in a table.",
-    "trace": "Write a page of a run's steps for one question.",
-    "view": "Show questions and runs in the browser.",
-    "export": "Write predictions in the forms of other tools.",
-    "submit": "Write a run as a bundle that others can score.",
-    "inspect": "Write a page on which a person reviews questions.",
-    "demo": "Run everything once on a synthetic world.",
+    "report": "Compare the scores of runs in tables.",
+    "trace": "Write a page with the steps of a run for a question.",
+    "view": "Show runs and questions in the browser.",
+    "export": "Write questions or predictions for other tools.",
+    "submit": "Write a run as a bundle that can be scored.",
+    "inspect": "Write a page to review questions.",
+    "demo": "Run every step once on synthetic data.",
 }
-"""Short help by command. It is kept here because `--help` must not import the modules of the commands."""
+"""Short help text by command. `--help` reads it here, so that it imports no module of a command."""
 
 
 _MODULES: Final = {"cypher": "query", "sql": "query", "stats": "generate", "score": "report", "submit": "export"}
-"""Module by command, for modules that define several commands."""
+"""Name of the module by command, for commands in a module with another name."""
 
 
 class NamingGroup(click.Group):
-    """A group that suggests the nearest name for an unknown command."""
+    """A group of commands that suggests the nearest name if a command is unknown."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return name, command and remaining arguments. Raise UsageError with the nearest name for an unknown one."""
+        """Return name, command and remaining arguments. Raise UsageError if the name is unknown."""
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             raise click.UsageError(f"no command {args[0]!r}{did_you_mean(args[0], self.list_commands(ctx))}", ctx)
         return super().resolve_command(ctx, args)
 
 
 class LazyGroup(NamingGroup):
-    """A group that imports the module of a command when the command is called."""
+    """A group of commands that imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all commands, in the order of the help."""
+        """Return the names of all commands in the order of the help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command, or return None for an unknown name."""
+        """Import a command and return it. Return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name)}")
         command: click.Command = getattr(module, cmd_name, None) or module.command
-        # Click wraps a paragraph of help unless it begins with a backspace character.
+        # Click joins the lines of a paragraph, unless it begins with a backspace character. Examples must keep lines.
         command.help = re.sub(r"\n\n(?=Examples?:\n|  )", "\n\n\b\n", inspect.cleandoc(command.help or ""))
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands without importing them."""
+        """Write the list of commands with their short help texts, without importing modules."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
@@ -97,9 +97,9 @@ class LazyGroup(NamingGroup):
 @click.version_option(__version__)
 @click.pass_context
 def group(ctx: click.Context) -> None:
-    """Active visual reasoning over JRDB: questions with proofs, observations, methods, scores.
+    """Benchmark of active visual reasoning on JRDB: questions with proofs, methods that look and answer, and scores.
 
-    Without a command, print the stores of the working directory and the next steps for each.
+    Without a command, print the stores in the working directory, and the next commands for each.
     """
     if ctx.invoked_subcommand is None:
         steps = importlib.import_module("jrdb_avr.engine.commands._next").next_steps(Path.cwd())
@@ -107,8 +107,8 @@ def group(ctx: click.Context) -> None:
 
 
 def main() -> None:
-    """Entry point of the command line."""
-    # A write past a file-size limit must be an error that is reported, not a signal that kills.
+    """Run the command line. The process ends with the exit code of the command."""
+    # If a file exceeds the size limit, the process must report an error instead of being killed by the signal.
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
         group(standalone_mode=False)
@@ -121,16 +121,16 @@ def main() -> None:
     except AvrError as error:
         from jrdb_avr.engine.console import note
 
-        # The text may come from a server or a file: `note` removes control characters.
+        # The text may come from a server or a file, so `note` removes its control characters.
         note(f"jrdb-avr: {' '.join(str(error).split())}")
         sys.exit(1)
     except BrokenPipeError:
-        # The reader of the output (head, less) has gone: print nothing more, not even at shutdown.
+        # The reader of the output (such as head) has ended. Python must print nothing more, not even when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except UnicodeEncodeError as error:
-        # A lone surrogate, usually from a non-UTF-8 file name; no table can hold it.
-        click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is no Unicode text: use other names", err=True)
+        # A file name that is not UTF-8 contains surrogate characters, which cannot be written.
+        click.echo(f"jrdb-avr: {ascii(error.object)[:200]} is not Unicode text: use other names", err=True)
         sys.exit(1)
     except OSError as error:
         click.echo(f"jrdb-avr: {error.strerror or error}: {error.filename or ''}", err=True)

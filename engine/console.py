@@ -1,7 +1,7 @@
 """Output of the commands: rows as a table, JSON or CSV, notes, and progress bars.
 
-Rows go to stdout, everything else to stderr. `--json` prints exactly one JSON array of row objects, `--csv` the same
-rows under one heading. Text from data files or models is stripped of control characters before it reaches a terminal.
+Rows are printed on stdout, everything else on stderr. `--json` prints exactly one JSON array with an object per row.
+`--csv` prints the same rows. Text from files or models loses its control characters before it reaches a terminal.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.errors import AvrWarning
 
 _FORMULA: Final = ("=", "+", "-", "@", "\t")
-"""First characters of a formula in a spreadsheet; a carriage return is removed."""
+"""Characters that begin a formula in a spreadsheet. A carriage return is missing, because `clean` removes it."""
 
 _WIDTH: Final = 100
-"""Characters per line if the output is not a terminal."""
+"""Characters per line if stdout is not a terminal and `COLUMNS` is not set."""
 
 _ROWS: Final = 100
-"""Maximum rows of a table on a terminal."""
+"""Maximum number of rows of a table on a terminal."""
 
 RowFormat = Literal["", "json", "csv"]
-"""How a command prints its rows: tables for people, one JSON array, or CSV."""
+"""Format of printed rows: "" for text tables, "json" for one JSON array, or "csv"."""
 
 
 def print_json(rows: Iterable[Any]) -> None:
-    """Print one JSON array."""
-    # NaN and infinity are not JSON: msgspec writes null for them. Sums of whole numbers come as decimals.
+    """Print rows as one JSON array."""
+    # msgspec writes NaN and infinity as null. DuckDB returns sums of integers as decimals, which must be numbers too.
     click.echo(msgspec.json.Encoder(enc_hook=str, decimal_format="number").encode(list(rows)))
 
 
 def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
-    """Return rows as CSV with a heading.
+    """Return rows as CSV with a header line.
 
-    An apostrophe precedes a text that a spreadsheet would run as a formula, because model names come from outside.
+    An apostrophe is put before a text that a spreadsheet would run as a formula, because texts may come from models.
 
     Args:
-        rows: The rows. An unknown value becomes an empty cell, a list or a node becomes JSON.
-        columns: Names of the columns; if empty, the keys of the rows.
+        rows: The rows. None becomes an empty cell; lists and dictionaries become JSON.
+        columns: Names of the columns; if empty, all keys of the rows.
 
     Returns:
-        The text, with a newline after each line.
+        The CSV text, with a newline after each line.
     """
     rows = list(rows)
     names = columns or list(dict.fromkeys(name for row in rows for name in row))
@@ -73,7 +73,7 @@ def _in_csv(value: object) -> object:
 
 
 def print_data(rows: Iterable[Mapping[str, Any]], form: RowFormat, columns: Sequence[str] = ()) -> None:
-    """Print rows for programs, as JSON or CSV."""
+    """Print rows as CSV if `form` is "csv", otherwise as one JSON array."""
     if form == "csv":
         click.echo(csv_text(rows, columns), nl=False)
     else:
@@ -85,13 +85,13 @@ def print_rows(
 ) -> None:
     """Print rows as a table, JSON or CSV.
 
-    A table fits the width of the terminal, else `COLUMNS`, else 100 characters.
+    The width of a table is the width of the terminal. If stdout is not a terminal, it is `COLUMNS` or 100 characters.
 
     Args:
-        rows: The rows. A terminal shows at most 100 of them.
-        title: A line above the table.
-        columns: Names of the columns, which an empty table shows too; if empty, the keys of the rows.
-        form: "json", "csv" or "" for a table.
+        rows: The rows. A table on a terminal shows at most 100 rows.
+        title: A line above the table; it is not printed for JSON and CSV.
+        columns: Names of the columns; if empty, all keys of the rows. A table without rows shows only these names.
+        form: "json", "csv", or "" for a text table.
     """
     if form:
         print_data(rows, form, columns)
@@ -104,7 +104,7 @@ def print_rows(
     if title:
         click.echo(clean(title))
     for table in text_table.make_tables(printed, columns, width):
-        # The console would split what is wider than itself.
+        # A rich console splits a table that is wider than the console.
         wide = sum((column.width or 0) + 3 for column in table.columns) + 1
         Console(width=max(width, wide), highlight=False).print(table)
     if len(printed) < len(rows):
@@ -117,13 +117,13 @@ def _columns() -> int:
 
 
 def note(message: object) -> None:
-    """Print one line on stderr."""
+    """Print a message on stderr, without control characters."""
     click.echo(clean(message), err=True)
 
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print the AvrWarnings of the block as notes."""
+    """Print AvrWarnings of the `with` block as notes on stderr."""
     with warnings.catch_warnings(action="always", category=AvrWarning):
         warnings.showwarning = lambda message, *where: note(message)
         yield
@@ -131,13 +131,13 @@ def warnings_as_notes() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[str, int, int], None]]:
-    """Show progress bars on stderr if it is a terminal; print the warnings of the block as notes.
+    """Show progress bars on stderr if stderr is a terminal. Print AvrWarnings of the `with` block as notes.
 
     Args:
-        beside: Returns the text beside the bars. It is called a few times per second.
+        beside: Function that returns the text beside the bars. It is called several times per second.
 
     Yields:
-        The `Progress` callback, which moves the bars.
+        A function that is called with the name of a step, the finished count and the total count, and moves a bar.
     """
     from rich.console import Console
     from rich.progress import (
@@ -159,7 +159,7 @@ def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[s
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Beside())
     tasks: dict[str, TaskID] = {}
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    # A bar that is disabled ends with an empty line in older versions of rich.
+    # Older versions of rich print an empty line at the end of a disabled bar, so the bar is not entered.
     with bar if console.is_terminal else nullcontext(), warnings_as_notes():
 
         def show(what: str, done: int, total: int) -> None:

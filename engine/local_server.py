@@ -1,9 +1,9 @@
-"""A local server for the browser of one person. It answers requests to the loopback address that carry its token.
+"""HTTP server on the loopback address for the browser of one person.
 
     http://127.0.0.1:PORT/TOKEN/...
 
-A page of another site could reach the port through the browser, with another `Host` or `Origin`. The server
-refuses such requests, and requests without the token.
+The server refuses requests without its token. A page of another site could send requests to the port through the
+browser, but the browser then sends another `Host` or `Origin`, so the server refuses these requests too.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ PLAIN: Final = "text/plain; charset=utf-8"
 
 _LONGEST_BODY: Final = 1 << 16
 _IDLE_S: Final = 60.0
-"""Maximum seconds that a connection may stay silent."""
+"""Maximum seconds without data on a connection. The server then closes it."""
 
 
 class Request(NamedTuple):
-    """An accepted request: the path after the token, the values of the query by name, and the body of a POST."""
+    """An accepted request: method, path after the token, values of the query by name, and body of a POST."""
 
     method: str
     path: str
@@ -36,7 +36,7 @@ class Request(NamedTuple):
     body: bytes
 
     def value(self, name: str) -> str:
-        """Return the first value of a name in the query, or "" if it is missing."""
+        """Return the first value of a name in the query, or "" if the name is missing."""
         return (self.query.get(name) or [""])[0]
 
 
@@ -46,8 +46,8 @@ class Response(NamedTuple):
     Attributes:
         body: The content.
         kind: The content type.
-        status: The status code.
-        lasting: Whether the browser may cache it.
+        status: The HTTP status code.
+        lasting: Whether the browser may cache the response.
     """
 
     body: bytes
@@ -60,13 +60,13 @@ def listen(port: int) -> socket.socket:
     """Return a socket that listens on 127.0.0.1.
 
     Args:
-        port: The port; 0 chooses a free one.
+        port: The port; 0 chooses a free port.
 
     Returns:
         The socket.
 
     Raises:
-        InputError: The port is in use.
+        InputError: If the port cannot be used.
     """
     listener = socket.socket()
     try:
@@ -80,24 +80,24 @@ def listen(port: int) -> socket.socket:
 
 
 def hosts_of(listener: socket.socket) -> list[str]:
-    """Return the values of the header `Host` that a browser on this machine sends to a socket."""
+    """Return the values of the `Host` header that a browser on this machine sends if it connects to the socket."""
     return [f"{name}:{listener.getsockname()[1]}" for name in ("127.0.0.1", "localhost")]
 
 
 def new_token() -> str:
-    """Return a random token that is valid in an address."""
+    """Return a random token of characters that are valid in an address."""
     return secrets.token_urlsafe(32)
 
 
 def same_token(sent: bytes, token: bytes) -> bool:
-    """Compare two tokens in constant time."""
+    """Return whether two tokens are equal. The time does not depend on their content."""
     return hmac.compare_digest(sent, token)
 
 
 class LocalServer(ThreadingHTTPServer):
-    """A server of the responses of one function, until `shutdown` or an interrupt.
+    """A server that answers requests with the responses of one function.
 
-    An AvrError of the function becomes a response of one line.
+    If the function raises an AvrError, the response is its message in one line, with status 404.
 
     Attributes:
         url: The address to open, with the token.
@@ -106,7 +106,7 @@ class LocalServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, respond: Callable[[Request], Response], port: int = 0) -> None:
-        """Listen on a port. Raise InputError if the port is in use."""
+        """Listen on a port; 0 chooses a free port. Raise InputError if the port cannot be used."""
         listener = listen(port)
         super().__init__(listener.getsockname(), _Handler, bind_and_activate=False)
         self.socket.close()
@@ -117,17 +117,17 @@ class LocalServer(ThreadingHTTPServer):
         self.url = f"http://{self.hosts[0]}/{self._token}/"
 
     def answer(self, method: str, target: str, headers: Any, body: bytes) -> Response:
-        """Return the response to a request, or a refusal."""
+        """Return the response of the function to a request. If the request is not allowed, return a refusal."""
         host, origin = headers.get_all("Host", []), headers.get_all("Origin", [])
         if len(host) != 1 or host[0] not in self.hosts or any(own != f"http://{host[0]}" for own in origin):
-            return _refused("this server takes requests of its own pages only")
+            return _refused("this server accepts only requests from its own pages")
         try:
             address = urllib.parse.urlsplit(target)
         except ValueError:
-            return Response(b"no address\n", PLAIN, 400)
+            return Response(b"not an address\n", PLAIN, 400)
         sent, _, path = address.path.removeprefix("/").partition("/")
         if not same_token(sent.encode("utf-8", "replace"), self._token.encode()):
-            return _refused("this address needs its token: open the one that the command printed")
+            return _refused("the token is missing: open the address that the command printed")
         try:
             query = urllib.parse.parse_qs(address.query, errors="replace", max_num_fields=500)
         except ValueError:
@@ -154,14 +154,14 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdecimal() and len(length) < 8 and int(length) <= _LONGEST_BODY):
-            # Because the unread body would be read as the next request.
+            # The body is not read, so it would be taken for the next request of the connection.
             self.close_connection = True
-            self._send(Response(b"a body of a stated length of at most 64 KB is needed\n", PLAIN, 413))
+            self._send(Response(b"the request needs a Content-Length of at most 64 KB\n", PLAIN, 413))
             return
         self._send(self.server.answer("POST", self.path, self.headers, self.rfile.read(int(length))))
 
     def _send(self, response: Response) -> None:
-        # A browser closes the connection if its user has left the page.
+        # A browser closes the connection if the user has left the page.
         with contextlib.suppress(ConnectionError, TimeoutError):
             self.send_response(response.status)
             for name, value in {
@@ -178,4 +178,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(response.body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing, because addresses contain the token."""
+        """Log nothing, because the addresses of requests contain the token."""

@@ -1,6 +1,7 @@
-"""Rows as text tables that fit a width and split no word or number.
+"""Layout of rows as text tables that fit a width and split no word or number.
 
-Columns wrap between words. A table that is still too wide is transposed if it has few rows, and else split by columns.
+Long cells wrap between words. If a table is still too wide, it is transposed if it has few rows, and otherwise its
+columns are divided among several tables.
 """
 
 from __future__ import annotations
@@ -19,23 +20,23 @@ _CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _LONG: Final = re.compile(r"\S{41,}")
 
 _MAX_TRANSPOSED: Final = 3
-"""Maximum number of rows of a transposed table."""
+"""Maximum number of rows of a table that is transposed."""
 
 _MAX_KEYS: Final = 3
-"""Maximum number of columns that each part of a split table repeats."""
+"""Maximum number of key columns, which each part of a divided table repeats."""
 
 _ENGINE_FIELDS: Final = ("_ID", "_SRC", "_DST", "_LABEL")
-"""Fields that the graph engine adds to nodes and relations."""
+"""Fields that the graph engine adds to nodes and relations; they are not printed."""
 
 
 def clean(value: object) -> str:
     """Return a value as text without control characters.
 
     Args:
-        value: Any value; None gives an empty text.
+        value: Any value. None becomes an empty text.
 
     Returns:
-        Text that cannot move a terminal's cursor or change its colours.
+        The text. It cannot move the cursor of a terminal or change colours.
     """
     return _CONTROL.sub("", "" if value is None else str(value))
 
@@ -47,7 +48,7 @@ def cell_text(value: object) -> str:
         value: A value of a row.
 
     Returns:
-        Numbers with six digits; nodes, relations and paths of the graph as in Cypher.
+        The text. A float has six significant digits. Nodes, relations and paths of the graph look as in Cypher.
 
     >>> cell_text({"_ID": 0, "_LABEL": "Person", "track": 3, "age": None})
     '(:Person {track: 3})'
@@ -58,7 +59,7 @@ def cell_text(value: object) -> str:
         return f"[{', '.join(map(cell_text, value))}]"
     if isinstance(value, dict):
         return _graph_text(value)
-    # A text this long is JSON or a list of names: let lines end at its commas.
+    # A word of more than 40 characters is JSON or a list of names. Spaces after commas let the word wrap.
     return _LONG.sub(lambda match: match[0].replace(",", ", "), clean(value))
 
 
@@ -89,11 +90,11 @@ def make_tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width
 
     Args:
         rows: The rows.
-        columns: Names of the columns; if empty, those of the rows.
-        width: Maximum characters in a line. Only a longer word exceeds it.
+        columns: Names of the columns; if empty, all keys of the rows.
+        width: Maximum characters per line. A line is longer only if a single word does not fit.
 
     Returns:
-        One or several `rich` tables, to be printed below each other.
+        One `rich` table, or several tables to print below each other.
     """
     names = list(columns or dict.fromkeys(name for row in rows for name in row))
     numbers = {name for name in names if _is_numeric(row.get(name) for row in rows)}
@@ -109,7 +110,7 @@ def make_tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width
 
 
 def _split_columns(names: Sequence[str], cells: _Cells, width: int) -> list[list[str]]:
-    """Split columns into parts that fit; each part begins with the columns that identify a row."""
+    """Divide the columns into parts that fit the width. Each part begins with the columns that identify a row."""
     key = list(names[:1])
     for count in range(_MAX_KEYS, 0, -1):
         if len({tuple(row[name] for name in names[:count]) for row in cells}) == len(cells):
@@ -126,7 +127,7 @@ def _split_columns(names: Sequence[str], cells: _Cells, width: int) -> list[list
 
 
 def _min_width(names: Sequence[str], cells: _Cells) -> int:
-    """Width of the narrowest table that splits no word, with its borders."""
+    """Return the width, borders included, of the narrowest table that splits no word."""
     return sum(_max_length(str.split, name, cells) + 3 for name in names) + 1
 
 
@@ -146,7 +147,7 @@ def _make_table(names: Sequence[str], cells: _Cells, numbers: set[str], width: i
     from rich.table import Table
     from rich.text import Text
 
-    # rich may shrink a column below its longest word. The columns that lack least are widened first.
+    # Widths are set here, because rich may shrink a column below its longest word. Columns that need least grow first.
     widths = {name: max(1, _max_length(str.split, name, cells)) for name in names}
     lacks = {name: _max_length(str.splitlines, name, cells) - widths[name] for name in names}
     spare = max(0, width - sum(widths.values()) - 3 * len(names) - 1)

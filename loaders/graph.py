@@ -35,7 +35,7 @@ from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.tables import INTERVALS
 
 STAGE: Final = "scene"
-"""Folder inside the store for the staged rows. It is deleted when the graph is built."""
+"""Folder inside the store for the staged rows. It is deleted after the graph is built."""
 
 NODES: Final = SCENE_NODES | KEYFRAME_NODES
 """Tables of nodes of the scene and of the keyframe layer."""
@@ -69,7 +69,7 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         for sequence in sequences:
             if not (stage / "Sequence" / f"{safe_sequence(sequence)}.parquet").exists():
                 stage_scene(store, sequence, {kind: store.interval(kind, sequence) for kind in INTERVALS})
-        # Because a transaction per table would write to the disk once per table.
+        # A transaction per table would write to the disk once per table.
         with graph.transaction():
             for statement in scene_ddl():
                 graph.execute(statement)
@@ -115,7 +115,7 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
     try:
         if rows.num_rows:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Because the engine scans a whole row group for every null, groups of 256 rows take a third of the time.
+            # The engine scans a whole row group for every null, so groups of 256 rows take a third of the time.
             at_once = 256 if source == "Object SeenIn" else None
             pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
     except OSError as error:
@@ -144,7 +144,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         copied[table] += 0
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in NODES:
-                # Because the engine reads files in parallel, in any order, and numbers nodes as it reads them.
+                # The engine reads files in parallel and numbers nodes as it reads them. One table keeps their order.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
                 graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())
@@ -276,8 +276,8 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
 }
 """Interval table of each source, and functions for the columns that the interval table lacks. Nodes come first.
 
-The source of nodes is the name of their table. The source of edges is the table of their start, and the name of their
-table. `Action` is missing, because its rows come from all sequences together.
+A source of nodes is the name of their table. A source of edges is two names: the table of nodes from which they start,
+and their own table. `Action` is missing, because its rows come from all sequences together.
 """
 
 

@@ -1,7 +1,7 @@
 """Load a JRDB root into a store, or rebuild a store's intervals and graph from its annotation tables.
 
-A load writes all tables into a staging folder inside the store. Then it builds the graph and counts its rows. Last it
-moves the new tables and then the manifest into the store. If a load fails, the old store is unchanged.
+A load writes all tables into a staging folder inside the store. Then it builds the graph and counts its rows. Finally
+it moves the new tables and then the manifest into the store. If a load fails, the old store is unchanged.
 
 If a load is killed, the next load deletes the staging folder. If the load was killed while it moved the tables, the
 next writer finishes the moves. The tables therefore survive a kill at any moment.
@@ -122,8 +122,8 @@ def load(
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in them every box of legal "
-                "size counts as a clear view, also the box of a hidden person; generate --require-occlusion skips them",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in these, every box of "
+                "permitted size counts as a clear view, even of hidden people; generate --require-occlusion skips them",
                 AvrWarning,
                 stacklevel=2,
             )
@@ -253,7 +253,7 @@ class RebuildShard:
 
     @property
     def weight(self) -> int:
-        """Return the scheduling weight: larger sequences start first."""
+        """Return the bytes of the file of 2D boxes. It is a scheduling weight: larger sequences start first."""
         path = Store(self.store).annotation_path("boxes_2d", self.sequence)
         return path.stat().st_size if path.exists() else 0
 
@@ -296,7 +296,10 @@ def _write(
 
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
-    """Yield an empty staging folder, and delete it when the block ends. The caller must hold the writer's lock."""
+    """Yield an empty staging folder, and delete it afterwards unless tables must still be moved out of it.
+
+    The caller must hold the writer's lock.
+    """
     staging = Store(store.path / STAGING)
     try:
         _finish_moves(store)
@@ -350,18 +353,20 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
     with build_graph(store.graph_path) as graph:
         rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
-        # Because a store without a manifest is refused, no reader uses a store with only some of its new tables.
+        # A store without a manifest is refused, so no reader uses a store with only some of its new tables.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
 
 
 def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
+    """Fill a new graph. Return its number of rows by table, and a line per run that is left out."""
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))
 
 
 def _swap(path: Path, new: Path, old: Path) -> None:
+    """Rename `path`, if it exists, to `old`, and rename `new` to `path`."""
     if path.exists():
         path.rename(old)
     new.rename(path)
@@ -378,6 +383,7 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
 
 
 def _nothing(root: Root, reports: list[SequenceReport]) -> str:
+    """Return the message for a root without a loaded sequence, with the first problem."""
     first = next((problem for report in reports for problem in report.problems), None)
     why = f"; first: {first.reason}" if first else ""
     return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"

@@ -56,7 +56,7 @@ class Problems:
         self._problems[kind, reason, field] = example
 
     def without(self, reported: Problems) -> None:
-        """Remove each problem that `reported`, from another reader of the same file, has with the same count."""
+        """Remove the problems that another reader of the same file has reported with the same count."""
         counted = {(problem.reason, problem.field, problem.count) for problem in reported.listed()}
         for key, problem in list(self._problems.items()):
             if (problem.reason, problem.field, problem.count) in counted:
@@ -73,7 +73,7 @@ def shorten(value: object, length: int = 60) -> str:
     if not isinstance(value, bytes | str):
         try:
             text = repr(value)
-        except (RecursionError, ValueError):  # nested beyond reason, or an int of thousands of digits
+        except (RecursionError, ValueError):  # The value is nested too deeply, or is an int of thousands of digits.
             text = type(value).__name__
     text = "".join(c if c.isprintable() else " " for c in text[: length + 1])
     return text if len(text) <= length else text[: length - 1] + "…"

@@ -44,11 +44,11 @@ class FrameRange(msgspec.Struct):
 
 
 class ShiftCheck(msgspec.Struct):
-    """Comparison of the frame numbers of a layer with those of the 2D layer, by the people in both."""
+    """Result of the check whether a layer numbers its frames like the 2D layer, by the people in both layers."""
 
     layer: str
     result: str
-    """`agrees`, `shifted` or `not tested`. A shifted layer is refused. A layer is not tested without evidence."""
+    """`agrees`, `shifted` (the layer is refused), or `not tested` (there is too little evidence for either)."""
     reason: str
     frames: float | None = None
     """Shift in frames that makes the layer fit the 2D layer, or None without an estimate."""
@@ -57,10 +57,12 @@ class ShiftCheck(msgspec.Struct):
 
 
 class Stamps(msgspec.Struct):
-    """Summary of the timestamps of a sequence: the number of stamps of images and of point clouds."""
+    """Summary of the timestamps of a sequence."""
 
     images: int
+    """Number of stamps of images."""
     clouds: int
+    """Number of stamps of point clouds."""
     fps: float | None
     """Median frames per second of the images, or None for fewer than two stamps."""
 
@@ -144,19 +146,19 @@ def sequence_warnings(
     lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
         lines.append(
-            f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in copies of the "
-            "train sequences the two are known to be off by 2 frames, which no file states; look with "
+            f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in some copies of "
+            "the train sequences the two are off by 2 frames, and no file says so. Compare them with "
             "observe --panorama --boxes"
         )
     if heading and heading.moves >= MIN_MOVES and heading.median_deg is not None and heading.median_deg > MAX_TURN_DEG:
         lines.append(
-            f"moving people face {heading.median_deg:.0f} degrees away from their direction: the headings of the 3D "
-            "boxes may have another sign or zero than JRDB's"
+            f"the headings of moving people are {heading.median_deg:.0f} degrees off their direction of motion: the "
+            "rotations of the 3D boxes may have another sign or zero direction than in JRDB"
         )
     if cameras and not cameras.agrees:
         lines.append(
-            f"the cameras' medians fy {cameras.fy:.1f} and cy {cameras.cy:.1f} are far from {cameras.focal_rows} and "
-            f"{cameras.horizon_row}, which rows of the panorama are computed with: is it another robot's calibration?"
+            f"the cameras' medians fy {cameras.fy:.1f} and cy {cameras.cy:.1f} differ from {cameras.focal_rows} and "
+            f"{cameras.horizon_row}, the constants for rows of the panorama: are these the cameras of another robot?"
         )
     return lines
 

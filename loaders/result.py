@@ -42,8 +42,8 @@ class LoadResult(Displayed):
         filled = [name for name in (checks[0] if checks else ()) if any(row[name] for row in checks)]
         yield "Checks", [{name: row[name] for name in filled} for row in checks]
         yield from dict.fromkeys(
-            f"Cameras: median fy {cameras.fy:.1f} (rows of the panorama are computed with {cameras.focal_rows}), "
-            f"median cy {cameras.cy:.1f} ({cameras.horizon_row})"
+            f"Cameras: median fy {cameras.fy:.1f}, median cy {cameras.cy:.1f} "
+            f"(constants for rows of the panorama: {cameras.focal_rows} and {cameras.horizon_row})"
             for cameras in (report.cameras for report in loaded)
             if cameras is not None
         )

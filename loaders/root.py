@@ -29,7 +29,10 @@ LABEL_DIRS: Final[dict[str, tuple[str, ...]]] = {
     "pose": ("labels_2d_pose_stitched_coco", "pose_stitched"),
     "panoptic": ("labels_2d_panoptic_stitched_CW*", "labels_2d_panoptic_stitched_OW*"),
 }
-"""Names of the folders with files `<sequence>.json`, by layer, in order of preference. A star matches any suffix."""
+"""Names of the folders with files `<sequence>.json`, by layer, in order of preference.
+
+A star stands for any suffix. A folder without a suffix is preferred.
+"""
 
 TIMESTAMPS: Final = "timestamps"
 CALIBRATION: Final = "calibration"
@@ -165,7 +168,7 @@ class _Search:
         named = [name for name in entries if name.lower().endswith(".json") and not _ONE_CAMERA.fullmatch(name[:-5])]
         if not named:
             self.notes.append(f"{self._shown(folder)} holds no label files of sequences")
-        # Because X.json is preferred to X.JSON, it is sorted first.
+        # X.json is preferred to X.JSON, so it is sorted first.
         names: dict[str, str] = {}
         for name in sorted(named, key=lambda name: (name[:-5], not name.endswith(".json"), name)):
             if names.setdefault(name[:-5], name) != name:
@@ -241,5 +244,5 @@ def image_frames(folder: str | None) -> list[int]:
 def _is_file(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_file()
-    except OSError:  # a circular link
+    except OSError:  # The entry is a circular link.
         return False

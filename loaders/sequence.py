@@ -43,7 +43,7 @@ READERS: Final[dict[str, Callable[[Path, Problems], LayerTables]]] = {
 """Loader by layer. The reasoning layer is missing, because its loader also needs to know about the social file."""
 
 SOCIAL_FACTS: Final = ("demographics", "interactions", "group_info")
-"""Layers of the table `frames` that social files give, and reasoning files too."""
+"""Layers of the table `frames` that both social files and reasoning files can give."""
 NOT_LABELS: Final = ("timestamps", "images")
 """Layers without labels. A frame that only these layers have is not annotated."""
 
@@ -62,7 +62,7 @@ class Annotated:
         frames: dict[str, tuple[Ints, Ints]] = {}
         unknown: Counter[tuple[str, str]] = Counter()
         for reading in readings.values():
-            # Because both the social and the reasoning file may give a table `listed`, their rows are joined.
+            # Both the social and the reasoning file may give a table `listed`, so their rows are joined.
             both = [part["listed"] for part in (tables, reading.tables) if "listed" in part]
             tables |= reading.tables
             if both:
@@ -114,7 +114,7 @@ def annotate(files: SequenceFiles) -> Annotated:
         try:
             reading = _read(layer, path, readings, problems[-1]).of(files.sequence)
         except InputError as error:
-            # Because no record of the file is loaded, the problems of its records are not reported.
+            # No record of the file is loaded, so the problems of its records are not reported.
             problems[-1] = Problems(path.name, layer)
             problems[-1].add("file", str(error))
             continue
@@ -131,6 +131,7 @@ def annotate(files: SequenceFiles) -> Annotated:
 
 
 def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Problems) -> LayerTables:
+    """Read the file of a layer. `readings` holds the layers that have been read before."""
     if layer != "reasoning":
         return READERS[layer](path, problems)
     social = readings.get("social")
@@ -139,7 +140,7 @@ def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Pr
 
 
 def _check(layer: str, reading: LayerTables, reference: Tracks | None) -> ShiftCheck | None:
-    """Compare the frame numbers of a file with those of the 2D layer. Return None for a layer without boxes."""
+    """Check whether a file numbers its frames like the 2D layer. Return None for a layer without boxes."""
     boxes = tracks_of(layer, reading)
     return None if boxes is None else check_shift(layer, boxes, reference)
 

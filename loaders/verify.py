@@ -111,7 +111,7 @@ def _graph_fault(path: Path) -> str:
     if wrong := [table for table in differ if table in _BUILT]:
         rows, instead = counts.get(wrong[0], 0), built.rows.get(wrong[0], 0)
         return f"{path.name} has {rows} rows of {wrong[0]} instead of {instead}"
-    # Because the file stays longer if a world model is deleted, a longer file with the same rows is no fault.
+    # The file stays longer if a world model is deleted, so a longer file with the same rows is not a fault.
     written = differ or path.stat().st_size > built.size
     return "" if written else f"{path.name} is not the file that was built, and no run has written into it"
 

@@ -1,4 +1,4 @@
-"""Options of a model's server, and the parts of a request that follow from them."""
+"""Options of a model's server, and the parts of a request that depend on these options."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AUTO: Final = "auto"
 _OWNED: Final = frozenset(
     ("model", "messages", "stream", "n", "temperature", "max_tokens", "max_completion_tokens", "response_format")
 )
-"""Keys of a request that an extra body must not hold."""
+"""Keys that `extra_body` must not hold, because the program sets them."""
 
 _HEADER: Final = re.compile(r"[A-Za-z0-9!#$%&'*+.^_`|~-]+")
 _OWN_HEADERS: Final = ("content-type", "content-length", "host", "accept-encoding", "transfer-encoding", "connection")
@@ -32,49 +32,50 @@ _OWN_HEADERS: Final = ("content-type", "content-length", "host", "accept-encodin
 class EndpointOptions:
     """Options of a model's server and of its requests.
 
-    The manifest of a run stores them, and a resumed run needs equal ones, except for the address, the keys and the
-    limits. The class holds names of environment variables in place of keys.
+    The manifest of a run stores the options. A resumed run must have the same options, except for the address, the keys
+    and the limits. The object holds no key, only the name of the environment variable with the key.
 
     Raises:
-        InputError: No request can have these values.
+        InputError: If no request can have these values.
     """
 
     base_url: str | None = option(None, "Address of an OpenAI-compatible server, such as http://localhost:8000/v1.")
     response_format: ResponseFormat = option(
         "json_schema",
-        "How replies become JSON: by the schema itself, by a promise of some JSON object, or by the prompt alone.",
+        "How a request demands JSON. 'json_schema': it holds the JSON schema of the reply. 'json_object': it demands a "
+        "JSON object, but holds no schema. 'none': only the prompt demands JSON.",
         choices=get_args(ResponseFormat),
     )
     thinking: Thinking = option(
         "off",
-        "Whether the model thinks before it replies; 'template' leaves this to the server.",
+        "Whether replies begin with thinking; 'template' keeps the chat template's default.",
         choices=get_args(Thinking),
     )
-    max_tokens: int = option(2048, "Maximum tokens of a reply, thinking included.", minimum=16, maximum=1 << 20)
-    timeout_s: float = option(300.0, "Seconds to wait for a reply.", flag="timeout", minimum=1, maximum=86_400)
-    retries: int = option(4, "Repetitions of a call that the transport or the server broke.", minimum=0, maximum=100)
-    temperature: float | None = option(0, "Sampling temperature; 'none' leaves it to the server.")
+    max_tokens: int = option(2048, "Maximum tokens of a reply, including thinking.", minimum=16, maximum=1 << 20)
+    timeout_s: float = option(300.0, "Maximum seconds to wait for a reply.", flag="timeout", minimum=1, maximum=86_400)
+    retries: int = option(4, "Maximum repetitions of a request after network or server errors.", minimum=0, maximum=100)
+    temperature: float | None = option(0, "Sampling temperature; 'none' keeps the default of the server.")
     token_parameter: TokenParameter = option(
         AUTO,
-        "Name of the reply limit in a request; 'auto' takes the newer name if the server refuses the older.",
+        "Name of the limit --max-tokens in requests. 'auto' tries max_tokens first, then max_completion_tokens.",
         choices=get_args(TokenParameter),
     )
-    extra_body: Mapping[str, Any] = option({}, "Further keys of every request, as a JSON object.")
+    extra_body: Mapping[str, Any] = option({}, "JSON object with keys to add to every request.")
     headers: Mapping[str, str] = option(
-        {}, "A header of every request, with its value in an environment variable. May be repeated.", flag="header"
+        {}, "Header of every request. The environment variable ENV holds its value. May be repeated.", flag="header"
     )
-    api_key_env: str = option("OPENAI_API_KEY", "Environment variable that holds the key.")
-    rpm: int | None = option(None, "Maximum requests per minute.", minimum=1)
-    tpm: int | None = option(None, "Maximum tokens per minute, read and written.", minimum=1)
+    api_key_env: str = option("OPENAI_API_KEY", "Environment variable that holds the key of the server.")
+    rpm: int | None = option(None, "Maximum number of requests per minute.", minimum=1)
+    tpm: int | None = option(None, "Maximum number of tokens per minute, in prompts and replies.", minimum=1)
     price: Price | None = option(
         None,
-        "TOML file of prices: a table per model with input and output, in dollars per million tokens.",
+        "TOML file with a table per model. The keys input and output hold dollars per million tokens.",
         flag="prices",
     )
     max_cost: float | None = option(
         None,
-        "Stop when the calls of the run have cost this much, by --prices; --resume with a higher maximum continues. "
-        "Calls in flight may exceed it. --resume does not count replies that were cut off or refused.",
+        "Stop the run when its calls have cost this much at --prices. Requests that are already sent may add to it. "
+        "--resume with a higher maximum continues the run, and ignores earlier replies that were cut off or refused.",
         minimum=0,
         metavar="DOLLARS",
     )
@@ -99,26 +100,26 @@ class EndpointOptions:
             convention: The convention of the model.
 
         Returns:
-            The options by name, and the `chat_template_kwargs` that are sent.
+            The options by name, and the `chat_template_kwargs` of the requests under this key.
         """
         settings = {name: value for name, value in asdict(self).items() if name != "base_url"}
         return settings | {"chat_template_kwargs": self.template(convention)}
 
     def request(self, model: str, convention: Convention, schema: Mapping[str, Any] | None) -> dict[str, Any]:
-        """Return a request without its messages.
+        """Return the body of a request without its messages.
 
         Args:
             model: The id of the model.
             convention: The convention of the model.
-            schema: The JSON schema of the reply, if any.
+            schema: The JSON schema of the reply, or None if the reply is free text.
 
         Returns:
-            The request. If `token_parameter` is "auto", the key of the reply limit is `max_tokens`.
+            The values by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.
         """
         name = "max_tokens" if self.token_parameter == AUTO else self.token_parameter
         request: dict[str, Any] = {"model": model}
         if self.temperature is not None:
-            # A call is stored under the bytes of its request, so 0 and 0.0 must be equal there.
+            # Finished calls are looked up by the bytes of the request, so 0 and 0.0 must give the same bytes.
             whole = int(self.temperature) == self.temperature
             request["temperature"] = int(self.temperature) if whole else self.temperature
         request[name] = self.max_tokens
@@ -133,13 +134,13 @@ class EndpointOptions:
         return request
 
     def thinks(self, convention: Convention) -> bool | None:
-        """Return whether replies are declared to hold thinking.
+        """Return whether the options or the convention declare that replies hold thinking.
 
         Args:
             convention: The convention of the model.
 
         Returns:
-            The declared value, or None if the model declares nothing.
+            The declared value, or None if `thinking` is "template" and the convention declares nothing.
         """
         return convention.thinks if self.thinking == "template" else self.thinking == "on"
 
@@ -150,7 +151,8 @@ class EndpointOptions:
             convention: The convention of the model.
 
         Returns:
-            The arguments, empty if the template does the same by default.
+            The arguments by name. They are empty if the chat template thinks as declared without them, or if it has no
+            switch for thinking.
         """
         thinks = self.thinking == "on"
         changes = convention.switches and self.thinking != "template" and convention.thinks != thinks

@@ -1,7 +1,7 @@
 """Completion in the shell: names of runs, sequences and saved queries.
 
-The command line names the store of the runs and sequences. Switch completion on with
-`eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"`, or zsh_source, or fish_source.
+Runs and sequences come from the store of the command line or of the environment. In bash, the line
+`eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"` switches completion on. Other shells need zsh_source or fish_source.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Complete = Callable[[click.Context, click.Parameter, str], list[str]]
 
 
 def _of_store(names: Callable[[Store], Iterable[str]]) -> Complete:
-    """Return a completion from the store of the line or the environment; it completes nothing without a store."""
+    """Return a completion by `names(store)`. If no store is named, it completes nothing."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
         store = ctx.params.get("store")
@@ -43,7 +43,7 @@ complete_sequence = _of_store(lambda store: sorted(store.manifest().sequences))
 
 
 def complete_query(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Return the matching names of saved queries in the language of the command."""
+    """Return the names of saved queries, in the language of the command, that begin with the typed text."""
     from jrdb_avr.queries.named import named_queries
 
     return [name for name in named_queries(str(ctx.info_name)) if name.startswith(incomplete)]

@@ -1,4 +1,4 @@
-"""Command-line options made from the declared options of the library (`schema/option.py`)."""
+"""Command-line options that are made from the declared options of the library (`schema/option.py`)."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class _Object(click.ParamType[dict[str, Any]]):
         try:
             decoded = json.loads(value) if isinstance(value, str) else value
         except (ValueError, RecursionError) as error:
-            self.fail(f"{value[:80]!r} is no JSON: {error}", param, ctx)
+            self.fail(f"{value[:80]!r} is not JSON: {error}", param, ctx)
         if not isinstance(decoded, dict):
             self.fail("it must be a JSON object", param, ctx)
         return decoded
 
 
 class _Header(click.ParamType[tuple[str, str]]):
-    """The name of a header, and the name of the environment variable with its value."""
+    """The name of a header, and the name of the environment variable that holds the header's value."""
 
     name = "NAME=ENV"
 
@@ -62,7 +62,7 @@ class _Header(click.ParamType[tuple[str, str]]):
 
 
 class _Shard(click.ParamType[tuple[int, int]]):
-    """The number of a shard and the number of shards."""
+    """The index of a shard, from 1 on, and the number of shards."""
 
     name = "I/N"
 
@@ -76,7 +76,7 @@ class _Shard(click.ParamType[tuple[int, int]]):
 
 
 class _Ids(click.ParamType[tuple[str, ...]]):
-    """Ids with commas between, or a file with one id per line."""
+    """Ids that are separated by commas, or the path of a file with one id per line."""
 
     name = "TEXT"
 
@@ -107,7 +107,7 @@ _KINDS: Final[dict[str, click.ParamType[Any]]] = {
     "headers": _Header(),
     "shard": _Shard(),
 }
-"""Type of a value by option, if the field of the option does not imply the type."""
+"""Click type by field of an options class, for fields with a type that the annotation does not imply."""
 
 _REPEATED: Final = ("headers", "marker", "families", "templates", "sequences")
 """Options that may be repeated."""
@@ -118,27 +118,27 @@ def field_options(kind: Any, *names: str) -> Callable[[_C], _C]:
 
     Args:
         kind: The options class.
-        names: The fields; by default all.
+        names: Names of the fields to add; if none is given, all fields are added.
 
     Returns:
-        A decorator. The command gets a value per field, of which `build` makes the options.
+        A decorator. The command gets one value per field; `build` makes the options object from these values.
     """
     options = [_click_option(declared) for declared in _declared(kind) if declared.name in names or not names]
     return lambda function: functools.reduce(lambda inner, add: add(inner), reversed(options), function)
 
 
 def build(kind: Any, values: Mapping[str, Any]) -> Any:
-    """Return the options of a class from the values of a command.
+    """Make an options object from the values of a command line.
 
     Args:
         kind: The options class.
-        values: Values by field; missing fields keep their defaults.
+        values: Values by name of the field. Missing fields keep their defaults.
 
     Returns:
         An instance of the class.
 
     Raises:
-        UsageError: The class refuses a value.
+        UsageError: If the class refuses a value.
     """
     arguments = {declared.name: values[declared.name] for declared in _declared(kind) if declared.name in values}
     if "headers" in arguments:
@@ -172,7 +172,7 @@ def _click_option(declared: Field[Any]) -> Callable[[_C], _C]:
 
 
 def _kind(declared: Field[Any]) -> click.ParamType[Any]:
-    """Return the type of a value of the command line."""
+    """Return the click type that parses the values of a declared option."""
     about, annotation = declared.metadata, str(declared.type).removesuffix(" | None")
     limits = about["minimum"], about["maximum"]
     if declared.name in _KINDS:
@@ -195,18 +195,18 @@ def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:
     """Add the option `--model`.
 
     Args:
-        text: An end of the help text.
-        required: Whether the command itself refuses a missing model.
+        text: A sentence to add to the help text, with a space before it.
+        required: Whether click refuses a call without `--model`.
 
     Returns:
         A decorator.
     """
-    about = "Id of the model; 'simulated:PROFILE' is the built-in one, and 'marker' its perfect profile"
-    return click.option("--model", required=required, help=f"{about}{text}.")
+    about = "Id of the model. Built-in simulated models: marker (no errors), simulated:noisy, simulated:small-vlm."
+    return click.option("--model", required=required, help=about + text)
 
 
 def endpoint_options(function: _C) -> Callable[..., Any]:
-    """Add the options of a model's server; the command gets `model` and `endpoint`, a checked `EndpointOptions`."""
+    """Add `--model` and the options of its server. The command gets `model` and `endpoint`, an `EndpointOptions`."""
 
     @functools.wraps(function)
     def command(*, model: str, **values: Any) -> Any:
@@ -219,7 +219,7 @@ def endpoint_options(function: _C) -> Callable[..., Any]:
 
 
 def check_address(model: str, base_url: str | None) -> None:
-    """Raise UsageError if a model has no address and is not built in."""
+    """Raise UsageError if a model has no address and is not the simulated model."""
     from jrdb_avr.agent.simulated.knobs import profile_of
 
     try:

@@ -11,8 +11,8 @@
     base-url = "https://api.openai.com/v1"
     temperature = "none"
 
-A key is the long name of an option and replaces the value of the command line. A list makes a run per value, unless the
-option may be repeated.
+A key is the long name of an option, and its value replaces that of the command line. If the value is a list, the table
+describes one run per element, unless the option may be repeated.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from jrdb_avr.engine.commands._declared import build
 from jrdb_avr.schema.errors import InputError, did_you_mean
 
 _SHARED: Final = ("store", "matrix", "json", "csv", "help")
-"""Options of the whole command, which no run may set."""
+"""Names of options that belong to the whole command. A run must not set them."""
 
 
 def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Read the options of each run.
+    """Return the options of each run that a TOML file describes.
 
     Args:
         path: The TOML file.
-        ctx: The context of the command, which has the options.
-        shared: Values of the command line, by parameter.
+        ctx: The click context of the command. Its parameters define the options.
+        shared: Values of the command line by name of the parameter. They apply unless a run sets its own value.
 
     Returns:
-        The values of each run, by parameter.
+        One dictionary per run: the values of all options by name of the parameter.
 
     Raises:
-        InputError: The file cannot be read.
-        UsageError: An option is unknown or has a wrong value.
+        InputError: If the file cannot be read or describes no run.
+        UsageError: If an option is unknown or has a wrong value.
     """
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("run")
@@ -65,7 +65,7 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
 
 
 def _crossed(ctx: click.Context, table: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the table with one value in place of each list, for all combinations."""
+    """Yield one copy of a table per combination of list elements. A copy has an element in place of each list."""
     choices = [
         value if isinstance(value, list) and not _parameter(ctx, key).multiple else [value]
         for key, value in table.items()
@@ -78,17 +78,17 @@ def _run(ctx: click.Context, shared: Mapping[str, Any], values: Mapping[str, Any
     set_values = {}
     for key, value in values.items():
         parameter = _parameter(ctx, key)
-        # Because the types of options parse strings, like those on a command line.
+        # Because click types parse strings, as a command line has them.
         plain = value if isinstance(value, bool | dict | list) else str(value)
         set_values[str(parameter.name)] = parameter.process_value(ctx, plain)
     merged = {**shared, **set_values}
-    # Here, so that the error names the run.
+    # Built only to check the values here, so that an error names the run.
     build(EndpointOptions, merged)
     return merged
 
 
 def _parameter(ctx: click.Context, key: str) -> click.Option:
-    """Return the option with a long name, given without dashes."""
+    """Return the option with a long name, which is given without its dashes. Raise UsageError if it is unknown."""
     options = {
         flag.removeprefix("--"): parameter
         for parameter in ctx.command.params

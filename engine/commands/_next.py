@@ -1,4 +1,4 @@
-"""The next steps for each store, as commands to type."""
+"""The next commands to type for each store of a folder."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from jrdb_avr.engine.commands._options import STORE_VARIABLE
 
 
 def next_steps(folder: Path) -> list[str]:
-    """Return lines for the terminal: the state of each store, and the next commands.
+    """Describe the state of each store, and the commands that continue from it.
 
     Args:
-        folder: The folder to search, unless the environment variable names a store.
+        folder: The folder to search for stores. If the environment variable names a store, it is the only one.
 
     Returns:
-        The lines.
+        Lines for the terminal.
     """
     named = os.environ.get(STORE_VARIABLE)
     places = [Path(named)] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
@@ -33,7 +33,7 @@ def next_steps(folder: Path) -> list[str]:
 
 
 def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:
-    """Return the lines about one store."""
+    """Return the line with the state of one store, and a line per next command."""
     runs = [path.parent for path in sorted(store.glob("runs/*/run.json"))]
     open_runs = [run.name for run in runs if not (run / "predictions.parquet").exists()]
     option = "" if named else f" --store {shlex.quote(str(store.relative_to(folder)))}"

@@ -1,4 +1,4 @@
-"""Options that several commands share. `--store` arrives as a Store, `--rule` and its like as pairs of texts."""
+"""Options that several commands share. Commands get `--store` as a Store, and `--rule NAME=VALUE` as pairs of texts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
 def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
-    """Return the store that an option or argument names. Raises StoreError if a newer version wrote it."""
+    """Return the store that an option names. Raise StoreError if a newer version of this program wrote the store."""
     from jrdb_avr.queries.manifest import refuse_newer
     from jrdb_avr.queries.store import Store
 
@@ -34,7 +34,7 @@ def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None
 
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:
-    """Add the option `--store` as a Store; its default is the environment variable `JRDB_AVR_STORE`."""
+    """Add the option `--store`; the command gets a Store. The environment variable `JRDB_AVR_STORE` is its default."""
     return click.option(
         "--store",
         "-s",
@@ -44,17 +44,17 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         type=FOLDER,
         envvar=STORE_VARIABLE,
         callback=open_store,
-        help=f"Folder of the store; by default the one that {STORE_VARIABLE} names.",
+        help=f"Folder of the store. Not needed if the environment variable {STORE_VARIABLE} holds the folder.",
     )
 
 
 def run_argument(name: str, **options: Any) -> Callable[[_C], _C]:
-    """Add an argument that names a run, or several."""
+    """Add an argument for the name of a run, or for the names of several runs."""
     return click.argument(name, shell_complete=complete_run, **options)
 
 
 def form_option(function: _C) -> Callable[..., Any]:
-    """Add the options `--json` and `--csv`; the command gets `form`, "json", "csv" or "" for tables."""
+    """Add the options `--json` and `--csv`. The command gets `form`, which is "json", "csv", or "" for a text table."""
 
     @functools.wraps(function)
     def command(*, as_json: bool, as_csv: bool, **values: Any) -> Any:
@@ -62,15 +62,17 @@ def form_option(function: _C) -> Callable[..., Any]:
             raise click.UsageError("choose one of --json and --csv")
         return function(**values, form="json" if as_json else "csv" if as_csv else "")
 
-    as_csv = click.option("--csv", "as_csv", is_flag=True, help="Print CSV.")
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON array of objects.")(as_csv(command))
+    as_csv = click.option("--csv", "as_csv", is_flag=True, help="Print the rows as CSV.")
+    return click.option("--json", "as_json", is_flag=True, help="Print the rows as a JSON array.")(as_csv(command))
 
 
-workers_option = click.option("--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Processes.")
+workers_option = click.option(
+    "--workers", type=click.IntRange(1, 256), default=2, show_default=True, help="Number of processes."
+)
 
 
 def executor_option(function: _C) -> Callable[..., Any]:
-    """Add the options `--workers` and `--executor`; the command gets one argument `workers`, an `Executor`."""
+    """Add the options `--workers` and `--executor`. The command gets both as one argument `workers`, an `Executor`."""
 
     def check(ctx: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
         if value is None or value == "ray" or value.startswith("ray://"):
@@ -85,7 +87,7 @@ def executor_option(function: _C) -> Callable[..., Any]:
         "--executor",
         metavar="ray[://HOST:PORT]",
         callback=check,
-        help="Use a Ray cluster in place of local processes. All its machines need the same folders.",
+        help="Use a Ray cluster instead of local processes. All machines must have the folders under the same paths.",
     )
     return workers_option(executor(command))
 
@@ -95,21 +97,21 @@ iou_option = click.option(
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=0.5,
     show_default=True,
-    help="Minimum IoU with the true box for correct evidence.",
+    help="Minimum IoU of a predicted box and the true box for correct evidence.",
 )
 
 port_option = click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="Port on 127.0.0.1; 0 takes a free one."
+    "--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="Port on 127.0.0.1; 0 for a free port."
 )
 
 
 def page_option(default: str) -> Callable[[_C], _C]:
-    """Add the option `--out` of a page."""
+    """Add the option `--out` for the HTML file of a page."""
     return click.option("--out", type=FILE, default=Path(default), show_default=True, help="HTML file to write.")
 
 
 def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[_C], _C]:
-    """Add a repeatable option; the command gets a list of (name, value)."""
+    """Add an option that may be repeated. The command gets a list of (name, value)."""
 
     def split(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
         for text in texts:

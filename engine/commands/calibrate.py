@@ -1,4 +1,4 @@
-"""`jrdb-avr calibrate`: find the box format of a model."""
+"""`jrdb-avr calibrate`: find out how a model writes the coordinates of a box."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 @endpoint_options
 @form_option
 def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
-    """Find the order and scale in which a model writes boxes, from 50 drawn rectangles.
+    """Find out how a model writes the four coordinates of a box: their order and their unit.
 
-    The store keeps the result for later runs of the model with the same response format and thinking. If no reading of
-    the boxes is clearly the best, nothing is stored and the exit code is 1.
+    The model is asked for the boxes of 50 drawn rectangles. The replies are read in each order and unit, and compared
+    with the rectangles. The best order and unit are stored. They apply to later runs of the model on this store with
+    the same --response-format and --thinking. If no order and unit is clearly the best, nothing is stored and the exit
+    code is 1.
 
     Example:
       jrdb-avr calibrate --store S --model M --base-url http://localhost:8000/v1
@@ -38,7 +40,7 @@ def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
     from jrdb_avr.queries.display import step_counter
 
     if not store.question_path("questions").exists():
-        # Because a public store has questions and no manifest; a folder without both cannot be a store.
+        # A folder that has neither questions nor a manifest is not a store: `manifest` raises the error that says so.
         store.manifest()
     with serving(model, endpoint.base_url) as url, progress_bar() as progress:
         client = Client(url, model, endpoint, convention=convention_of(model))

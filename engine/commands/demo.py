@@ -1,4 +1,4 @@
-"""`jrdb-avr demo`: run every step once on a synthetic world. Each step is a command that a user could type."""
+"""`jrdb-avr demo`: run every step once on synthetic data. Each step is a command that a user could type."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from jrdb_avr.schema.errors import InputError
 _PROGRAM: Final = "from jrdb_avr.engine.cli import main; main()"
 
 _SEQUENCE: Final = "sample-plaza-01_0"
-"""The first sequence of every sample."""
+"""Name of the first sequence that `sample` writes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """The size of the world, and the number of questions that are evaluated."""
+    """Size of the synthetic data of the demo, and the number of questions that are evaluated."""
 
     sequences: int = 1
     frames: int = 450
@@ -37,18 +37,19 @@ class Size:
     default="demo-out",
     show_default=True,
     type=click.Path(path_type=Path),
-    help="New folder for the world, the store and the run.",
+    help="New folder for the synthetic data, the store and the run.",
 )
 def command(out: Path) -> None:
-    """Run every step on a synthetic world: sample, load, generate, validate, observe, evaluate, score and report.
+    """Run every step on synthetic data: sample, load, generate, validate, observe, evaluate, score and report.
 
-    The simulated model answers the questions. Each step is printed as a command. The demo takes about twenty seconds.
+    The simulated model answers the questions. Each step is printed as the command that it runs. The demo takes about
+    twenty seconds.
     """
     run_demo(out, Size(), click.echo)
 
 
 def steps(folder: Path, size: Size) -> list[list[str]]:
-    """Return the arguments of the commands, in order."""
+    """Return the arguments of each command of the demo, in the order of the steps."""
     root, store, look = folder / "sample", ["--store", f"{folder / 'store'}"], folder / "look.png"
     world = f"--sequences {size.sequences} --frames {size.frames} --people {size.people}"
     return [
@@ -64,7 +65,7 @@ def steps(folder: Path, size: Size) -> list[list[str]]:
 
 
 def run_demo(folder: Path, size: Size, say: Callable[[str], None]) -> None:
-    """Run each step in its own process. Raise InputError if the folder is not empty or a step fails."""
+    """Run each step in a process of its own. Raise InputError if the folder is not empty, or if a step fails."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} exists and is not empty: remove it, or name another with --out", file=str(folder))
     begin = time.monotonic()

@@ -1,4 +1,4 @@
-"""`jrdb-avr evaluate`: run a method on the questions of a store."""
+"""`jrdb-avr evaluate`: let a method answer the questions of a store."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 LOG_EVERY_S: Final = 30.0
-"""Seconds between two lines of live scores if there is no terminal."""
+"""Minimum seconds between two printed lines of live scores if stderr is not a terminal."""
 
 
 class _Evaluation(NamedTuple):
@@ -40,9 +40,9 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--method",
     metavar="METHOD",
-    help=f"The method: {', '.join(METHODS)}; or a custom method, FILE.py:NAME or MODULE:NAME.",
+    help=f"The method: {', '.join(METHODS)}, or a custom method as FILE.py:NAME or MODULE:NAME.",
 )
-@model_option(", 'none' is for a custom method without a model", required=False)
+@model_option(" Give 'none' for a custom method without a model.", required=False)
 @field_options(EndpointOptions)
 @field_options(MethodOptions)
 @field_options(QuestionSelection)
@@ -50,25 +50,26 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--scores/--no-scores",
     default=None,
-    help="Show scores during the run, computed by a separate process; by default only on a terminal.",
+    help="Show scores during the run. A separate process computes them. Default: only on a terminal.",
 )
 @click.option(
     "--epochs",
     type=click.IntRange(1, 1000),
     metavar="N",
-    help="Ask each question N times, in runs RUN-1 to RUN-N. 'report --table epochs' prints pass@k and the majority.",
+    help="Ask each question N times, in runs RUN-1 to RUN-N. 'report --table epochs' prints their pass@k.",
 )
 @click.option(
     "--matrix",
     type=FILE,
-    help="TOML file of several runs: a table [[run]] each, with options by name; a list makes one run per value.",
+    help="TOML file that describes several runs. docs/models.md shows the format.",
 )
 @form_option
 def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -> None:
-    """Ask a model the questions of a store, and record every step.
+    """Let a method answer the questions of a store with a model, and record every step as a run.
 
-    The environment variable OPENAI_API_KEY holds the key of the model. The server is checked first, as by 'preflight'.
-    A run can be stopped at any time and resumed. The exit code is 1 if a question ended in an error.
+    The environment variable OPENAI_API_KEY holds the key of the model's server. Before the run, the server is checked
+    as by 'preflight'. A run can be stopped at any time and continued with --resume. The exit code is 1 if a run fails,
+    or if a question ends in an error.
 
     Examples:
       jrdb-avr evaluate --store S --method react --model marker
@@ -76,7 +77,8 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
       jrdb-avr evaluate --store S --method agent --model marker --resume
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
-    A machine without answers and labels needs a public store (export --public):
+    A public store ('export --public' writes it) holds no answers and no labels, for machines that must not have the
+    answers. It takes no --family, --template and --per-template. Methods with a world model need --world-db:
 
       jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
@@ -94,7 +96,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
         except AvrError as error:
             if matrix is None:
                 raise
-            # The other runs may have servers that work.
+            # The next run may use another server, which works.
             note(f"jrdb-avr: {evaluation.method}, {evaluation.model}: {error}")
     title = "Run" if len(epochs) == 1 else "Runs"
     if any(run.synthetic for run in results):
@@ -113,19 +115,19 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
 
 
 def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
-    """Note the most frequent reason of invalid questions, and of questions that ended in an error."""
+    """Print the most frequent reason of invalid answers, and the most frequent reason of errors."""
     for status, ending, remedy in (
         ("invalid", "as invalid", ""),
         ("error", "in an error", "; run the same command with --resume to ask them again"),
     ):
         reason, count = run.commonest_reason(status)
         if count:
-            ended = f"{row[status]} of {row['n']} questions ended {ending}, {count} of them so: {reason[:300]}"
+            ended = f"{row[status]} of {row['n']} questions ended {ending}, {count} of them because: {reason[:300]}"
             note(f"{prefix}{ended}{remedy}")
 
 
 def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
-    """Raise UsageError if two runs have the same name, because the second would fail after the first was made."""
+    """Raise UsageError if two runs have the same name. Otherwise the second would fail only after the first has run."""
     from jrdb_avr.engine.run.evaluate import name_run
 
     names = [name_run(store, *evaluation) for evaluation in evaluations]
@@ -135,7 +137,7 @@ def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
 
 
 def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
-    """Return the arguments of `evaluate`. Raise UsageError if they contradict each other."""
+    """Return the arguments of `evaluate` for one run. Raise UsageError if options contradict each other."""
     from jrdb_avr.agent.model.prices import read_price
     from jrdb_avr.agent.simulated.knobs import PERFECT, parse, profile_of
     from jrdb_avr.engine.run.evaluate import check_options
@@ -163,12 +165,12 @@ def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
 
 
 def _epochs(evaluation: _Evaluation, count: int | None) -> list[_Evaluation]:
-    """Return an evaluation per epoch."""
+    """Return one evaluation per epoch, or the evaluation itself if `--epochs` is not given."""
     options = evaluation.options
     if count is None:
         return [evaluation]
     if count > 1 and options.endpoint.temperature == 0 and options.endpoint.base_url is not None:
-        note("warning: at temperature 0 epochs repeat each other: give --temperature")
+        note("warning: at temperature 0, all epochs give the same answers: give --temperature")
     runs = [replace(options, run=replace(options.run, epoch=epoch)) for epoch in range(1, count + 1)]
     return [evaluation._replace(options=run) for run in runs]
 

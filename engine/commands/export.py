@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 @click.command()
 @store_option()
 @run_argument("run", required=False)
-@click.option("--jsonl", type=FILE, help="Write the predictions of RUN, a line each; 'score --jsonl' reads them.")
-@click.option("--public", type=FOLDER, help="Write a store of questions and panoramas without answers and labels.")
-@click.option("--opaque", is_flag=True, help="With --public: hashes in place of the names of sequences.")
-@click.option("--hf", type=FOLDER, help="Write the questions as DIR/public, for Hugging Face, and DIR/private.")
-@click.option("--creator", default=CREATOR, show_default=True, help="Of --hf: who publishes the questions.")
-@click.option("--url", default=HOME, show_default=True, help="Of --hf: where they will be published.")
+@click.option("--jsonl", type=FILE, help="Write the predictions of RUN, one per line, for 'score --jsonl'.")
+@click.option("--public", type=FOLDER, help="Write a public store: questions and panoramas, but no answers.")
+@click.option("--opaque", is_flag=True, help="With --public: replace the names of sequences by hashes.")
+@click.option("--hf", type=FOLDER, help="Write DIRECTORY/public, to publish on Hugging Face, and DIRECTORY/private.")
+@click.option("--creator", default=CREATOR, show_default=True, help="With --hf: publisher of the questions.")
+@click.option("--url", default=HOME, show_default=True, help="With --hf: address of the published questions.")
 def export(
     store: Store,
     run: str | None,
@@ -36,11 +36,11 @@ def export(
 ) -> None:
     """Write questions or predictions for other machines and tools.
 
-    --public writes a store on which 'evaluate' runs a method that must not see answers; 'score --jsonl' of the full
-    store takes the exported predictions of such a run.
+    --public writes a store for methods or machines that must not see the answers. 'evaluate' runs on it. To score such
+    a run, write its predictions with --jsonl, and give the file to 'score --jsonl' on the full store.
 
-    --hf writes two folders: a public one with questions, opaque names of sequences, a card and Croissant metadata, and
-    a private one with answers and evidence. Neither has pictures.
+    --hf writes two folders without pictures. The public folder has the questions, a dataset card and Croissant
+    metadata, with hashes for the names of sequences. The private folder has the answers and the evidence.
 
     Examples:
       jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
@@ -50,7 +50,7 @@ def export(
     if jsonl is hf is public is None:
         raise click.UsageError("say what to write: --public, --hf or --jsonl")
     if (run is None) is (jsonl is not None):
-        raise click.UsageError("--jsonl writes the predictions of a RUN, the others need no RUN")
+        raise click.UsageError("--jsonl needs a RUN; --public and --hf take no RUN")
     if opaque and public is None:
         raise click.UsageError("--opaque is an option of --public")
     if public is not None:
@@ -80,10 +80,10 @@ def export(
 @run_argument("run")
 @click.argument("folder", metavar="DIR", type=FOLDER)
 def submit(store: Store, run: str, folder: Path) -> None:
-    """Write RUN as a bundle into the new folder DIR; a store with the answers can score it.
+    """Write RUN as a bundle into the new folder DIR, so that the owner of the answers can score it.
 
-    The bundle holds predictions, the manifest with the settings, and hashes. It needs no answers, and leaves out the
-    address of the model's server.
+    A bundle holds the predictions, the settings of the run, and hashes of both files. It leaves out the address of the
+    model's server. The store of RUN needs no answers.
 
     Examples:
       jrdb-avr submit react-marker bundle --store S

@@ -20,7 +20,7 @@ _blind_option = click.option(
     type=click.Choice(["simple", "learned"]),
     default="simple",
     show_default=True,
-    help="Guessers of the blind check; 'learned' adds one trained on the text (pip install 'jrdb-avr[learned]').",
+    help="Guessers that see no image; 'learned' adds one trained on the text (pip install 'jrdb-avr[learned]').",
 )
 
 
@@ -31,34 +31,35 @@ _blind_option = click.option(
     type=click.Choice(["all", "paper", "train"]),
     default="all",
     show_default=True,
-    help="all: every question that balance permits; paper: the paper's numbers per family; train: a training set "
-    "without caps per person or answer.",
+    help="all: as many questions as the balance of answers permits; paper: the paper's number per family; train: a "
+    "training set, without limits per person or answer.",
 )
 @click.option("--n", type=click.IntRange(1), help="With --profile train: maximum number of questions.")
 @click.option(
     "--disjoint-from",
     type=FOLDER,
     metavar="STORE",
-    help="With --profile train: exclude the people of STORE's questions at the times of these questions.",
+    help="With --profile train: do not use a person while a question of STORE needs that person.",
 )
 @executor_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Choice between equally good selections.")
-@click.option("--candidates", type=FILE, help="Parquet file to write with all proven candidates, before selection.")
-@click.option("--require-occlusion", is_flag=True, help="Skip sequences without occlusion attributes.")
-@click.option(
-    "--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see inspect --import)."
-)
-@pairs_option("--rule", "overrides", "Override a rule. May be repeated. --profile train ignores its caps.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of choices between equal questions.")
+@click.option("--candidates", type=FILE, help="Parquet file to write: all proven candidates before selection.")
+@click.option("--require-occlusion", is_flag=True, help="Skip sequences that have no occlusion labels.")
+@click.option("--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see 'inspect').")
+@pairs_option("--rule", "overrides", "Change a rule (see 'rules list'). May be repeated.")
 @_blind_option
 @form_option
 def generate(
     store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], blind: str, form: RowFormat, **options: Any
 ) -> None:
-    """Find questions in all sequences of STORE, prove them, and write them to STORE/questions.
+    """Find questions in all sequences of a store, prove these questions, and write them into the store.
 
-    Prints the candidates per template, the refusals per rule, the questions, and the score of a blind guesser. If a
-    template has few questions, prints the reason. With --profile paper, also prints the number reached per family. The
-    result does not depend on the number of workers. A training set needs a separate store.
+    For each template, the command prints the number of candidates, of refusals by each rule, and of questions. If a
+    template has few questions, the command prints the reason. It also prints the scores of guessers that see no image.
+    With --profile paper, it prints how many of the paper's questions each family reaches.
+
+    The questions do not depend on the number of workers. A training set needs a store of its own. --profile train
+    ignores the rules max_per_person, max_per_person_in_all and max_answer_share.
     """
     from jrdb_avr.engine.generate import run
     from jrdb_avr.engine.generate.diagnostics import fillings
@@ -72,7 +73,7 @@ def generate(
     if form:
         print_data(made.rows(), form)
     else:
-        # One column per template, because there are more rules than fit on a line.
+        # Templates are the columns, because there are more rules than columns that fit on a line.
         names = [name for name in made.templates[0] if name not in ("family", "template")]
         crossed = [{"": name, **{row["template"]: row[name] for row in made.templates}} for name in names]
         print_rows(crossed, title="Candidates, refusals by rule, and questions")
@@ -92,13 +93,13 @@ def generate(
 @_blind_option
 @form_option
 @click.option(
-    "--latex", "as_latex", is_flag=True, help="Print the paper's table of generators, for the package booktabs."
+    "--latex", "as_latex", is_flag=True, help="Print the paper's table of question families in LaTeX (booktabs)."
 )
 def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
-    """Count the questions of STORE by family, template, sequence and answer; score guessers that see no image.
+    """Count the questions of a store by family, template, sequence and answer, and score guessers that see no image.
 
-    Prints the refused candidates of each template, and the reason if a template has few questions. With --json the key
-    "table" of each row names its table.
+    The command also prints how many candidates each rule refused per template, and why a template has few questions.
+    With --json and --csv, the column "table" names the table of a row.
     """
     if form and as_latex:
         raise click.UsageError(f"choose one of --{form} and --latex")
@@ -122,7 +123,7 @@ def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
 
 
 def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[dict[str, Any]]:
-    """Return one row per rule and one column per template, because one row per pair would be a long table."""
+    """Return the counts of refusals with one row per rule and one column per template."""
     templates = dict.fromkeys(sorted({row["template"] for row in rows}), 0)
     crossed = {rule: {"": rule, **templates} for rule in rules}
     for row in rows:
@@ -132,11 +133,11 @@ def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[di
 
 
 _REASONS: Final = ("why", "skipped", "reason")
-"""Columns of explanations. They are too long for a cell, so they are printed as lines below the table."""
+"""Columns with explanations. Explanations are too long for cells, so they are printed as lines below the table."""
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print rows with at most three decimals, then the reasons as lines."""
+    """Print rows as a table with at most three decimals, and the explanations below it."""
     rounded = [
         {name: round(cell, 3) if isinstance(cell, float) else cell for name, cell in row.items()} for row in rows
     ]
@@ -147,7 +148,7 @@ def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
 
 
 def _print_reasons(rows: Iterable[Mapping[str, Any]]) -> None:
-    """Print the reasons for few questions and for blind scores above their aim."""
+    """Print why templates have few questions, and why guessers without images score above their aim."""
     for row in rows:
         if row.get("why"):
             click.echo(f"{row['template']}: {row['why']}")

@@ -1,4 +1,4 @@
-"""`jrdb-avr inspect`: write a page for the review of questions, and store the decisions of reviewers."""
+"""`jrdb-avr inspect`: write a page on which a reviewer judges questions, and store the decisions of reviewers."""
 
 from __future__ import annotations
 
@@ -17,19 +17,22 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("questions", nargs=-1, metavar="[QUESTION]...")
 @store_option()
-@click.option("--sample", type=click.IntRange(1, 1000), help="Number of random questions, instead of QUESTIONs.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random draw.")
+@click.option("--sample", type=click.IntRange(1, 1000), help="Show this many random questions instead of QUESTIONs.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random questions.")
 @page_option("inspect.html")
-@click.option("--import", "decisions", type=FILE, help="Store the decisions in this file, which the page saved.")
-@click.option("--reviewer", help="Name of the reviewer; with --import.")
+@click.option("--import", "decisions", type=FILE, help="Store the decisions of a file that the page saved.")
+@click.option("--reviewer", help="With --import: name of the reviewer.")
 @form_option
 def command(
     questions: tuple[str, ...], store: Store, sample: int | None, seed: int, out: Path, form: RowFormat, **review: Any
 ) -> None:
-    """Write a page of questions with answers, plans, proofs and views, or store the decisions made on it.
+    """Write a page on which a reviewer accepts or rejects questions, or store the decisions of a reviewer.
 
-    Keys on the page: a accepts, r rejects, u undoes; j and k go to the next and previous question; comma and dot go one
-    second back and forward. With --import, prints the agreement of each two reviewers (Cohen's kappa).
+    The page shows answer, plan, proofs and pictures of each QUESTION (an id). On the page, the key a accepts a
+    question, r rejects it, and u undoes the decision. The keys j and k go to the next and the previous question, comma
+    and dot one second back and forward in time. The page saves the decisions as a file for --import.
+
+    With --import, the command prints how well each two reviewers agree (Cohen's kappa).
 
     Examples:
       jrdb-avr inspect --sample 20 --store S --out inspect.html

@@ -1,4 +1,4 @@
-"""`jrdb-avr load`: load label files into a store, and report loaded and refused parts."""
+"""`jrdb-avr load`: load label files into a store, and report what was loaded and what was refused."""
 
 from __future__ import annotations
 
@@ -18,31 +18,36 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.workers import Executor
 
 MAX_ROWS: Final = 50
-"""Maximum printed rows of a table with a length that depends on the files."""
+"""Maximum printed rows of a table with a length that depends on the label files."""
 
 
 @click.command()
 @click.argument("root", required=False, type=click.Path(path_type=Path))
 @store_option()
-@click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the store's annotation tables.")
-@click.option("--verify", is_flag=True, help="Compare the store's files with what was loaded.")
+@click.option("--rebuild", is_flag=True, help="Derive intervals and graph again from the annotations in the store.")
+@click.option("--verify", is_flag=True, help="Check that the files of the store are unchanged since 'load' wrote them.")
 @pairs_option(
     "--layer-dir",
     "layer_dirs",
-    "Folder of a layer's files, relative to ROOT or absolute. LAYER= leaves the layer out. May be repeated. "
+    "Folder of a layer's files, absolute or relative to ROOT. An empty FOLDER leaves the layer out. May be repeated. "
     "Layers: 2d, 3d, social, reasoning, pose, panoptic, timestamps, calibration.",
     metavar="LAYER=FOLDER",
 )
-@click.option("--strict", is_flag=True, help="Exit with 1 if anything was refused or skipped.")
-@pairs_option("--rule", "overrides", "Override a load rule; may be repeated.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if anything was refused or skipped.")
+@pairs_option("--rule", "overrides", "Change a rule of loading (see 'rules list'). May be repeated.")
 @executor_option
 @form_option
 def command(root: Path | None, store: Store, strict: bool, workers: Executor, form: RowFormat, **options: Any) -> None:
-    """Load the JRDB root ROOT into a store.
+    """Load a copy of JRDB from the folder ROOT into a store. Leave ROOT out with --rebuild or --verify.
 
-    The layers are stitched 2D boxes with actions and groups, 3D boxes, social and reasoning labels, poses, panoptic
-    segments, timestamps, calibration and panoramas. Any layer may be missing. Broken files and broken records are
-    refused and listed, and the rest loads. A layer with frame numbers that differ from the 2D boxes is refused.
+    The layers of JRDB are stitched 2D boxes with actions and groups, 3D boxes, social labels, reasoning labels, poses,
+    panoptic segments, timestamps, calibration and panoramas. Any layer may be missing. Broken files and broken records
+    are refused and listed, and the rest is loaded. A layer is refused if its frame numbers differ from those of the 2D
+    boxes.
+
+    --verify compares the files of annotations, intervals and graph with the hashes that 'load' stored, and prints the
+    first fault of each. If a run has since written into the graph, the row counts of the graph's tables are compared
+    instead. The exit code is 1 if there is a fault.
 
     Example:
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
@@ -106,6 +111,6 @@ def _verify(store: Store, form: RowFormat) -> None:
 
 
 def _rules(overrides: list[tuple[str, str]], start: LoadRules) -> LoadRules:
-    """Return load rules with overrides, named with or without the prefix `load.`."""
+    """Return `start` with the overrides. Names of rules may begin with `load.` or leave it out."""
     changes = {f"load.{name.removeprefix('load.')}": value for name, value in overrides}
     return override(Rules(load=start), changes).load

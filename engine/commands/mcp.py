@@ -24,22 +24,25 @@ if TYPE_CHECKING:
     "port",
     type=click.IntRange(0, 65535),
     metavar="PORT",
-    help="Serve at this port of 127.0.0.1; 0 takes a free one.",
+    help="Serve over HTTP on this port of 127.0.0.1; 0 chooses a free port.",
 )
 @click.option("--i-trust-the-agent", "trusted", is_flag=True, help="Serve over stdio even if the store holds answers.")
-@click.option("--model", default="agent", show_default=True, help="Name of the agent, for the run and its reports.")
+@click.option("--model", default="agent", show_default=True, help="Name of the agent in the run and in reports.")
 @field_options(RunOptions, "run_id", "resume", "images")
 @field_options(QuestionSelection, "limit")
 @field_options(MethodOptions, "opaque")
 def command(store: Store, port: int | None, trusted: bool, model: str, **options: Any) -> None:
     """Serve the questions of a store to an agent over MCP, and record its answers as a run.
 
-    Without --http, the server uses standard input and output, and refuses a store with answers, which the agent could
-    read. Needs the extra 'mcp'.
+    With --http, the command prints the address and the token of the server. Without --http, the server uses standard
+    input and output (stdio). It then refuses a store with answers, because the agent could read the answers from the
+    disk.
+
+    The command needs more packages: pip install 'jrdb-avr[mcp]'.
 
     Examples:
-      jrdb-avr mcp --store S --http 8765 --model claude   serve, and print address and token
-      jrdb-avr mcp --store S --images DIR                 started by an MCP client, over stdio
+      jrdb-avr mcp --store S --http 8765 --model claude   print address and token
+      jrdb-avr mcp --store S --images DIR                 started by an MCP client
     """
     try:
         from jrdb_avr.engine.integrations.mcp import serve
@@ -51,7 +54,7 @@ def command(store: Store, port: int | None, trusted: bool, model: str, **options
     def ready(url: str, token: str) -> None:
         click.echo(f"{url} {token}")
 
-    # The tables are written when the server stops.
+    # A terminated server must stop as after Ctrl-C, because it writes the tables of the run when it stops.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with warnings_as_notes():
         run = serve(store, port=port, trusted=trusted, model=model, ready=ready, **options)

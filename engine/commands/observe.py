@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    # Because an ANGLE may be negative, such as -90.
+    # Because a negative ANGLE, such as -90, looks like an option.
     context_settings={"ignore_unknown_options": True},
 )
 @click.argument("sequence", shell_complete=complete_sequence)
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 @click.argument("angle", type=float, required=False)
 @store_option()
 @click.option("--out", required=True, type=FILE, help="PNG file to write.")
-@click.option("--panorama", is_flag=True, help="Write the whole panorama; takes no ANGLE.")
-@click.option("--boxes", is_flag=True, help="Draw the annotated boxes with track, pose and group, and skeletons.")
+@click.option("--panorama", is_flag=True, help="Write the whole panorama instead of a crop at ANGLE.")
+@click.option("--boxes", is_flag=True, help="Draw annotated boxes with track, pose and group, and draw skeletons.")
 def command(
     sequence: str, frame: int, angle: float | None, store: Store, out: Path, panorama: bool, boxes: bool
 ) -> None:
-    """Write the 480 x 480 crop of FRAME of SEQUENCE in direction ANGLE (degrees) as PNG.
+    """Write a crop of a panorama as PNG: 480 x 480 pixels around ANGLE, in FRAME of SEQUENCE.
 
-    180 is straight ahead, 90 is left of the robot, 0 behind and 270 right.
+    ANGLE is in degrees: 0 is behind the robot, 90 to its left, 180 straight ahead, and 270 to its right.
 
     Example:
       jrdb-avr observe gates-ai-lab-2019-02-08_0 15 180 --store S --out look.png
@@ -63,10 +63,10 @@ def command(
 
 
 def _annotated(store: Store, sequence: str, frame: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return sightings and poses of a frame."""
+    """Return the rows of `sightings` and of `poses` of one frame."""
     import pyarrow.compute as pc
 
     tables = store.interval("sightings", sequence), store.annotation("poses", sequence)
     people, poses = (table.filter(pc.equal(table["frame"], frame)).to_pylist() for table in tables)
-    # Wide boxes first, so that small boxes are drawn over them.
+    # Wide boxes come first, so that small boxes are drawn over wide boxes.
     return sorted(people, key=lambda row: (-row["w"], row["track"])), poses

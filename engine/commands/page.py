@@ -1,10 +1,10 @@
-"""Pages of the documentation that the code itself writes: commands, Python API, and tables.
+"""Pages of the documentation that are made from the code: commands, Python API, and tables.
 
     python -m jrdb_avr.engine.commands.page commands > docs/commands.md
     python -m jrdb_avr.engine.commands.page api > docs/api.md
     python -m jrdb_avr.engine.commands.page tables > docs/tables.md
 
-Tests compare the pages with the code, so that they agree.
+Tests check that the stored pages are what the code makes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _HOW: Final[dict[str, Any]] = {"terminal_width": 100, "max_content_width": 100, 
 
 
 def commands_page() -> str:
-    """Return the page of the commands in Markdown, each with its help; subcommands follow their group."""
+    """Return the page of all commands in Markdown, with the help of each. Subcommands follow their group."""
     parts = ["# Commands\n", "The output of `--help` of each command.\n"]
     top = click.Context(group, info_name=NAME, **_HOW)
     for name in COMMANDS:
@@ -50,7 +50,7 @@ def _helps(parent: click.Group, name: str, above: click.Context) -> Iterator[tup
 
 
 def api_page() -> str:
-    """Return the page of the Python API in Markdown: the public names with signatures and docstrings."""
+    """Return the page of the Python API in Markdown: the signature and the docstring of each public name."""
     values = {name: getattr(jrdb_avr, name) for name in jrdb_avr.__all__}
     functions = {name: value for name, value in values.items() if inspect.isfunction(value)}
     errors = {name: value for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
@@ -69,7 +69,7 @@ def _signature(name: str, value: Any) -> str:
         return ""
     signature = inspect.signature(value)
     parameters = [_short(parameter) for parameter in signature.parameters.values()]
-    # Annotations are strings, which print with quotes.
+    # Annotations are stored as strings, so they are printed with quotes. Remove the quotes.
     lines = [re.sub(r": '([^']*)'", r": \1", f"    {parameter},\n") for parameter in parameters]
     star = next((i for i, parameter in enumerate(parameters) if parameter.kind is parameter.KEYWORD_ONLY), None)
     if star is not None:
@@ -80,7 +80,7 @@ def _signature(name: str, value: Any) -> str:
 
 
 def _short(parameter: inspect.Parameter) -> inspect.Parameter:
-    """Return the parameter with `Class()` for the default if that is an options object without set fields."""
+    """Return the parameter. A default that is an options object with default values is printed as `Class()`."""
     kind = type(parameter.default)
     if not kind.__name__.endswith("Options") or parameter.default != kind():
         return parameter
@@ -96,7 +96,7 @@ class _Text(str):
 
 
 def _doc(value: Any) -> str:
-    """Return the docstring: lists for Google sections, code blocks for other indented lines."""
+    """Return the docstring as Markdown. Google sections become lists, other indented lines become code blocks."""
     blocks = re.split(
         r"(?m)^((?:Args|Attributes|Returns|Raises|Yields):\n(?:(?: {4}.*)?\n?)+)", inspect.getdoc(value) or ""
     )

@@ -19,16 +19,18 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr play --store S --name ada --per-template 2 --seed 1")
 @store_option()
-@click.option("--name", default="person", show_default=True, help="Name of the person, for the run and its reports.")
+@click.option("--name", default="person", show_default=True, help="Name of the person in the run and in reports.")
 @field_options(RunOptions, "run_id", "resume", "images")
 @field_options(QuestionSelection, "per_template", "limit", "seed")
 @port_option
 def command(store: Store, name: str, run_id: str | None, resume: bool, port: int, **options: Any) -> None:
-    """Serve the questions of a store to a person, and record the answers as a run of the method 'human'.
+    """Let a person answer the questions of a store in the browser, and record the answers as a run of method 'human'.
 
-    The page allows the moves of ReAct: looks, a box in the newest picture, an answer. The command prints its address,
-    which holds a token, and ends with Ctrl-C. Give several people the same options, and each a --name: 'report --table
-    people' shows their agreement.
+    The person can do what the method react can do: look at an angle of a frame, draw a box in the newest picture, and
+    answer. The command prints the address of the page. The address contains a token. Ctrl-C ends the command.
+
+    To measure how well people agree, start the command for each person with a different --name and otherwise equal
+    options. 'report --table people' then shows the agreement.
     """
     from jrdb_avr.engine.local_server import LocalServer
     from jrdb_avr.engine.pages.page import render

@@ -1,4 +1,4 @@
-"""`jrdb-avr preflight`: check the server of a model before a run."""
+"""`jrdb-avr preflight`: check a model's server before a run."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows
 @endpoint_options
 @form_option
 def command(model: str, endpoint: Any, form: RowFormat) -> None:
-    """Check a model's server: text, JSON schema, pictures, system message, thinking, and the largest requests.
+    """Check what a model's server supports: JSON replies, pictures, system message, thinking, and the largest requests.
 
-    'evaluate' makes the same checks before a run, warns of failed checks and records them. The exit code is 1 if a
-    check fails that a run needs.
+    The result of a check is 'passed', 'failed' or 'warning'. The exit code is 1 if any check is 'failed'. 'evaluate'
+    makes the same checks before a run. It warns of failed checks, and records them in the run.
 
     Example:
       jrdb-avr preflight --model Qwen3-VL-8B --base-url http://localhost:8000/v1

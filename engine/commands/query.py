@@ -1,4 +1,4 @@
-"""`jrdb-avr cypher` and `jrdb-avr sql`: run a statement or a named query, and print its rows."""
+"""`jrdb-avr cypher` and `jrdb-avr sql`: run a statement or a saved query, and print its rows."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ if TYPE_CHECKING:
 Language = Literal["cypher", "sql"]
 
 _LONGEST: Final = 1 << 20
-"""Maximum bytes of a statement in a file."""
+"""Maximum bytes of a statement from a file or from standard input."""
 
 
 def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the argument and the options of a query."""
+    """Add the argument QUERY and all options of `cypher` and `sql`."""
     for decorate in (
         click.argument("query", required=False, shell_complete=complete_query),
         store_option(required=False),
         pairs_option(
-            "--param", "params", "Value of the parameter $NAME of the query, as JSON or text. May be repeated."
+            "--param", "params", "Value of the parameter $NAME of the query: JSON or plain text. May be repeated."
         ),
         click.option(
             "--timeout",
             type=click.FloatRange(0.1, 86_400),
             default=60.0,
             show_default=True,
-            help="Seconds after which the query is stopped.",
+            help="Maximum seconds that the query may take.",
         ),
         click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
-        click.option("--parquet", type=FILE, help="Write a Parquet file."),
+        click.option("--parquet", type=FILE, help="Write the rows as a Parquet file."),
     ):
         function = decorate(function)
     return function
@@ -51,9 +51,10 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.command()
 @_query_options
 def cypher(**options: Any) -> None:
-    """Query the graph with Cypher.
+    """Query the graph of a store with Cypher.
 
-    QUERY is one reading statement, the name of a saved query (see --list), FILE.cypher, or - for standard input.
+    QUERY is one statement that only reads, the name of a saved query (see --list), a file FILE.cypher, or - for
+    standard input.
 
     Examples:
       jrdb-avr cypher --list
@@ -66,10 +67,10 @@ def cypher(**options: Any) -> None:
 @click.command()
 @_query_options
 def sql(**options: Any) -> None:
-    """Query the Parquet tables with SQL.
+    """Query the tables of a store with SQL.
 
-    QUERY is one SELECT over the views of the store, the name of a saved query (see --list), FILE.sql, or - for standard
-    input.
+    QUERY is one statement that only reads, the name of a saved query (see --list), a file FILE.sql, or - for standard
+    input. 'jrdb-avr schema tables' prints the tables.
 
     Examples:
       jrdb-avr sql 'SHOW TABLES' --store S
@@ -117,7 +118,7 @@ def _run(
 
 
 def _statement(language: Language, query: str) -> str:
-    """Return the query, or the text of the file or input that it names. Raise InputError if that cannot be read."""
+    """Return the query, or the text of the file that it names. Raise InputError if the file cannot be read."""
     if query != "-" and not re.fullmatch(rf"\S+\.{language}", query):
         return query
     try:
@@ -130,7 +131,7 @@ def _statement(language: Language, query: str) -> str:
 
 
 def _unique_names(table: Any) -> Any:
-    """Add numbers to repeated column names, because a row object holds each name once."""
+    """Append numbers to repeated column names, because a row is a dictionary and holds each name once."""
     names: list[str] = []
     for name in table.column_names:
         numbered = (f"{name}_{number}" for number in itertools.count(2))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
 
 
-# Bootstrap multiplies small matrices: with threads of its own, linear algebra takes twice the time of processors.
+# Because OpenBLAS takes twice the processor time if it multiplies the small matrices of the bootstrap with threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _MACRO: Final = "_macro_"
@@ -27,25 +27,28 @@ _runs_argument = run_argument("runs", nargs=-1, metavar="[RUN]...")
 @_runs_argument
 @store_option()
 @click.option(
-    "--jsonl", type=FILE, help="Import predictions as a run first, named RUN or after the file, and score it."
+    "--jsonl", type=FILE, help="Import predictions as the run RUN (default: the name of the file), and score it."
 )
-@click.option("--bundle", type=FOLDER, help="Score a bundle without writing files.")
+@click.option("--bundle", type=FOLDER, help="Score a bundle that 'submit' wrote. Nothing is written.")
 @iou_option
 @form_option
 def score(
     runs: tuple[str, ...], store: Store, iou: float, form: RowFormat, jsonl: Path | None, bundle: Path | None
 ) -> None:
-    """Write runs/RUN/scores.parquet: answer, evidence and combined score of every question.
+    """Score the predictions of each RUN, or of all runs if no RUN is given.
+
+    The file runs/RUN/scores.parquet of the store gets the answer, evidence and combined score of every question. The
+    command prints the mean scores.
 
     Examples:
-      jrdb-avr score --store S react-marker           (all runs if no RUN is given)
-      jrdb-avr score --store S --jsonl mine.jsonl     predictions made elsewhere, as the run 'mine'
-      jrdb-avr score --store S --bundle bundle        what 'submit' wrote
+      jrdb-avr score --store S react-marker
+      jrdb-avr score --store S --jsonl mine.jsonl     import predictions as the run 'mine'
+      jrdb-avr score --store S --bundle bundle        score a bundle of 'submit'
     """
     from jrdb_avr.engine.report import comparison
 
     if (jsonl and len(runs) > 1) or (bundle and (runs or jsonl)):
-        raise click.UsageError("--jsonl takes one RUN at most, --bundle none and no --jsonl")
+        raise click.UsageError("--jsonl takes at most one RUN, --bundle takes neither RUN nor --jsonl")
     if jsonl is not None:
         from jrdb_avr.engine.run.imported import import_predictions
 
@@ -59,7 +62,7 @@ def score(
             scores = comparison.score(store, runs, iou)
     print_rows(scores.rows, form=form)
     if not form:
-        note(f"percent of n; evidence scores from IoU {iou:g} on")
+        note(f"scores are percent of n; a box is right from IoU {iou:g} on")
     if not form and bundle is None:
         note(f"next: jrdb-avr report --store {store.path} && jrdb-avr view --store {store.path} --answers")
 
@@ -72,26 +75,27 @@ def score(
     "tables",
     multiple=True,
     metavar="NAME",
-    help="main; family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence (breakdowns); "
-    "ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost; all. May be repeated.  [default: main]",
+    help="main (default), ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost, all, or a breakdown "
+    "by family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence. May be repeated.",
 )
-@click.option("--paper", is_flag=True, help="Add rows with the paper's figures, labelled 'paper'.")
+@click.option("--paper", is_flag=True, help="Add the paper's scores as rows with the label 'paper'.")
 @iou_option
 @form_option
-@click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
-@click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX, for the package booktabs.")
-@click.option("--html", type=FILE, help="HTML page to write, with all tables.")
-@click.option("--leaderboard", is_flag=True, help="Rank bundles; give their folders in place of runs.")
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown tables.")
+@click.option("--latex", "as_latex", is_flag=True, help="Print LaTeX tables for the package booktabs.")
+@click.option("--html", type=FILE, help="HTML file to write, with all tables.")
+@click.option("--leaderboard", is_flag=True, help="Rank bundles. Give folders of bundles instead of runs.")
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
-    """Compare runs: answer, evidence, combined, hallucination and invalid, in percent of the n questions.
+    """Compare the scores of each RUN in tables, or of all runs if no RUN is given.
 
-    Intervals of 95 % come from a bootstrap over sequences with 10,000 seeded draws. Macro averages are means over the
-    seven families and over the paper's five groups.
+    The columns answer, evidence, combined, hallucination and invalid are percent of the n questions. A hallucination is
+    a right answer without right evidence. 95 % intervals come from a bootstrap over sequences with 10,000 seeded draws.
+    Macro averages are means over the seven families, and over the paper's five groups.
 
     Examples:
-      jrdb-avr report --store S                             all runs
+      jrdb-avr report --store S
       jrdb-avr report --store S --table template --table pairs
-      jrdb-avr report --store S --paper --latex             beside the paper's rows
+      jrdb-avr report --store S --paper --latex
       jrdb-avr report --store S --leaderboard B1 B2 --html leaderboard.html
     """
     form, as_markdown, as_latex = options["form"], options["as_markdown"], options["as_latex"]
@@ -142,11 +146,9 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
             click.echo((f"% {title}\n" if title else "") + text, nl=False)
         else:
             _print_table(name, rows_of[name], title)
-    note(f"percent of n; evidence scores from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
+    note(f"scores are percent of n; a box is right from IoU {iou:g} on; [95 % interval]; n/a: no answer scored")
     if any(map(formats.other_counts, rows_of.values())):
-        note(
-            f"{formats.MARK} another number of questions than most runs: --table pairs compares on those that two share"
-        )
+        note(f"{formats.MARK} fewer or more questions than most runs; --table pairs compares common questions")
     if paper and "ablation" in names:
         from jrdb_avr.engine.report.directions import direction_lines
 
@@ -157,7 +159,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
 
 
 def _leaderboard(store: Store, folders: tuple[str, ...], iou: float, html: Path | None, form: RowFormat) -> None:
-    """Score and rank bundles, as a page, as rows for programs or as a table."""
+    """Score and rank bundles. Write the ranking as an HTML file, or print it as a table, JSON or CSV."""
     from jrdb_avr.engine.report.formats import filled, with_intervals
     from jrdb_avr.engine.report.leaderboard import leaderboard
 
@@ -179,7 +181,7 @@ def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
     from jrdb_avr.engine.report.formats import filled, with_intervals
 
     cells = with_intervals(rows)
-    # Because the id of a run names method and model; rows of the paper have no id.
+    # The id of a run already names its method and model. Rows of the paper have no id, so they need both columns.
     known = () if any(row.get("run") == "" for row in cells) else ("method", "model")
     empty = (own for own in ("label", "setting") if not any(row.get(own) for row in cells))
     left_out = {"iou", *known, *empty}

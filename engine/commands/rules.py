@@ -1,4 +1,4 @@
-"""`jrdb-avr rules`: list the thresholds of the benchmark, which --rule overrides."""
+"""`jrdb-avr rules`: list the rules of the benchmark, which `--rule` changes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jrdb_avr.engine.console import RowFormat, print_rows
 
 @click.group(cls=NamingGroup, epilog="Example: jrdb-avr rules list")
 def command() -> None:
-    """Show the rules of the benchmark, the thresholds of facts, proofs and selection."""
+    """Show the rules of the benchmark: thresholds for facts, for proofs and for the selection of questions."""
 
 
 @command.command(name="list", epilog="Example: jrdb-avr rules list --csv")
@@ -19,7 +19,8 @@ def command() -> None:
 def rules_list(form: RowFormat) -> None:
     """List the rules with their values and meanings.
 
-    'load --rule NAME=VALUE' overrides the rules of load, 'generate --rule NAME=VALUE' the others.
+    'load --rule NAME=VALUE' changes a rule with a name that begins with "load.". 'generate --rule NAME=VALUE' changes
+    any other rule.
     """
     from jrdb_avr.schema.rules import rule_rows
 

@@ -33,7 +33,11 @@ def command() -> None:
 @store_option()
 @form_option
 def runs_list(store: Store, form: RowFormat) -> None:
-    """List the runs with method, model, number of questions by status, and whether each run is complete."""
+    """List the runs with method, model, state, and number of questions by status.
+
+    The state of a run is "complete", "unfinished", "damaged", or "other questions" if the questions of the store have
+    changed since the run began.
+    """
     from jrdb_avr.engine.run.overview import list_runs
 
     rows = list_runs(store)
@@ -50,7 +54,7 @@ def runs_list(store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def show(run: str, store: Store, form: RowFormat) -> None:
-    """Show a run: its questions and their selection, its settings, and the reasons of missing answers."""
+    """Show the selection of a run's questions, its settings, and the most frequent reasons of missing answers."""
     from jrdb_avr.engine.run.overview import show_run
 
     facts = show_run(store, run)
@@ -59,13 +63,13 @@ def show(run: str, store: Store, form: RowFormat) -> None:
         return
     note(f"in {facts.pop('folder')}")
     rows = [{"what": name, "value": value} for name, item in facts.items() for name, value in _lines(name, item)]
-    # Without the prefix, because names of settings are long.
+    # The prefix is left out, because names of settings are long.
     rows = [{**row, "what": row["what"].removeprefix("settings.")} for row in rows if row["value"] not in (None, "")]
     print_rows(rows)
 
 
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
-    """Return a value by its name, the entries of a mapping or list each on a line."""
+    """Return a name and its value as lines. Each entry of a mapping, and each reason, is a line of its own."""
     if isinstance(value, dict):
         return [line for key, item in value.items() for line in _lines(f"{name}.{key}", item)]
     if isinstance(value, list) and name.startswith("commonest"):
@@ -82,9 +86,11 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
 @store_option()
 @click.option("--run-id", required=True, help="Name of the new run.")
 def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
-    """Merge all shards of a run (evaluate --shard) into one run, after their folders are copied into STORE/runs.
+    """Make one run of all the shards that 'evaluate --shard' wrote.
 
-    The shards must agree in questions, method, model and settings. They stay unchanged.
+    If shards were written on other machines, first copy the folders of these runs into the folder runs of the store.
+    The shards must have the same method, model and settings, and their selections must differ only in the shard.
+    Merging leaves the shards unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs
 
@@ -100,12 +106,12 @@ def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
 @store_option()
 @click.option("--yes", is_flag=True, help="Delete without asking.")
 def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
-    """Delete runs: their folders, and their world models in the store's graph."""
+    """Delete the folders of runs, and the world models of these runs in the graph of the store."""
     from jrdb_avr.engine.run.overview import remove_run
 
     if not yes:
         if not sys.stdin.isatty():
-            raise click.UsageError("nobody is there to be asked: add --yes")
+            raise click.UsageError("no terminal for the question whether to delete: add --yes")
         click.confirm(f"Delete {', '.join(run_ids)} of {store.path} for good?", abort=True)
     for run_id in dict.fromkeys(run_ids):
         remove_run(store, run_id)
@@ -124,15 +130,17 @@ def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
     type=click.Choice(["answer", "evidence", "combined"]),
     default="combined",
     show_default=True,
-    help="Score by which differing questions are listed.",
+    help="Score that decides which questions are listed below the table.",
 )
 @iou_option
 @form_option
 def diff(first: str, second: str, store: Store, score: str, iou: float, form: RowFormat) -> None:
-    """Compare two runs on their common questions: scores, their difference with its interval, and counts of wins.
+    """Compare two runs on the questions that both runs contain.
 
-    Scores are percent of the common questions. The difference is the second score minus the first, in points, and p is
-    from the exact McNemar test. --json and --csv print the questions that only one of the runs scores.
+    The table shows the scores of both runs in percent, and the difference in points: the second score minus the first.
+    It also shows a 95 % interval of the difference, how many questions only one run has right, and p of the exact
+    McNemar test. Below the table are the questions that only one run has right by --score. --json and --csv print only
+    these questions.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals
@@ -147,12 +155,12 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     rows = [{name: row[name] for name in row if name != "interval"} for row in with_intervals(compared.scores())]
     print_rows(rows, title=f"first: {first}, second: {second}" + (f"; {TOO_FEW}" if few else ""))
     if questions:
-        # What is right says already who alone scores.
+        # The columns of right scores already show which run alone is right.
         columns = [name for name in questions[0] if name != "only"]
-        title = f"{len(questions)} questions that one of them alone scores: {score}"
+        title = f"{len(questions)} questions that only one of the runs scores: {score}"
         print_rows(questions, title, columns)
     else:
-        note(f"no question is scored by one of them alone: {score}")
+        note(f"no question is scored by only one of the runs: {score}")
     note(f"next: jrdb-avr view --store {store.path} --answers")
     if compared.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")

@@ -1,4 +1,4 @@
-"""`jrdb-avr sample`: write a synthetic JRDB root."""
+"""`jrdb-avr sample`: write synthetic data in the folder layout of JRDB."""
 
 from __future__ import annotations
 
@@ -15,25 +15,28 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--sequences", type=click.IntRange(1, 200), default=5, show_default=True, help="Number of sequences.")
 @click.option(
-    "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Frames of each sequence."
+    "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Number of frames per sequence."
 )
-@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at a time.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the world.")
-@click.option("--no-images", is_flag=True, help="Write label files only.")
+@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at once.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the synthetic data.")
+@click.option("--no-images", is_flag=True, help="Write label files, but no panoramas.")
 @click.option(
     "--images",
     type=click.Choice(("keyframes", "changes", "all")),
     default="changes",
     show_default=True,
-    help="Frames with a panorama; 'changes': keyframes, and once per second the frames before and after a change.",
+    help="Frames that get a panorama. 'changes': the keyframes, and the frames just before and after labels change.",
 )
 @click.option(
-    "--full-scale", is_flag=True, help="Write 27 sequences of the size of the JRDB test split, without images."
+    "--full-scale", is_flag=True, help="Write 27 sequences as large as the JRDB test split, without panoramas."
 )
 @workers_option
 @form_option
 def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
-    """Write a synthetic JRDB root: label files and panoramas of marked people.
+    """Write synthetic data to the new folder DIR, in the layout of JRDB, so that 'load' can read it.
+
+    The data are label files, and panoramas with drawn people. The people carry marks that the simulated model can read.
+    The default size is 5 sequences of 1,050 frames.
 
     Examples:
       jrdb-avr sample ./sample

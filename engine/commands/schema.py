@@ -1,4 +1,4 @@
-"""`jrdb-avr schema`: print the tables of the graph and of the store, and their relations."""
+"""`jrdb-avr schema`: print the tables of the graph and of the store, or draw them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from jrdb_avr.engine.console import RowFormat, print_rows
 @click.command()
 @click.argument("what", metavar="graph|tables", type=click.Choice(["graph", "tables"]))
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--mermaid", is_flag=True, help="Print a diagram in Mermaid.")
+@click.option("--mermaid", is_flag=True, help="Print a Mermaid diagram of the tables.")
 @form_option
 def command(what: str, names: tuple[str, ...], mermaid: bool, form: RowFormat) -> None:
-    """Print the tables of the graph, for 'cypher', or of the store, for 'sql'; with NAMEs, print their columns.
+    """Print the tables of the graph, which 'cypher' queries, or the tables of the store, which 'sql' queries.
 
-    NAMEs are tables or parts. The graph has the parts scene, keyframes and beliefs; the store has annotations,
-    intervals, questions and runs. The command needs no store.
+    If NAMEs are given, the command prints the columns of these tables. A NAME is a table or a part, which means all its
+    tables. The parts of the graph are scene, keyframes and beliefs. The parts of the store are annotations, intervals,
+    questions and runs. The command needs no store.
 
     Examples:
       jrdb-avr schema graph scene

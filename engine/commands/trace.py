@@ -1,4 +1,4 @@
-"""`jrdb-avr trace`: write a page of a run's steps for one question."""
+"""`jrdb-avr trace`: write a page with the steps of a run for one question."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 @store_option()
 @page_option("trace.html")
 def command(run: str, question: str, store: Store, out: Path) -> None:
-    """Write a page of the steps of RUN for QUESTION (an id), with the true answer.
+    """Write a page with the steps of RUN for QUESTION (an id), and with the true answer.
 
-    The page shows each observation on the panorama. For an agent, it also shows the world model after each step, with
-    the refused writes.
+    The page marks the angle of each look on the panorama. For a method with a world model, the page also shows the
+    world model after each step, and the refused writes to it.
     """
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page

@@ -17,16 +17,17 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")
 @store_option()
-@click.option("--replay", is_flag=True, help="Also repeat all proofs, and run each plan as Cypher on the graph.")
+@click.option("--replay", is_flag=True, help="Also repeat all proofs, and run each plan as a Cypher query.")
 @executor_option
-@pairs_option("--rule", "overrides", "Rule that 'generate' was called with. May be repeated.")
+@pairs_option("--rule", "overrides", "Rule that was given to 'generate'. May be repeated.")
 @form_option
 def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple[str, str]], form: RowFormat) -> None:
-    """Check the questions of STORE: files, ids, choices, answers, texts and evidence; derive answers and proofs again.
+    """Check the questions of a store, and derive all answers and proofs again with a second program.
 
-    The second derivation reads the annotation tables only. With --replay, all proofs are repeated from the stored
-    plans. Each plan is also compiled to Cypher and must find the stored people and answer in the graph. Each difference
-    is printed with its question and proof. The exit code is 1 if there is a fault.
+    The command checks files, ids, choices, answers, texts and evidence. The second program reads only the annotation
+    tables, and shares no code with 'generate'. With --replay, the code of 'generate' also repeats all proofs of the
+    stored plans. Each plan then also runs as a Cypher query on the graph, which must find the stored people and the
+    stored answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import FOLDER, iou_option, port_option, store_option
+from jrdb_avr.engine.commands._declared import field_options
+from jrdb_avr.engine.commands._options import iou_option, port_option, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
+from jrdb_avr.engine.run.options import RunOptions
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -16,14 +18,16 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: jrdb-avr view --store S --answers")
 @store_option()
-@click.option("--answers", is_flag=True, help="Also show true answers, targets, scores and causes, from private files.")
-@click.option("--images", type=FOLDER, help="Folder of panoramas by sequence; by default as the store names it.")
+@click.option("--answers", is_flag=True, help="Also show true answers, true boxes, scores, and why boxes are wrong.")
+@field_options(RunOptions, "images")
 @port_option
 @iou_option
 def command(store: Store, answers: bool, images: Path | None, port: int, iou: float) -> None:
-    """Serve pages of a store on this machine: runs side by side, questions with their frames, and pairs of runs.
+    """Show the runs and questions of a store in the browser.
 
-    Prints the address to open, which contains a token. Ctrl-C ends the server. Runs are read once, at the start.
+    There is an overview of all runs, a page per question with its panoramas and the steps of each run, and a comparison
+    of any two runs. The command prints the address to open. The address contains a token. Ctrl-C ends the command. Runs
+    are read only at the start.
     """
     from jrdb_avr.engine.local_server import LocalServer
     from jrdb_avr.engine.pages.view import Viewer

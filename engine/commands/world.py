@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
 @click.group(cls=NamingGroup)
 def command() -> None:
-    """Add the world models of runs, the beliefs of their agents, to the graph of the store, or drop them.
+    """Add the world models of runs to the graph of the store, or drop them from the graph.
 
-    The record is runs/RUN/world.parquet. A run itself writes its world model to the graph unless --world-db names
-    another file. 'load' and 'load --rebuild' add all of them again. Query them with 'cypher' (see its --list).
+    A world model holds what an agent believes about people and scene. The file runs/RUN/world.parquet records it. A run
+    writes its world model to the graph, unless 'evaluate --world-db' names another graph file. 'load' makes a new graph
+    and adds the recorded world models of all runs. 'cypher --list' lists queries of world models.
 
     Examples:
       jrdb-avr world merge agent-marker --store S
@@ -39,7 +40,7 @@ def command() -> None:
 @store_option()
 @form_option
 def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Add the world models of finished runs to the graph of the store, replacing earlier versions."""
+    """Add the world models of finished runs to the graph of the store. They replace earlier versions in the graph."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
 
@@ -58,7 +59,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Drop the world models of runs from the graph of the store. Their records stay; the next load adds them again."""
+    """Drop the world models of runs from the graph. The files of the runs stay, so that 'load' adds them again."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.schema.errors import StoreError
@@ -68,7 +69,7 @@ def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
         if absent := [row["run"] for row in rows if not row["episodes"]]:
             raise StoreError(f"{store.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")
         for number, row in enumerate(rows, 1):
-            # A kill leaves each run whole or gone.
+            # If the process is killed, the world model of each run is either complete or removed.
             with graph.transaction():
                 drop_world(graph, row["run"])
             progress("dropping", number, len(rows))
@@ -78,7 +79,7 @@ def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 
 
 def _record(store: Store, run_id: str) -> pa.Table:
-    """Return the record of a finished run. Raise StoreError, with a remedy, if the run or its record is missing."""
+    """Return the recorded world model of a run. Raise StoreError if the run or its record is missing."""
     from jrdb_avr.engine.run.methods import WORLD_METHODS
     from jrdb_avr.queries.beliefs.record import read_record
     from jrdb_avr.queries.runs import read_run_manifest
@@ -89,7 +90,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
     if record is not None and record.num_rows:
         return record
     if not store.run_path(run_id).exists():
-        # The manifest first, because a missing store needs another message.
+        # Read the manifest of the store first, because a missing store needs another message than a missing run.
         store.manifest()
     method = read_run_manifest(store, run_id).method
     if method not in WORLD_METHODS:
@@ -100,7 +101,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
 
 
 def _graph_path(store: Store) -> Path:
-    """Return the graph of the store. Raise StoreError if it is missing; a graph without a scene must not replace it."""
+    """Return the path of the store's graph. Raise StoreError if it is missing: `open_graph` would make a new graph."""
     from jrdb_avr.schema.errors import StoreError
 
     if not store.graph_path.exists():
@@ -109,7 +110,7 @@ def _graph_path(store: Store) -> Path:
 
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:
-    """Return the counts of a run's episodes and writes in a graph."""
+    """Return a row with the numbers of episodes and of writes that a graph holds of a run."""
     from jrdb_avr.queries.beliefs.record import writes_held
 
     held = writes_held(graph, run_id)

@@ -1,4 +1,4 @@
-"""Croissant 1.1 metadata of a published folder, with the responsible-AI extension."""
+"""Metadata of a published folder in the format Croissant 1.1, with the responsible-AI extension."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jrdb_avr.schema.card import CITE, HOME, RAI, SAMPLE, SUMMARY, SYNTHETIC, TI
 from jrdb_avr.schema.tables import ABOUT, CANARY, QUESTIONS, column
 
 KEYS: Final = {"questions": "question_id", "sequences": "sequence"}
-"""Key column of each published table."""
+"""Name of the key column of each published table."""
 
 _CONTEXT: Final[dict[str, Any]] = {
     "@language": "en",
@@ -43,7 +43,7 @@ _TYPES: Final = {pa.string(): "sc:Text", pa.int32(): "sc:Integer", pa.float64():
 
 
 class Release(NamedTuple):
-    """A published question set: version, day, publisher and address."""
+    """Facts about a published question set: its version, day of publication, publisher and address."""
 
     version: str
     published: datetime.date
@@ -52,16 +52,16 @@ class Release(NamedTuple):
 
 
 def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source], release: Release) -> dict[str, Any]:
-    """Describe the tables of a folder.
+    """Describe the tables of a published folder.
 
     Args:
         folder: The folder.
-        files: Path of each table in the folder.
-        sources: Sources of the data.
-        release: The release.
+        files: Path of each table's file, relative to the folder.
+        sources: The data sets that the questions come from.
+        release: Version, day, publisher and address.
 
     Returns:
-        The metadata as JSON-LD.
+        The metadata as a JSON-LD object.
     """
     return {
         "@context": _CONTEXT,
@@ -95,7 +95,7 @@ def _file(folder: Path, table: str, path: str) -> dict[str, Any]:
         "description": ABOUT[table],
         "contentUrl": path,
         "contentSize": f"{(folder / path).stat().st_size} B",
-        # mlcroissant accepts the registered type of Parquet, but then fails to load the file.
+        # Not Parquet's registered type, because mlcroissant accepts that type but then fails to load the file.
         "encodingFormat": "application/x-parquet",
         "sha256": file_hash(folder / path),
     }

@@ -1,12 +1,15 @@
-"""Questions as a Gymnasium environment. An episode is a question, and a step is a look or the answer.
+"""Questions as a Gymnasium environment. An episode is a question. A step is a look or the answer.
 
     import gymnasium
     env = gymnasium.make("jrdb_avr.engine.integrations.gymnasium:JRDBAVR-v0", store="store")
 
-All numbers of an action are in [0, 1]. `frame` selects a legal frame and `angle` a direction of 360 degrees. `box` is
-x1, y1, x2, y2 in the newest picture. `numbers` depends on the answer mode: a choice, one or two frames of the sequence,
-a frame and an angle, or a value up to `LARGEST`. `act` 0 looks and 1 answers. A refused move costs a move, and `info`
-has the reason. The reward is 0, or with `reward` the score of the prediction at the end. Needs the extra `gym`.
+An action has five parts. `act` is 0 to look or 1 to answer. All other values are in [0, 1]. For a look, `frame` selects
+one of the legal frames and `angle` a direction (1 is 360 degrees). For an answer, `box` is x1, y1, x2, y2 in the newest
+picture, and the meaning of `numbers` depends on the answer mode: a choice, one or two frames of the sequence, a frame
+and an angle, or a value (1 is `LARGEST`).
+
+A refused action costs a move, and `info` has the reason. The reward is always 0, unless the environment was made with
+`reward`. The last step of an episode then returns that score of the prediction. Needs the extra `gym`.
 """
 
 from __future__ import annotations
@@ -28,10 +31,10 @@ from jrdb_avr.schema.method import Image, Observation
 from jrdb_avr.schema.panorama import CROP
 
 LARGEST: Final = 1000
-"""Seconds or people that the number 1 represents."""
+"""Number of seconds or people that the value 1 in `numbers` represents."""
 
 LOOK, ANSWER = 0, 1
-"""Values of `act`."""
+"""Values of `act` in an action."""
 
 Reward = Literal["answer", "evidence", "combined"]
 
@@ -41,11 +44,12 @@ def _unit(*shape: int) -> spaces.Box:
 
 
 class QuestionEnv(gymnasium.Env):
-    """Environment over the questions of a store.
+    """Environment that plays the questions of a store.
 
-    Observations have `image` (the newest crop, 480 x 480 x 3 uint8 RGB, black before the first look), `look` (its frame
-    and angle) and `left` (shares of looks and moves left). `info` has `question_id`, `prompt`, `answer_mode`, `refused`
-    (the reason of a refused move, else an empty text), and at the end `prediction`.
+    An observation has `image` (the newest crop, 480 x 480 x 3 uint8 RGB, black before the first look), `look` (frame
+    and angle of that crop, both in [0, 1]) and `left` (the shares of looks and of moves that remain). `info` has
+    `question_id`, `prompt`, `answer_mode` and `refused` (the reason if the action was refused, otherwise an empty
+    text). After the last step, `info` also has `prediction`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
@@ -62,21 +66,21 @@ class QuestionEnv(gymnasium.Env):
         reward: Reward | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """Open the questions that `Bench.open` selects.
+        """Open questions of a store, as `Bench.open` does.
 
         Args:
             store: The store, or its folder.
-            questions: Ids of questions; None means all.
-            limit: Maximum number of questions.
-            images: Folder of panoramas, if not the store's.
-            opaque: Whether sequences have opaque names.
+            questions: Ids of questions. None selects all questions that have panoramas.
+            limit: Maximum number of questions. None sets no maximum.
+            images: The folder of panoramas. Default: the folder that the store names.
+            opaque: Whether to replace the names of sequences by opaque names.
             budget: Maximum number of looks per question.
-            reward: Score to return at the end; it needs the store's answers.
-            render_mode: As in Gymnasium.
+            reward: The score to return as the reward of the last step. The store must have answers. None gives 0.
+            render_mode: The render mode, as in Gymnasium.
 
         Raises:
-            StoreError: If the store has no questions or panoramas.
-            InputError: If an option does not fit.
+            StoreError: If the store has no questions or panoramas, or if `reward` is given and it has no answers.
+            InputError: If an id of `questions` is unknown.
         """
         self.bench = Bench.open(store, questions=questions, limit=limit, images=images, opaque=opaque)
         self.budget = budget
@@ -95,17 +99,17 @@ class QuestionEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin a question.
+        """Begin a new question.
 
         Args:
-            seed: Seed of the draw.
-            options: `question_id` selects a question; without it, one is drawn.
+            seed: Seed of the random generator that draws questions, as in Gymnasium.
+            options: A dict that may have the key `question_id`. Without the key, a question is drawn at random.
 
         Returns:
-            Observation and info.
+            The first observation, and `info`.
 
         Raises:
-            InputError: If the question is unknown.
+            InputError: If the question id is unknown.
         """
         super().reset(seed=seed)
         drawn = int(self.np_random.integers(len(self.bench.questions)))
@@ -115,13 +119,14 @@ class QuestionEnv(gymnasium.Env):
         return self._observation(), self._info("")
 
     def step(self, action: dict[str, Any]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Make a move.
+        """Carry out an action: a look or an answer.
 
         Args:
             action: An element of the action space.
 
         Returns:
-            Observation, reward, `terminated` (an answer was accepted), `truncated` (no moves are left), and info.
+            The observation, the reward, `terminated` (true if an answer was accepted), `truncated` (true if no moves
+            are left and no answer was accepted), and `info`.
 
         Raises:
             InputError: If the action is not in the action space.
@@ -148,12 +153,12 @@ class QuestionEnv(gymnasium.Env):
         return self._observation(), reward, episode.answered, episode.over and not episode.answered, info
 
     def render(self) -> Image:
-        """Return the newest picture (480, 480, 3)."""
+        """Return the newest crop (480, 480, 3), which is black before the first look."""
         image: Image = self._observation()["image"]
         return image
 
     def close(self) -> None:
-        """Stop the judge."""
+        """Stop the process that computes the rewards."""
         if self._judge is not None:
             self._judge.close()
 
@@ -161,11 +166,11 @@ class QuestionEnv(gymnasium.Env):
 
     def _playing(self) -> Episode:
         if self._episode is None:
-            raise InputError("reset() begins a question, then steps play it", field="action")
+            raise InputError("call reset() before the first step", field="action")
         return self._episode
 
     def _answer(self, numbers: Any) -> object:
-        """Write numbers as an answer of the question's mode."""
+        """Return the answer that numbers in [0, 1] represent under the question's answer mode."""
         episode = self._playing()
         last = self.bench.sequences[episode.question.sequence].frame_count
         mode = MODES[episode.question.answer_mode]
@@ -203,12 +208,12 @@ class QuestionEnv(gymnasium.Env):
 
 
 def _index(share: Any, count: int) -> int:
-    """Index below `count` that a number in [0, 1] represents."""
+    """Return the index in [0, count) that a number in [0, 1] represents."""
     return round(float(share) * (count - 1))
 
 
 def _angle(share: Any) -> float:
-    """Angle in degrees that a number in [0, 1] represents, rounded so that whole degrees stay whole."""
+    """Return the angle in degrees that a number in [0, 1] represents, rounded so that whole degrees stay whole."""
     return round(float(share) * 360, 9)
 
 

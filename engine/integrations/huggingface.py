@@ -1,13 +1,13 @@
-"""A question set as two folders: a public one that Hugging Face's `datasets` loads, and a private one with the answers.
+"""Export of a question set as two folders. Hugging Face's `datasets` can load them.
 
-    DIR/public/README.md                      the card; its configs name the files
-    DIR/public/croissant.json                 the same for machines
+    DIR/public/README.md                      the dataset card, which names the files for `load_dataset`
+    DIR/public/croissant.json                 the same description in the format Croissant
     DIR/public/data/questions.parquet, sequences.parquet
     DIR/private/README.md
     DIR/private/data/answers.parquet, evidence.parquet, names.parquet
 
-Two folders are needed because every file of a published folder can be downloaded. Sequences have opaque names in the
-public folder, and `names` maps them to recordings. Neither folder has pictures.
+The answers need a private folder, because every file of a published folder can be downloaded. In the public folder,
+sequences have opaque names. The private table `names` gives the recording of each. Neither folder has pictures.
 """
 
 from __future__ import annotations
@@ -49,20 +49,20 @@ def export_folders(
     url: str = card.HOME,
     published: datetime.date | None = None,
 ) -> tuple[Path, Path]:
-    """Write a store's questions as a public and a private folder.
+    """Write the questions of a store as a public folder, and the answers as a private folder.
 
     Args:
         store: The store, or its folder.
-        folder: A new or empty folder for both.
-        creator: Publisher of the questions.
+        folder: The folder that gets both folders. It must be missing or empty.
+        creator: Name of the publisher of the questions.
         url: Address of the publication.
-        published: Day of the publication; today if None.
+        published: Day of the publication. None means today (UTC).
 
     Returns:
-        The public and the private folder.
+        The paths of the public folder and of the private folder.
 
     Raises:
-        StoreError: If the store has no questions, or a training set.
+        StoreError: If the store has no questions, or if it has a training set.
         InputError: If the folder is not empty.
     """
     store, folder = Store.of(store), Path(folder)
@@ -91,7 +91,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     about = _columns(_PRIVATE) | {"names": _ABOUT_NAMES}
     write_bytes(private / "README.md", _render("private_card.md", head=_front(_configs(about)), tables=about, **shared))
 
-    # Sort by ids and opaque names, because the order of real names would reveal them.
+    # Sorted by ids and opaque names, because an order by real names would help to guess the real names.
     tables = {
         "questions": rename_sequences(questions, names).sort_by("question_id"),
         "sequences": rename_sequences(sequences, names).sort_by("sequence"),
@@ -119,12 +119,12 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
 
 
 def _path(table: str) -> str:
-    """Return the path of a table in its folder."""
+    """Return the path of a table's file, relative to the public or private folder."""
     return f"data/{table}.parquet"
 
 
 def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
-    """Return the sources of the sequences' layers; the sample world is a source."""
+    """Return the data sets that the layers of the sequences come from. The sample world counts as a data set."""
     entries = store.manifest().sequences
     real = [name for name in sequences if not card.is_of_sample(name)]
     layers = {layer for name in real for layer in entries[name].layers}
@@ -135,7 +135,7 @@ def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
 
 
 def _head(n: int, sources: list[card.Source]) -> dict[str, Any]:
-    """Front matter of the public card, without its configs."""
+    """Return the front matter of the public card, without the part that `_configs` returns."""
     return {
         "pretty_name": card.TITLE,
         "license": card.licence_of(sources),
@@ -147,7 +147,7 @@ def _head(n: int, sources: list[card.Source]) -> dict[str, Any]:
 
 
 def _configs(tables: Iterable[str]) -> dict[str, Any]:
-    """Part of the front matter that names the files for `load_dataset`; the first table is the default."""
+    """Return the part of the front matter that names the files for `load_dataset`. The first table is the default."""
     configs: list[dict[str, Any]] = [
         {"config_name": name, "data_files": [{"split": "test", "path": _path(name)}]} for name in tables
     ]
@@ -165,7 +165,7 @@ def _counts(column: pa.ChunkedArray) -> list[tuple[str, int]]:
 
 
 def _columns(tables: Iterable[str]) -> dict[str, tuple[str, list[tuple[str, str]]]]:
-    """Return the description and columns of each table."""
+    """Return the description of each table, and the name and the meaning of each column."""
     return {
         table: (ABOUT[table], [(name, card.sentence(column(table, name)[1])) for name in QUESTIONS[table].names])
         for table in tables
@@ -176,6 +176,6 @@ def _render(name: str, **values: Any) -> bytes:
     import jinja2
 
     text = files(__package__).joinpath(name).read_text("utf-8")
-    # Markdown is not HTML, so that escaping would spoil it.
+    # Values are not escaped for HTML, because that would spoil Markdown.
     template = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True, keep_trailing_newline=True)  # noqa: S701
     return template.from_string(text).render(values).encode()

@@ -1,14 +1,16 @@
-"""Questions as tasks of Inspect.
+"""Questions as tasks of Inspect, the evaluation framework `inspect_ai`.
 
     inspect eval jrdb_avr/react -T store=STORE --model ...
 
-    jrdb_avr/react    ReAct with this benchmark's prompts; `--solver jrdb_avr/method -S name=NAME` runs another method
-    jrdb_avr/tools    Inspect's own agent with the tools `observe` and `submit_answer`
-    jrdb_avr/judged   the scorer: answer, evidence, combined and hallucination
+    jrdb_avr/react    task: ReAct with this benchmark's prompts
+    jrdb_avr/tools    task: Inspect's own agent with the tools `observe` and `submit_answer`
+    jrdb_avr/method   solver: a method of this benchmark, as in `--solver jrdb_avr/method -S name=NAME -S store=STORE`
+    jrdb_avr/judged   scorer: answer, evidence, combined and hallucination
 
-Samples have an empty target, so that solvers and logs see no answer. The scorer sends predictions to the `Judge`, a
-separate process, and receives four digits. On a machine without answers, run `inspect eval --no-score`. On the machine
-with the answers, run `inspect score LOG --scorer jrdb_avr/judged -S store=STORE`. Needs the extra `inspect`.
+The target of each sample is empty, so that solvers and logs never have the answer. The scorer sends each prediction to
+a separate process (`Judge`), which returns only the scores. On a machine without answers, run `inspect eval
+--no-score`. Then run `inspect score LOG --scorer jrdb_avr/judged -S store=STORE` on the machine that has the answers.
+Needs the extra `inspect`.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ from jrdb_avr.schema.errors import AvrError, InputError, RefusedError, StoreErro
 from jrdb_avr.schema.method import Observation, Prediction, Question
 
 PREDICTION: Final = "jrdb_avr:prediction"
-"""Key in a sample's store of its current row of `predictions`."""
+"""Key of a sample's current prediction, a row of `predictions`, in the store that Inspect keeps for the sample."""
 
 _GO_ON: Final = "Your last turn called no tool, and cost a turn. Call observe, or submit_answer."
 _AT_ONCE: Final = 64
@@ -63,7 +65,7 @@ _AT_ONCE: Final = 64
 
 _SCORES: Final = ("answer", "evidence", "combined")
 _STOPPED: Final = {"max_tokens": "length", "model_length": "length", "tool_calls": "stop", "unknown": ""}
-"""Reasons to stop of chat completions for Inspect's reasons, if they differ."""
+"""Finish reason of the chat-completions format for each stop reason of Inspect that has another name."""
 
 
 # -- tasks ------------------------------------------------------------------------------------------------------------
@@ -71,13 +73,13 @@ _STOPPED: Final = {"max_tokens": "length", "model_length": "length", "tool_calls
 
 @task
 def react(store: str, limit: int | None = None, images: str | None = None, opaque: bool = False) -> Task:
-    """Return the task of ReAct with this benchmark's prompts.
+    """Return the Inspect task of ReAct with this benchmark's prompts.
 
     Args:
-        store: The store's folder.
-        limit: Maximum number of questions.
-        images: Folder of panoramas, if not the store's.
-        opaque: Whether sequences have opaque names.
+        store: The folder of the store.
+        limit: Maximum number of questions. None sets no maximum.
+        images: The folder of panoramas. Default: the folder that the store names.
+        opaque: Whether to replace the names of sequences by opaque names.
 
     Returns:
         The task.
@@ -87,13 +89,13 @@ def react(store: str, limit: int | None = None, images: str | None = None, opaqu
 
 @task
 def tools(store: str, limit: int | None = None, images: str | None = None, opaque: bool = False) -> Task:
-    """Return the task of Inspect's own agent with the tools `observe` and `submit_answer`.
+    """Return the Inspect task of Inspect's own agent with the tools `observe` and `submit_answer`.
 
     Args:
-        store: The store's folder.
-        limit: Maximum number of questions.
-        images: Folder of panoramas, if not the store's.
-        opaque: Whether sequences have opaque names.
+        store: The folder of the store.
+        limit: Maximum number of questions. None sets no maximum.
+        images: The folder of panoramas. Default: the folder that the store names.
+        opaque: Whether to replace the names of sequences by opaque names.
 
     Returns:
         The task.
@@ -116,7 +118,7 @@ def _sample(bench: Bench, question: Question) -> Sample:
 
 @cache
 def _bench(store: str, images: str | None, opaque: bool) -> Bench:
-    """Bench that the samples of a process share, because it holds decoded panoramas."""
+    """Return the bench of a store. All samples of the process share the bench, because it caches panoramas."""
     return Bench.open(Path(store), images=images, opaque=opaque)
 
 
@@ -125,13 +127,13 @@ def _bench(store: str, images: str | None, opaque: bool) -> Bench:
 
 @solver
 def method(name: str, store: str, images: str | None = None, opaque: bool = False) -> Solver:
-    """Return a method of this benchmark as a solver.
+    """Return a method of this benchmark as an Inspect solver.
 
     Args:
-        name: A name of `evaluate --method`, except methods with a world model.
-        store: The store's folder.
-        images: Folder of panoramas, if not the store's.
-        opaque: Whether sequences have opaque names.
+        name: The name of a built-in method of `evaluate --method` that has no world model.
+        store: The folder of the store.
+        images: The folder of panoramas. Default: the folder that the store names.
+        opaque: Whether to replace the names of sequences by opaque names.
 
     Returns:
         The solver.
@@ -143,7 +145,7 @@ def method(name: str, store: str, images: str | None = None, opaque: bool = Fals
         names = ", ".join(method_name for method_name in METHODS if method_name not in WORLD_METHODS)
         raise InputError(f"{name!r} is not one of {names}", field="name")
     bench = _bench(store, images, opaque)
-    # A separate limit, so that waiting methods take no thread from Inspect.
+    # A separate limit, so that methods that wait for a model take no threads from Inspect's own pool.
     threads = anyio.CapacityLimiter(_AT_ONCE)
 
     async def solve(state: TaskState, generate: Generate) -> TaskState:
@@ -159,15 +161,15 @@ def method(name: str, store: str, images: str | None = None, opaque: bool = Fals
 
 @solver
 def tool_agent(store: str, images: str | None = None, opaque: bool = False) -> Solver:
-    """Return Inspect's `react` with the tools of an episode as a solver.
+    """Return Inspect's agent `react`, with the tools of an episode, as an Inspect solver.
 
     Args:
-        store: The store's folder.
-        images: Folder of panoramas, if not the store's.
-        opaque: Whether sequences have opaque names.
+        store: The folder of the store.
+        images: The folder of panoramas. Default: the folder that the store names.
+        opaque: Whether to replace the names of sequences by opaque names.
 
     Returns:
-        The solver, which ends with the episode.
+        The solver. It ends when the episode ends.
     """
     bench = _bench(store, images, opaque)
 
@@ -193,7 +195,7 @@ def tool_agent(store: str, images: str | None = None, opaque: bool = False) -> S
 
 
 def _tools(state: TaskState, episode: Episode) -> list[ToolDef]:
-    """Tools of an episode, with the schema of its answer."""
+    """Return the tools `observe` and `submit_answer` of an episode, with the schema of the question's answer."""
 
     async def observe(frame_id: Any, angle_deg: Any) -> list[Content]:
         observation = _move(state, episode, {"action": "observe", "frame_id": frame_id, "angle_deg": angle_deg})
@@ -222,7 +224,11 @@ def _parameters(properties: Mapping[str, Any]) -> ToolParams:
 
 
 def _move(state: TaskState, episode: Episode, move: Mapping[str, Any]) -> Observation | None:
-    """Make a move and store the prediction, because a limit may end the sample. Raises ToolError if refused."""
+    """Make a move, and store the prediction so far, because a limit may end the sample at any time.
+
+    Raises:
+        ToolError: If the move is refused.
+    """
     try:
         return episode.move(move)
     except AvrError as error:
@@ -236,14 +242,14 @@ def _keep(state: TaskState, question: Question, prediction: Prediction) -> None:
 
 
 class _InspectChat:
-    """A `Chat` over Inspect's model, called from a method's thread."""
+    """A `Chat` client that sends requests through Inspect's model. It is called from the thread of a method."""
 
     def __init__(self, model: Model) -> None:
         self._model = model
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
         sent = [_message(message) for message in messages]
-        # A server decodes differently without the schema.
+        # The schema is always sent on, because a server decodes differently without it.
         form = None if schema is None else ResponseSchema(name="reply", json_schema=JSONSchema(**schema), strict=True)
         config = GenerateConfig(response_schema=form)
         output = anyio.from_thread.run(lambda: self._model.generate(sent, config=config))
@@ -271,7 +277,7 @@ def _content(part: Part) -> Content:
 
 @metric
 def hallucination() -> Metric:
-    """Return Inspect's metric of hallucination: the share of right answers with a wrong box; 0 if none is right."""
+    """Return the metric of hallucination: the share of right answers with a wrong box, or 0 without right answers."""
 
     def compute(scores: list[SampleScore]) -> float:
         right = [sample.score.value for sample in scores if sample.score.value["answer"]]
@@ -284,13 +290,13 @@ def hallucination() -> Metric:
     metrics=[{name: [mean(), stderr(cluster="sequence")] for name in _SCORES}, hallucination()],
 )
 def judged(store: str) -> Scorer:
-    """Return the scorer of stored predictions by the store's answers.
+    """Return the scorer that scores the stored prediction of each sample by the answers of a store.
 
     Args:
-        store: The store's folder.
+        store: The folder of the store.
 
     Returns:
-        The scorer. A sample without a prediction scores 0.
+        The scorer. A sample that has no prediction scores 0.
     """
     judges: list[Judge] = []
     lock = anyio.Lock()
@@ -302,7 +308,7 @@ def judged(store: str) -> Scorer:
             try:
                 return judges[0].score_row(row)
             except StoreError as error:
-                # Another program may have ended the judge: start it once more.
+                # Start the judge once more, because its process may have been killed from outside.
                 judges.pop().close()
                 ended = error
         raise ended

@@ -1,8 +1,8 @@
-"""Questions for any agent that speaks MCP: the tools `next_question`, `observe` and `submit_answer`.
+"""Server of questions for any agent that speaks MCP. Its tools are `next_question`, `observe` and `submit_answer`.
 
-The agent's moves become a run of the store. Sessions do not exist: each call carries the opaque token of its question.
-Only the public half of the store is read. The tools return a question's text, its legal frames, crops with their frame
-and angle, and the reasons of refused moves. Needs the extra `mcp`.
+The moves of the agent become a run of the store. There are no sessions: each call carries the opaque token of its
+question. Only the public files of the store are read. The tools return a question's text, its legal frames, crops with
+their frame and angle, and the reasons for refused moves. Needs the extra `mcp`.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from jrdb_avr.schema.errors import AvrError, InputError
 from jrdb_avr.schema.tables import PRIVATE
 
 METHOD: Final = "mcp"
-"""Method of such a run. The run's model names the agent."""
+"""Name of the method in runs of this server. Such a run has the agent's name as the name of its model."""
 
 MOST_OPEN: Final = 64
-"""Maximum number of unfinished questions."""
+"""Maximum number of questions that are begun and not finished."""
 
 _HOW: Final = (
     "Answer questions about a video. Call next_question for a question, observe to look at the video, and "
     "submit_answer with your answer and the box that proves it; then next_question again, until none is left."
 )
 
-# These types document the arguments but accept anything: the episode counts and explains malformed moves.
+# These types only document the arguments. They accept any value, so that the episode can count and explain a wrong one.
 _FrameId = Annotated[Any, WithJsonSchema(FRAME_ID_SCHEMA)]
 _Angle = Annotated[Any, WithJsonSchema({"type": "number"})]
 _Answer = Annotated[Any, WithJsonSchema({"description": "as the question's answer_schema has it"})]
@@ -54,14 +54,14 @@ _Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
 
 @dataclass
 class _Open:
-    """A question that an agent has begun."""
+    """A question that the agent has begun, with a lock that lets only one call move in it at a time."""
 
     play: Play
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Desk:
-    """State behind the MCP tools: hands out questions, carries out moves, and records predictions."""
+    """The MCP tools and their state: the questions that are due, and the questions that the agent has begun."""
 
     def __init__(self, bench: Bench, run: Run) -> None:
         self._bench, self._run = bench, run
@@ -70,10 +70,10 @@ class Desk:
         self._lock = threading.Lock()
 
     def server(self) -> MCPServer:
-        """Return the MCP server of these tools."""
+        """Return an MCP server that has these tools."""
         server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
         server.add_tool(self.next_question)
-        # MCP has no structured form for a list with a picture.
+        # Not structured, because MCP has no structured form for a list that has a picture.
         server.add_tool(self.observe, description=LOOK, structured_output=False)
         server.add_tool(self.submit_answer, description=SUBMIT)
         return server
@@ -108,7 +108,11 @@ class Desk:
 
     @contextlib.contextmanager
     def _playing(self, token: str) -> Iterator[Episode]:
-        """Hold an episode for one move, and record it if it ends. Raises ToolError with the reason of a refusal."""
+        """Yield an episode for one move, and record its prediction if the episode ends.
+
+        Raises:
+            ToolError: If the token is unknown, or if the move is refused. The message has the reason.
+        """
         held = self._open.get(token)
         if held is None:
             raise ToolError("no such episode is being played: next_question begins one")
@@ -129,7 +133,7 @@ class Desk:
     def _finish(self, token: str, play: Play) -> None:
         with self._lock:
             if token in self._open:
-                # If writing fails, the question stays open and its next move tries again.
+                # If writing fails, the question stays begun, and the agent's next call writes it again.
                 play.record(self._run)
                 del self._open[token]
 
@@ -150,32 +154,32 @@ def serve(
     opaque: bool = False,
     ready: Callable[[str, str], None] = lambda url, token: None,
 ) -> str:
-    """Serve a store's questions over MCP until the agent or the user stops, and write the tables of the run.
+    """Serve the questions of a store over MCP until the agent or the user stops. Then write the tables of the run.
 
     Args:
         store: The store, or its folder.
-        port: Port of an HTTP server on 127.0.0.1 (0: a free port); None uses standard input and output.
-        trusted: Whether to use standard input and output although the agent could read answers or labels of the store.
+        port: Port of an HTTP server on 127.0.0.1. 0 takes a free port, and None uses standard input and output.
+        trusted: Whether to allow standard input and output even if the agent could read answers or labels.
         model: Name of the agent.
-        run_id: Id of the run; made from method and model if None.
-        limit: Maximum number of questions.
-        resume: Whether to continue the run.
-        images: Folder of panoramas, if not the store's.
-        opaque: Whether sequences have opaque names.
-        ready: Receives the address and the token of requests.
+        run_id: Id of the run. Default: made of the names of the method and the agent.
+        limit: Maximum number of questions. None sets no maximum.
+        resume: Whether to continue the run if it exists.
+        images: The folder of panoramas. Default: the folder that the store names.
+        opaque: Whether to replace the names of sequences by opaque names.
+        ready: Called when the HTTP server listens, with its address and the token that requests need.
 
     Returns:
-        The run's id.
+        The id of the run.
 
     Raises:
-        InputError: If the agent could read answers, or an option does not fit.
-        StoreError: If the store has no questions or panoramas.
+        InputError: If standard input and output are used, `trusted` is false, and the agent could read answers.
+        StoreError: If the store has no questions or panoramas, or if the run exists and `resume` is false.
     """
     store = Store.of(store)
     if port is None and not trusted and (private := private_parts(store, images)):
         raise InputError(
-            f"{store.path} holds {private[0]}, which an agent over stdio could read: serve a store without, or over "
-            "--http to an agent that has no access to these files, or add --i-trust-the-agent",
+            f"{store.path} has {private[0]}, which an agent over stdio could read: serve a store without such files, "
+            "use --http for an agent that has no access to them, or add --i-trust-the-agent",
             field="store",
         )
     run_id = default_run_id(METHOD, model) if run_id is None else run_id
@@ -190,14 +194,14 @@ def serve(
 
 
 def private_parts(store: Store, images: str | Path | None) -> list[str]:
-    """Find files and folders that an agent must not read.
+    """Find the files and folders that an agent must not read.
 
     Args:
         store: The store.
-        images: Folder of panoramas, if not the store's.
+        images: The folder of panoramas. Default: the folder that the store names.
 
     Returns:
-        Paths in the store, and folders of annotations beside the panoramas.
+        Files and folders of the store, as paths relative to it, and folders of labels next to the panoramas.
     """
     labels = (store.graph_path, store.path / "annotations", store.path / "intervals")
     paths = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
@@ -210,7 +214,7 @@ def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None])
     token = new_token()
     with listen(port) as listener:
         hosts = hosts_of(listener)
-        # Allow no other host names and origins, because pages in the user's browser can reach the port.
+        # Other host names and origins are refused, because web pages in the user's browser can reach the port.
         security = TransportSecuritySettings(allowed_hosts=hosts, allowed_origins=[f"http://{host}" for host in hosts])
         app = server.streamable_http_app(stateless_http=True, json_response=True, transport_security=security)
         config = uvicorn.Config(_with_token(app, token), log_level="warning", access_log=False)
@@ -219,7 +223,7 @@ def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None])
 
 
 def _with_token(app: Any, token: str) -> Any:
-    """ASGI application that answers 401 to requests without the token."""
+    """Return an ASGI application that passes requests with the token on to `app`, and answers others with 401."""
     expected = f"Bearer {token}".encode()
 
     async def checked(scope: Any, receive: Any, send: Any) -> None:

@@ -1,7 +1,8 @@
-// `select[data-filter=NAME]` hides what has another value in its attribute `data-NAME`, and in `data-NAME-too` of a pair.
+// `select[data-filter=NAME]` hides each element that has another value in `data-NAME`. Rows of pairs have a second
+// value, `data-NAME-too`, and are hidden only if both differ.
 const filters = [...document.querySelectorAll("select[data-filter]")];
 
-/** Hide what does not fit, and show the rest. */
+/** Hide the elements that do not match all filters, and show the others. */
 const applyFilters = () => {
   if (!filters.length) return;
   const wanted = filters.filter((select) => select.value).map((select) => [select.dataset.filter, select.value]);

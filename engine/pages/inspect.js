@@ -8,7 +8,8 @@
   let current = 0;
   let unsaved = false;
 
-  // What was decided outlives a page that is closed by mistake; a browser that keeps nothing for files only warns.
+  // Decisions are stored in the browser, so that they survive if the page is closed by mistake. If the browser stores
+  // nothing for local files, it only warns before the page closes.
   const shelf = `jrdb-avr inspect ${about.questions_sha256} ${articles.map((a) => a.dataset.id).join()}`;
   let saved = false;
   const keep = () => {
@@ -19,7 +20,7 @@
     } catch {
       saved = false;
     }
-    byId("saved").textContent = saved ? "This browser keeps them until you start anew." : "";
+    byId("saved").textContent = saved ? "This browser keeps the decisions until you start anew." : "";
   };
   const remember = () => {
     try {
@@ -30,7 +31,7 @@
           decided.set(own.question_id, { question_id: own.question_id, decision: own.decision, reason: own.reason });
       }
     } catch {
-      // Nothing is stored, or nothing that can be read.
+      // Nothing is stored, or the stored text cannot be read.
     }
   };
   const changed = () => {
@@ -39,7 +40,7 @@
     show();
   };
 
-  /** The nearest question from a place on, in steps, that the filters leave. */
+  /** Return the index of the next visible question, from an index on and in the direction of the step. */
   const visible = (place, step) => {
     while (articles[place]?.hidden) place += step;
     return articles[place] ? place : undefined;
@@ -64,17 +65,17 @@
     const left = articles.filter((article) => !article.hidden).length;
     byId("found").textContent = left < articles.length ? `${left} of ${articles.length} shown` : "";
   };
-  /** Make the question of a place the current one: with filters the next in this direction, or none. */
+  /** Make a question the current one. If filters hide it, take the next visible question in this direction, if any. */
   const go = (place, step = 1) => {
     const next = visible(place, step);
     if (next === undefined) return;
     current = next;
-    // The keyboard goes along: what Tab reaches next are this question's own buttons.
+    // The focus moves too, so that Tab next reaches the buttons of this question.
     articles[current].focus({ preventScroll: true });
     articles[current].scrollIntoView({ block: "start" });
     show();
   };
-  /** Show the panoramas of a question a second earlier or later, where there are pictures. */
+  /** Show the panoramas of a question one second earlier or later, if the page has them. */
   const turn = (figure, seconds) => {
     for (const part of figure.querySelectorAll("[data-seconds]")) part.toggleAttribute("hidden", part.dataset.seconds !== seconds);
     for (const button of figure.querySelectorAll("[data-show]")) button.setAttribute("aria-pressed", button.dataset.show === seconds);

@@ -1,4 +1,4 @@
-"""The inspect page: questions with plans, people over time, proofs and views, for a reviewer's decisions."""
+"""The inspect page: questions with their plans, timelines, proofs and pictures. A reviewer accepts or rejects each."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from jrdb_avr.schema.questions import QuestionRecord
 
 _STRIP: Final = (2820, 360)
 _AROUND: Final = (1880, 240)
-"""Sizes in pixels of a panorama, and of the panoramas one second before and after it. They are scaled down so that a
-page of twenty questions stays small, and people remain visible when it is zoomed.
+"""Width and height in pixels of a panorama on the page, and of the panoramas one second before and after it. They are
+small enough for a page of twenty questions, and large enough to see people when the page is zoomed.
 """
 
 CLOSE_UP: Final = 220
-"""Side of a close-up in pixels."""
+"""Side of a square close-up of a person in pixels."""
 
 _LEAST_CLOSE_UP: Final = 110.0
-"""Minimum side of a close-up in panorama pixels, so that a small person has some surroundings."""
+"""Minimum side of the panorama's part that a close-up shows, in stitched pixels. Small people get some surroundings."""
 
 
 # -- questions --------------------------------------------------------------------------------------------------------
@@ -47,15 +47,15 @@ def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed:
 
     Args:
         store: The store.
-        ids: Ids of questions.
-        sample: Number of questions to sample instead; None takes the ids.
-        seed: Seed of the sample.
+        ids: Ids of questions to inspect.
+        sample: Number of questions to draw at random instead of `ids`. None takes `ids`.
+        seed: Seed of the random draw.
 
     Returns:
-        The ids.
+        The ids of the questions, without repetitions.
 
     Raises:
-        InputError: If an id is unknown.
+        InputError: If the store lacks a question of `ids`.
     """
     stored = store.questions("questions")["question_id"].to_pylist()
     unknown = [name for name in ids if name not in set(stored)]
@@ -67,11 +67,11 @@ def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed:
 
 
 def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
-    """Collect the content of the page.
+    """Read everything that the page shows about questions, except pictures.
 
     Args:
         store: The store.
-        ids: Ids of questions.
+        ids: Ids of the questions.
 
     Returns:
         The questions, in the order of the ids.
@@ -82,7 +82,7 @@ def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
     *tables, infos = store.question_tables("questions", "answers", "sequences")
     questions, answers = (_by_id(table, ids) for table in tables)
     sequences = {row["sequence"]: row for row in infos.to_pylist()}
-    # Keep only one sequence, because its tables may be large and consecutive questions mostly share it.
+    # Only one sequence is kept in memory, because its tables may be large. Consecutive questions mostly share it.
     read: SequenceTables | None = None
     inspected = []
     for name in ids:
@@ -99,18 +99,22 @@ def _by_id(table: pa.Table, ids: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 class Inspected:
-    """A question with its plan, people and views.
+    """A question with everything that the page shows about it.
 
     Attributes:
-        people: Track of each node of the plan.
-        counted: Track of each further person that the answer counts.
-        moments: Frame of each named time.
-        annotated: Annotated frame of each named time.
-        decisive: The needed box that answers the question.
-        boxes: Boxes of these people by role, for each frame to display.
-        around: For each such frame the frames a second before and after, as (-1 or 1, frame, boxes).
+        record: The question with its answer and proofs.
+        plan: The plan of the question.
+        fps: Frames per second of the sequence.
+        frame_count: Number of frames of the sequence.
+        people: Track id of each node of the plan.
+        counted: Track id of each further person that the answer counts.
+        moments: Frame of each time that the plan names.
+        annotated: Annotated frame that represents each of these times.
+        decisive: The needed box that shows the answer.
+        boxes: For each frame to show, the boxes of the people as (role, box).
+        around: For each frame to show, the frames one second before and after as (-1 or 1, frame, boxes).
         timeline: Rows of the timeline.
-        occlusion: Whether the sequence has occlusion attributes.
+        occlusion: Whether the boxes of the sequence state how far a person is occluded.
     """
 
     def __init__(self, record: QuestionRecord, info: Record, sequence: SequenceTables) -> None:
@@ -120,7 +124,7 @@ class Inspected:
         self.moments = {name: frame for name, frame in record.bindings.items() if name not in self.people}
         at = {name: nearest_annotated(frame, sequence.frames, sequence.step) for name, frame in self.moments.items()}
         self.annotated = at
-        # A count has no decisive box. Its first needed box shows the target at the first time.
+        # If the answer is a count, no box is decisive. The first needed box then shows the target at the first time.
         self.decisive = next((box for box in record.needed if box.decisive), record.needed[0])
         counted = [box for box in record.needed if box.node not in self.people]
         self.counted = {box.node: box.track for box in counted}
@@ -157,15 +161,15 @@ def _box(row: Record) -> Box:
 
 
 def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
-    """Return the annotated frame that represents a frame.
+    """Return the annotated frame that represents a frame on the page.
 
     Args:
-        frame: The frame.
-        frames: Annotated frames.
-        step: Distance between annotated frames. Events at 1 Hz are half a step from their keyframe.
+        frame: Index of the frame.
+        frames: Indexes of the annotated frames.
+        step: Distance between annotated frames. If labels come once per second, events are half a step from a label.
 
     Returns:
-        The nearest annotated frame within half a step, else the frame itself.
+        The nearest annotated frame if it is within half a step, otherwise the frame itself.
     """
     near = min(frames, key=lambda annotated: abs(annotated - frame), default=frame)
     return near if abs(near - frame) <= step // 2 else frame
@@ -175,7 +179,7 @@ def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
 
 
 class FramedBox(NamedTuple):
-    """A person's box in the pixels of a picture."""
+    """The box of a person in the pixels of a picture."""
 
     role: str
     x: float
@@ -185,18 +189,18 @@ class FramedBox(NamedTuple):
 
 
 class View(NamedTuple):
-    """A picture with boxes.
+    """A picture with the boxes of people.
 
     Attributes:
         title: Title of the picture.
-        uri: Data URI.
-        width: Width of the boxes' coordinates.
-        height: Height of the boxes' coordinates.
+        uri: Data URI of the picture.
+        width: Width of the coordinate system of the boxes.
+        height: Height of the coordinate system of the boxes.
         boxes: Boxes of people.
-        missing: Reason for a missing picture.
-        plate: Height of the names' plates.
-        near: Close-ups of the people.
-        around: The panorama a second earlier and later, as (-1 or 1, picture).
+        missing: The reason if there is no picture.
+        plate: Height of the plates that have the names of people.
+        near: Close-ups of the people in a panorama.
+        around: The panoramas one second earlier and later, as (-1 or 1, picture).
     """
 
     title: str
@@ -217,9 +221,9 @@ def inspect_page(
 
     Args:
         questions: The questions.
-        observer: Source of pictures.
-        questions_sha256: Hash of the questions file, which decisions refer to.
-        advance: Called after each question.
+        observer: Source of the pictures.
+        questions_sha256: Hash of the questions file. The stored decisions refer to it.
+        advance: Called with 1 after each question.
 
     Returns:
         The HTML.
@@ -240,7 +244,7 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
     in_words = functools.partial(
         readable, record.answer_mode, choices=(), fps=question.fps, unit=unit_of(question.plan)
     )
-    # A proof's answer is the text of a choice, or JSON.
+    # The answer of a proof is JSON, or the text of a choice if the question has choices.
     proofs = [(proof, proof.answer if record.choices else in_words(proof.answer)) for proof in record.proofs]
     perturbations = record.distractors or (None,) * len(record.choices)
     return {
@@ -262,7 +266,7 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
 
 
 def _times(plan: Plan) -> list[str]:
-    """Return the named times of a plan in words."""
+    """Return the times that a plan names in words, one text per time."""
     texts = []
     for name, time in plan.times.items():
         if time.frame is not None:
@@ -274,13 +278,13 @@ def _times(plan: Plan) -> list[str]:
 
 
 def _reads(plan: Plan) -> str:
-    """Return the read of a plan in words: what it takes from its target person, at named times."""
+    """Return in words what the answer of a plan is: a property of a person at certain times."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 
 
 def _perturbation(question: Inspected, name: str | None) -> str:
-    """Return the perturbation that makes a wrong choice true. A stop at a person begins with the person's role."""
+    """Return the name of the perturbation that makes a wrong choice true, after the role of a person if it has one."""
     stop = re.fullmatch(r"hop\.stop\((\d)\)", name or "")
     roles = list(question.people)
     if stop is not None and int(stop[1]) < len(roles):
@@ -301,7 +305,7 @@ def _strip(question: Inspected, frame: int, observer: Observer) -> View:
     near = tuple(close_up(role, box, image, frame) for role, box in question.boxes[frame] if role in question.people)
     around = []
     for sign, neighbour, boxes in question.around[frame]:
-        # Leave out neighbouring panoramas that are missing or broken.
+        # The panoramas before and after are optional, so those that are missing or broken are left out.
         with contextlib.suppress(ObserveError):
             panorama = observer.panorama(question.record.sequence, neighbour)
             around.append((sign, _panorama(f"{sign:+d} s, frame {neighbour}", panorama, _AROUND, boxes)))
@@ -309,28 +313,28 @@ def _strip(question: Inspected, frame: int, observer: Observer) -> View:
 
 
 def _panorama(title: str, image: Image, size: tuple[int, int], boxes: Iterable[tuple[str, Box]]) -> View:
-    """Return a whole panorama with boxes in stitched pixels."""
+    """Return a whole panorama with boxes. The boxes are given in stitched pixels."""
     framed = [FramedBox(role, *part) for role, box in boxes for part in on_strip(box, WIDTH)]
     return View(title, picture_uri(image, size), WIDTH, HEIGHT, framed)
 
 
 def _moment(question: Inspected, name: str) -> str:
-    """Return a named time, with its frame if the frame is not annotated."""
+    """Return the name of a time, followed by its frame if that frame is not annotated."""
     frame = question.moments[name]
     return name if frame == question.annotated[name] else f"{name} (frame {frame}, between two annotated)"
 
 
 def close_up(role: str, box: Box, image: Image, frame: int) -> View:
-    """Cut a square around a person, across the seam if necessary.
+    """Cut a square around a person out of a panorama. The square may cross the seam.
 
     Args:
-        role: The person's role.
-        box: The person's box in stitched pixels.
-        image: The panorama.
-        frame: The frame, for the title.
+        role: The role of the person in the plan.
+        box: The box of the person in stitched pixels.
+        image: The panorama (480, 3760, 3).
+        frame: Index of the frame, for the title.
 
     Returns:
-        The picture with the box.
+        The square picture with the box.
     """
     side = int(min(max(1.5 * max(box.w, box.h), _LEAST_CLOSE_UP), HEIGHT))
     left = int(box.x + box.w / 2 - side / 2)

@@ -1,4 +1,4 @@
-"""The leaderboard page: bundles ranked by question set, with intervals and settings, as one file."""
+"""The leaderboard page: a ranking of bundles for each question set, with intervals and settings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jrdb_avr.engine.report.tables import TOO_FEW
 
 
 def leaderboard_page(board: Leaderboard) -> str:
-    """Render the leaderboard page. Everything in a bundle is untrusted and is shown as text.
+    """Render the leaderboard page. All content of bundles is untrusted, so it is shown as plain text.
 
     Args:
         board: The leaderboard.

@@ -1,4 +1,4 @@
-"""Rendering of templates as single files: pictures as data URIs, and answers in words."""
+"""Functions that render templates, and that turn pictures into data URIs and answers into words."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 _QUALITY: Final = 70
-"""WebP quality of pictures. A file has half the size of a JPEG of the same quality."""
+"""WebP quality of pictures. WebP files are half as large as JPEG files of the same quality."""
 
 _TEXT_DIRECTION: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 
 
 def render(name: str, **values: Any) -> str:
-    """Render a template of this folder, with its style and scripts inside.
+    """Render a template of this folder. The page has its styles and scripts inside.
 
     Args:
         name: File name of the template.
-        **values: Values of its variables.
+        **values: Values of the template's variables, by name.
 
     Returns:
-        The HTML, which loads nothing.
+        The HTML.
     """
     return environment().get_template(name).render(values)
 
 
 def write_page(path: Path, html: str) -> None:
-    """Write a page atomically.
+    """Write a page to a file atomically.
 
     Args:
         path: The file.
-        html: The page.
+        html: The HTML of the page.
 
     Raises:
         StoreError: If the file cannot be written.
@@ -61,11 +61,11 @@ def picture_uri(image: Image, size: tuple[int, int]) -> str:
     """Encode a picture as the data URI of a WebP file.
 
     Args:
-        image: RGB picture (height, width, 3).
-        size: Width and height to scale it to, in pixels.
+        image: The RGB picture (height, width, 3).
+        size: Width and height of the encoded picture in pixels. The picture is scaled to this size.
 
     Returns:
-        The URI.
+        The data URI.
     """
     import cv2
 
@@ -80,10 +80,10 @@ def on_strip(box: Box, width: float) -> list[Box]:
 
     Args:
         box: The box in stitched pixels.
-        width: Width of the panorama in pixels.
+        width: Width of the scaled panorama in pixels.
 
     Returns:
-        The scaled box; a box across the seam gives one at each end.
+        The scaled box. If the box crosses the seam, two boxes, one at each end of the panorama.
     """
     scale = width / WIDTH
     shifts = [shift for shift in (-WIDTH, 0, WIDTH) if box.x + shift < WIDTH and box.x + shift + box.w > 0]
@@ -92,7 +92,7 @@ def on_strip(box: Box, width: float) -> list[Box]:
 
 @functools.cache
 def environment() -> Environment:
-    """Return the Jinja environment of the pages, which escapes all values and fails on unknown names."""
+    """Return the Jinja environment of the pages. It escapes all values, and an unknown name is an error."""
     import jinja2
     from markupsafe import Markup
 
@@ -110,7 +110,7 @@ def environment() -> Environment:
 
 
 def _plain(value: object) -> str:
-    """Value without control characters. Marks of text direction are spelled out, because they reorder text."""
+    """Return a value as text without control characters. Characters that reorder text are replaced by their codes."""
     return clean(value).translate(_TEXT_DIRECTION)
 
 
@@ -119,7 +119,7 @@ def _text(name: str) -> str:
 
 
 def _json(value: object) -> Markup:
-    """Value as JSON for a <script> element: no character can end the element or begin a comment."""
+    """Return a value as JSON for a <script> element. No character of it can end the element or begin a comment."""
     from markupsafe import Markup
 
     text = msgspec.json.encode(value).decode()
@@ -132,14 +132,15 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
     """Return a stored answer in words.
 
     Args:
-        mode: The question's answer mode.
-        text: The answer as JSON, or None.
-        choices: Texts of the choices.
-        fps: Frames per second.
-        unit: Unit of a number, as `unit_of` names it.
+        mode: The answer mode of the question.
+        text: The answer as JSON, or None if there is no answer.
+        choices: Texts of the choices, in order.
+        fps: Frames per second of the sequence.
+        unit: Unit of an answer that is a number (see `unit_of`).
 
     Returns:
-        The words; empty without an answer. A text that is not an answer of the mode is returned unchanged.
+        The answer in words, or an empty text if there is no answer. A text that is not a valid answer under the mode is
+        returned unchanged.
     """
     if (answer := read_answer(mode, text)) is None:
         return text or ""
@@ -154,13 +155,13 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
 
 
 def unit_of(plan: Plan) -> str:
-    """Return the unit of a plan's answer.
+    """Return the unit of the answer to a question.
 
     Args:
-        plan: The plan.
+        plan: The plan of the question.
 
     Returns:
-        The unit, or an empty text if the answer is not a number with a unit.
+        The unit, or an empty text if the answer has no unit.
     """
     return {"seconds_between": "s", "count": "people"}.get(plan.answer.read, "")
 

@@ -1,6 +1,6 @@
-// Every `.zoomable > svg` is zoomed by wheel, keys and buttons, which stand in `.zoom` beside it, and turned by dragging:
-// a panorama has no ends.
-// The picture grows in height as it is zoomed. `--unit` is the length of a screen pixel in the picture, for its texts.
+// Wheel, keys and buttons zoom every `.zoomable > svg`. The buttons are in the element `.zoom` beside it. Dragging
+// turns the panorama, which has no ends.
+// The picture becomes higher when it is zoomed. `--unit` is the length of a screen pixel in units of the picture.
 (() => {
   const MOST = 10;
   const LEAST_HEIGHT = 110;
@@ -11,11 +11,11 @@
     let left = 0;
     let top = 0;
     let wide = full;
-    // What a narrow screen begins with: part of the panorama, about the first box, instead of a strip of a few pixels.
+    // A narrow screen begins with a part of the panorama around the first box, not with a strip of a few pixels.
     const whole = () => Math.min(full, (height * svg.clientWidth) / LEAST_HEIGHT);
     const tall = () => Math.min(height, (wide * 0.6 * innerHeight) / svg.clientWidth);
 
-    // Beyond the right end the panorama begins again.
+    // To the right of its end, the panorama begins again.
     const scene = svg.querySelector(".scene");
     scene.id = `scene${place}`;
     const again = drawn("use", { href: `#${scene.id}`, x: full });
@@ -30,13 +30,13 @@
       else again.remove();
     };
     const firstBox = () => svg.querySelector("rect.target, rect.box, rect.look")?.getBBox();
-    /** Where the keys zoom: about the first box while it is in the picture, about the middle otherwise. */
+    /** Return the column that keys zoom around, in shares of the width: the first box if visible, else the middle. */
     const aim = () => {
       const box = firstBox();
       const share = box ? ((box.x + box.width / 2 - left + 2 * full) % full) / wide : 1;
       return share < 1 ? share : 0.5;
     };
-    /** Zoom about a place of the picture, given in shares of its sides. */
+    /** Zoom around a point of the picture. x and y are shares of the width and of the height. */
     const zoom = (factor, x = aim(), y = 0.5) => {
       const [column, row] = [left + x * wide, top + y * tall()];
       wide = Math.min(full, Math.max(full / MOST, wide / factor));
@@ -66,7 +66,7 @@
     }
 
     svg.tabIndex = 0;
-    // The wheel scrolls the page until the panorama is clicked.
+    // The wheel zooms only after a click on the panorama. Before, it scrolls the page.
     const wheel = (event) => {
       if (!event.ctrlKey && document.activeElement !== svg) return;
       event.preventDefault();
@@ -99,7 +99,7 @@
       else keys[event.key]();
     });
 
-    // The first size, and those after it, of a part that may have been hidden.
+    // Called with the first size and with each later size. The panorama may be hidden at first.
     let known = 0;
     new ResizeObserver(() => {
       if (svg.clientWidth === known) return;

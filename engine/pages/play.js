@@ -48,7 +48,7 @@
     strip.setPointerCapture(event.pointerId);
     const start = pointed(event);
     const off = Math.abs(((start - angle + 540) % 360) - 180);
-    // Inside the window it is dragged along; elsewhere it comes to the pointer.
+    // If the drag begins inside the window, the window follows the pointer. Otherwise the window first jumps to it.
     if (off > (CROP / WIDTH) * 180) angle = ((start % 360) + 360) % 360;
     dragged = { start, angle };
     aim();
@@ -104,7 +104,7 @@
 
   // -- the answer ------------------------------------------------------------------------------------------------------
 
-  /** The parts of the answer that are typed; a choice is picked. */
+  /** Return the parts of the answer that are typed. A choice is not typed but selected. */
   const typed = () => play.fields.filter((part) => part.kind !== "choice");
   const field = (key) => byId("fields").querySelector(`[name="${key}"]`);
   const fields = () => {
@@ -128,7 +128,7 @@
     }
     byId("fields").replaceChildren(...parts);
   };
-  /** The answer in the contract's form; null where a part is missing or is no number. */
+  /** Return the answer in the form that the server takes, or null if a part is missing or is not a number. */
   const answer = () => {
     if (!typed().length) {
       const chosen = byId("fields").querySelector("input:checked");
@@ -147,7 +147,7 @@
     if (!play) return;
     const lacking = [
       ...(play.looks.length ? [] : ["a look"]),
-      ...(box ? [] : ["a box round the person, drawn in the newest picture"]),
+      ...(box ? [] : ["a box around the person, drawn in the newest picture"]),
       ...(answer() === null ? ["the answer"] : []),
     ];
     byId("need").textContent = lacking.length ? `Still needed: ${lacking.join("; ")}.` : "";
@@ -167,7 +167,7 @@
     byId("over").hidden = !play?.over;
     byId("error").textContent = state.error;
     if (!play) return;
-    byId("how").textContent = play.answered ? "The answer was taken." : "The question is over: what could be read so far counts.";
+    byId("how").textContent = play.answered ? "The answer was accepted." : "The question is over. Parts of your answers that could be read still count.";
     byId("next").textContent = state.due ? "next question" : "finish";
     if (fresh) {
       byId("question").textContent = play.question;
@@ -215,7 +215,7 @@
       if (response.ok) show(await response.json());
       else byId("error").textContent = await response.text();
     } catch {
-      byId("error").textContent = "The server does not answer: has the command ended?";
+      byId("error").textContent = "The server does not respond. Is the command still running?";
     }
     busy = false;
     ready();

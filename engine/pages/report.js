@@ -6,6 +6,6 @@
     byId("found").textContent = left < runs.length ? `${left} of ${runs.length} runs` : "";
   };
   for (const select of filters) select.addEventListener("change", filter);
-  // A browser that goes back restores what was chosen.
+  // When the user goes back to the page, the browser restores the selected filters.
   filter();
 })();

@@ -1,4 +1,4 @@
-"""The report page: tables, intervals, answer against evidence, and failures of runs."""
+"""The report page: tables and charts of the scores of runs, and the causes of wrong boxes and choices."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
 
     Args:
         comparison: The scored runs.
-        links: Makes addresses of the pages of `view`, to which runs and pairs are linked; None without links.
+        links: The function `view.address`, if the page is part of `view` and links to the other pages. None otherwise.
 
     Returns:
         The HTML.
@@ -75,15 +75,15 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
 
 
 def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Row]]:
-    """Group rows by their values in two columns, in the order of first appearance.
+    """Arrange rows by their values in two columns.
 
     Args:
-        rows: The rows.
-        down: Column of the outer keys.
-        across: Column of the inner keys.
+        rows: The rows. Each pair of values occurs once.
+        down: Name of the column that gives the outer keys.
+        across: Name of the column that gives the inner keys.
 
     Returns:
-        The row of each pair of values.
+        The row for each outer key and inner key. Keys are in the order of their first appearance.
     """
     groups: dict[str, dict[str, Row]] = {}
     for row in rows:
@@ -92,17 +92,17 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
 
 
 class Crossed:
-    """A breakdown by run and value of a dimension, with the shorter of the two across.
+    """A breakdown as a table of runs against the values of a dimension. The shorter of the two lists gives the columns.
 
     Attributes:
-        counts: Number of questions of each value in most runs. A cell with another `n` states it.
-        values_across: Whether values are columns and runs are rows.
+        counts: For each value, the number of its questions in most runs. A cell with another number shows it.
+        values_across: Whether the columns are values and the rows are runs, or the reverse.
         across: Names of the columns.
-        rows: Name and cells of each row; a missing cell is None.
+        rows: Name and cells of each row. A cell is a row of the breakdown, or None if the breakdown has no such row.
     """
 
     def __init__(self, rows: Sequence[Row], dimension: str, runs: Sequence[str]) -> None:
-        """Cross the rows of a breakdown. The paper's rows form a run named after their label."""
+        """Arrange the rows of a breakdown. The paper's rows count as a run with the name "paper"."""
         cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
         questions = {
             value: Counter(r["n"] for run, r in rows_of_value.items() if run in runs)
@@ -119,12 +119,12 @@ class Crossed:
 
 
 def settings_text(settings: Row) -> str:
-    """Return a run's settings as indented JSON.
+    """Return the settings of a run as text.
 
     Args:
-        settings: The settings.
+        settings: The settings, as in the run's manifest.
 
     Returns:
-        The JSON.
+        The settings as indented JSON with sorted keys.
     """
     return msgspec.json.format(msgspec.json.encode(settings, order="sorted"), indent=2).decode()

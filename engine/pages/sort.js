@@ -1,8 +1,9 @@
 "use strict";
-// Headers of `table.sortable` sort its rows: numbers with the largest first, words by the alphabet; again turns them.
+// A click on a header of `table.sortable` sorts the rows by its column: numbers with the largest first, texts by the
+// alphabet. A second click reverses the order.
 for (const table of document.querySelectorAll("table.sortable")) {
   const heads = [...table.tHead.rows].at(-1).cells;
-  /** What a cell is sorted by: its first line, a number where the column has numbers; null where there is none. */
+  /** Return the sort key of a row: the first line of its cell, as a number in columns of numbers. null if it is empty. */
   const key = (row, head) => {
     const cell = row.cells[head.cellIndex];
     const text = cell.dataset.value ?? (cell.querySelector("b, a") ?? cell.firstChild)?.textContent.trim() ?? "";
@@ -20,14 +21,14 @@ for (const table of document.querySelectorAll("table.sortable")) {
     const sign = order === "ascending" ? 1 : -1;
     const body = table.tBodies[0];
     const rows = [...body.rows].map((row) => [key(row, head), row]);
-    // What has no value stands last in either order.
+    // Rows without a value come last in both orders.
     rows.sort(([one], [other]) => (one === null || other === null ? (one === null) - (other === null) : sign * compare(one, other)));
     body.append(...rows.map(([, row]) => row));
   };
   for (const head of heads) {
     if (!head.textContent.trim()) continue;
     const button = Object.assign(document.createElement("button"), { type: "button", className: "sort", title: "Sort" });
-    // An axis below the words is no part of the button.
+    // A drawn axis below the words does not become part of the button.
     button.append(...[...head.childNodes].filter((node) => node.nodeName !== "svg"));
     button.addEventListener("click", () => sort(head));
     head.prepend(button);

@@ -1,6 +1,6 @@
-"""Layout of diagrams: a plan as a graph, and labels of crowded dots.
+"""Layout of diagrams: a plan as a graph, and a scatter plot with labels that do not overlap.
 
-Positions are in units of a view box. Text is measured in characters.
+Positions and sizes are in units of the SVG view box. The width of a text is estimated from its number of characters.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ _NODE_CHARACTERS: Final = 23
 _NODE_HEAD: Final = 24.0
 _NODE_LINE: Final = 13.0
 _GAP: Final = 150.0
-"""Distance between columns of nodes, which has room for the words of an edge."""
+"""Distance between columns of nodes. The words of an edge fit into it."""
 _WIDE_GAP: Final = 230.0
 _GAP_CHARACTERS: Final = 22
 _LANE_GAP: Final = 50.0
 
 SQUARE: Final = 380.0
-"""Side of the scatter plot, including `_MARGIN` around its axes."""
+"""Side of the square scatter plot, with `_MARGIN` on each side of the plotted area."""
 _MARGIN: Final = 40.0
 _LETTER: Final = 6.9
 _LINE: Final = 12.0
@@ -38,29 +38,29 @@ def wrapped(text: str, characters: int) -> tuple[str, ...]:
 
     Args:
         text: The text.
-        characters: Maximum characters in a line.
+        characters: Maximum number of characters in a line.
 
     Returns:
-        The lines, at least one.
+        The lines. An empty text gives one empty line.
     """
     return tuple(textwrap.wrap(text, characters, break_on_hyphens=False)) or ("",)
 
 
 def shortened(text: str, characters: int) -> str:
-    """Cut a text.
+    """Cut a text that is too long.
 
     Args:
         text: The text.
         characters: Maximum number of characters.
 
     Returns:
-        The text; an ellipsis marks a cut.
+        The text. If it was cut, it ends in an ellipsis.
     """
     return text if len(text) <= characters else text[: characters - 1].rstrip() + "\N{HORIZONTAL ELLIPSIS}"
 
 
 class PlanNode(NamedTuple):
-    """A person of the plan: role, upper left corner, and the conditions as lines."""
+    """A drawn person of a plan: role, position of the upper left corner, and the conditions as lines of text."""
 
     role: str
     x: float
@@ -69,7 +69,7 @@ class PlanNode(NamedTuple):
 
 
 class PlanEdge(NamedTuple):
-    """A relation between the middles of two nodes' sides, and its words."""
+    """A drawn relation: a line from the side of one node to the side of another, and its words as lines of text."""
 
     x1: float
     y1: float
@@ -79,13 +79,13 @@ class PlanEdge(NamedTuple):
 
 
 class PlanGraph:
-    """Layout of a plan from left to right: equally large nodes in columns by their distance from the root.
+    """Layout of a plan from left to right. The column of a node is its distance from the root. Nodes have equal sizes.
 
     Attributes:
-        nodes: The people.
-        edges: The relations.
+        nodes: The people of the plan.
+        edges: The relations of the plan.
         node_height: Height of each node.
-        top: Height of the words above the nodes.
+        top: Height of the words that reach above the nodes.
         width: Width of the drawing.
         height: Height of the drawing without `top`.
     """
@@ -122,14 +122,14 @@ class PlanGraph:
 
 
 def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:
-    """All conditions in full, because reviewers judge by them."""
-    # Lines of a list of objects may break at its slashes.
+    """Return all conditions as lines of text. They are not shortened, because reviewers need them in full."""
+    # Spaces allow a line break at the slashes between the names of objects.
     texts = [_timed(_condition(condition).replace("/", " / "), condition.at, several) for condition in conditions]
     return tuple(line for text in texts for line in wrapped(text, _NODE_CHARACTERS)) or ("anybody",)
 
 
 def _timed(text: str, at: str | None, several: bool) -> str:
-    """Return a condition, with its time if the plan has several times."""
+    """Return the text of a condition, with its time if the plan has several times."""
     return f"{text}, {at}" if several and at else text
 
 
@@ -146,9 +146,16 @@ def _condition(condition: Condition) -> str:
 
 
 class Dot(NamedTuple):
-    """A run in the scatter plot: its row, its number in the legend, and the middle of the number beside it.
+    """A run in the scatter plot.
 
-    `leads` is true if a line must lead to a distant number.
+    Attributes:
+        x: Horizontal position of the dot.
+        y: Vertical position of the dot.
+        number: Number of the run in the legend.
+        row: The run's row of the table `main`.
+        label_x: Horizontal position of the middle of the number.
+        label_y: Vertical position of the middle of the number.
+        leads: Whether the number is so far away that a line must connect it with the dot.
     """
 
     x: float
@@ -161,13 +168,13 @@ class Dot(NamedTuple):
 
 
 def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
-    """Lay out a scatter plot of answer (to the right) and evidence (upwards).
+    """Lay out a scatter plot of the scores answer (to the right) and evidence (upwards).
 
     Args:
-        rows: Rows of the main table; rows without both shares are left out.
+        rows: Rows of the table `main`. A row is left out if its answer or evidence is None.
 
     Returns:
-        A dot per row, with a number that covers no other mark.
+        One dot per row, with the position of its number. Numbers cover no dot and no other number, if there is room.
     """
     scale = (SQUARE - 2 * _MARGIN) / 100
     points = [
@@ -185,7 +192,7 @@ def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
 
 
 class _Area(NamedTuple):
-    """A rectangle that a mark covers."""
+    """A rectangle that a dot or a number covers."""
 
     left: float
     top: float
@@ -198,7 +205,7 @@ class _Area(NamedTuple):
 
 
 def _free_area(x: float, y: float, width: float, taken: Sequence[_Area]) -> tuple[_Area, bool]:
-    """Find the nearest free area for a text about a dot, and whether a line must lead to it."""
+    """Return the nearest free area for a text beside a dot, and whether a line must connect the text with the dot."""
     for ring in range(_RINGS):
         far = _DOT + 1 + _STEP * ring
         for direction in range(_DIRECTIONS):
@@ -208,5 +215,5 @@ def _free_area(x: float, y: float, width: float, taken: Sequence[_Area]) -> tupl
             inside = area.left > _MARGIN and area.right < SQUARE and area.top > 0 and area.bottom < SQUARE - _MARGIN
             if inside and not any(area.meets(covered) for covered in taken):
                 return area, ring > 1
-    # The square is full.
+    # There is no free area, so the text covers something.
     return _Area(x + _DOT, y - _LINE / 2, x + _DOT + width, y + _LINE / 2), False

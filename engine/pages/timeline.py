@@ -1,4 +1,4 @@
-"""Timelines of the inspect page: facts about the people of a question over time."""
+"""Timelines of the inspect page. They show facts about the people of a question over time."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from jrdb_avr.schema.tables import LABELED
 Record = Mapping[str, Any]
 
 _NEAR_MOMENTS: Final = frames_in(5.0)
-"""Maximum distance in frames between a named time and the actions that the timeline shows."""
+"""Maximum number of frames between a named time and an action, for the timeline to show the action."""
 
 _POSE_READS: Final = ("action", "next_action")
-"""Reads with a pose as the answer."""
+"""Kinds of answers (`plan.answer.read`) that are poses."""
 
 
 class Stretch(NamedTuple):
-    """Frames of a timeline row, inclusive. `kind` selects the drawing style; `certain` is false for unknown frames."""
+    """A bar of a timeline row: the first and the last frame, the drawing style (`kind`), and whether it is certain."""
 
     first: int
     last: int
@@ -34,7 +34,7 @@ class Stretch(NamedTuple):
 
 
 class TimelineRow(NamedTuple):
-    """One property of a person over time. `in_plan` is true if the plan mentions it."""
+    """One property of a person over time. `in_plan` is true if the plan mentions the property."""
 
     role: str
     label: str
@@ -43,7 +43,7 @@ class TimelineRow(NamedTuple):
 
 
 class SequenceTables:
-    """Interval tables of a sequence for its timelines."""
+    """The tables of one sequence that its timelines need."""
 
     def __init__(self, store: Store, name: str) -> None:
         self.name = name
@@ -54,7 +54,7 @@ class SequenceTables:
         self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
 
     def rows(self, table: str, column: str, value: int) -> list[dict[str, Any]]:
-        """Rows of a table with a value in a column."""
+        """Return the rows of a table that have a value in a column."""
         rows: list[dict[str, Any]] = self._tables[table].filter(pc.field(column) == value).to_pylist()
         return rows
 
@@ -67,22 +67,23 @@ def timeline_rows(
     sightings: Sequence[Record],
     sequence: SequenceTables,
 ) -> list[TimelineRow]:
-    """Return the rows of one person: in view, actions near the named times, and other facts that the plan mentions.
+    """Return the timeline rows of one person.
 
     Args:
         role: The person's node in the plan.
-        plan: The plan.
-        people: Track of each node.
-        moments: Frame of each named time.
-        sightings: The person's sightings.
-        sequence: Interval tables of the sequence.
+        plan: The plan of the question.
+        people: Track id of each node's person.
+        moments: Frame of each time that the plan names.
+        sightings: The person's rows of the table `sightings`.
+        sequence: The tables of the sequence.
 
     Returns:
-        The rows.
+        A row that shows when the person is in view, one row per action near the named times, and one row per other fact
+        that the plan mentions.
     """
     track, tracks = people[role], {track_number: name for name, track_number in people.items()}
     conditions = [condition for node in plan.nodes if node.id == role for condition in node.conditions]
-    # Counted and describing relations have any target; an edge names its target.
+    # A relation that is counted or describes the person may have any target. An edge of the plan has one target.
     counted = {plan.answer.relation} if plan.answer.relation and role == plan.answer.of else set()
     described = {condition.interaction for condition in conditions if condition.interaction} | counted
     edges = {(edge.relation, people[edge.target]) for edge in plan.edges if edge.source == role}
@@ -111,7 +112,7 @@ def timeline_rows(
 
 
 def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
-    """Actions of a person that the plan mentions; all poses if the plan reads one."""
+    """Return the actions of a person that the plan mentions, and all poses if the answer is a pose of the person."""
     actions = {c.action for node in plan.nodes if node.id == role for c in node.conditions if c.action}
     actions |= {time.action for time in plan.times.values() if time.of == role and time.action}
     if plan.answer.of == role and plan.answer.read in _POSE_READS:
@@ -122,7 +123,7 @@ def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
 def _labelled(
     role: str, kind: str, intervals: Iterable[tuple[str, Record]], in_plan: frozenset[str] | None = None
 ) -> list[TimelineRow]:
-    """Return a timeline row per label, labels of the plan first. Without `in_plan` all labels count as the plan's."""
+    """Return one timeline row per label, those of the plan first. `in_plan` is None if the plan mentions all labels."""
     spans: dict[str, list[Stretch]] = {}
     for label, row in intervals:
         spans.setdefault(label, []).append(Stretch(row["first"], row["last"], kind, row["certain"]))
@@ -134,14 +135,14 @@ def _labelled(
 
 
 def runs_of(frames: Sequence[int], step: int) -> list[tuple[int, int]]:
-    """Group ascending frames into runs.
+    """Group frames into stretches without large gaps.
 
     Args:
-        frames: The frames.
-        step: Maximum gap inside a run.
+        frames: Indexes of frames, ascending.
+        step: Maximum distance between neighbouring frames of a stretch.
 
     Returns:
-        First and last frame of each run.
+        First and last frame of each stretch.
     """
     if not frames:
         return []

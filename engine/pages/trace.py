@@ -1,4 +1,4 @@
-"""The trace page: the steps of a run to its answer to one question, beside the truth."""
+"""The trace page: how a run came to its answer to one question, step by step, with the true answer beside it."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ ROLES: Final = 6
 _STRIP: Final = (1128, 144)
 _SMALL: Final = (240, 240)
 _PICTURES: Final = 200
-"""Maximum number of looks with a picture, so that a browser can open the page."""
+"""Maximum number of looks with a picture. With more pictures, browsers might fail to open the page."""
 
 _LONGEST: Final = 20_000
-"""Maximum characters of a text; a longer text is cut in the middle."""
+"""Maximum number of characters of a text. The middle of a longer text is left out."""
 
 _NAMED: Final = 16
-"""Maximum number of entities with names on the map."""
+"""Maximum number of entities for the map to show their names."""
 
 _FAR: Final = 450
-"""Maximum distance in frames between the looks and an answer that the map includes."""
+"""Maximum distance in frames between the run's answer and the other frames of the map, for the map to show it."""
 
 Names = Mapping[str, tuple[str, int]]
-"""Name and colour of each entity by its key, in the order of creation."""
+"""Name and colour number of each entity of the world model by its key, in the order of creation."""
 
 
 def trace_page(trace: Trace, observer: Observer) -> str:
@@ -86,13 +86,13 @@ def trace_page(trace: Trace, observer: Observer) -> str:
 
 
 def evidence_box(trace: Transcript) -> tuple[int, Box] | None:
-    """Return the frame and box of a run's evidence.
+    """Return the frame and the box of a run's evidence.
 
     Args:
         trace: Record of the run's work on the question.
 
     Returns:
-        Frame and box in stitched pixels, or None without a finite box.
+        The frame and the box in stitched pixels, or None if there is no evidence or the box is not finite.
     """
     frame, sides = trace.prediction["evidence_frame"], [trace.prediction[f"evidence_{key}"] for key in "xywh"]
     if frame is None or any(side is None or not math.isfinite(side) for side in sides):
@@ -108,15 +108,15 @@ def _choice(answer: Answer | None) -> int | None:
 
 
 def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
-    """Frames of the map, its ticks, the frames of both answers, and the target's path."""
+    """Return the range of frames on the map, its ticks, the frames of both answers, and the target's path."""
     mode = trace.question["answer_mode"]
     true, predicted = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
     frames = [look.frame for look in trace.looks] + ([] if evidence is None else [evidence[0]]) + true
-    # A distant answer would compress the rest of the map.
+    # A distant answer is left out, because it would compress the rest of the map.
     low, high = min(frames, default=0) - _FAR, max(frames, default=0) + _FAR
     predicted = [frame for frame in predicted if low <= frame <= high]
     first, last = min(frames + predicted, default=0), max(frames + predicted, default=0)
-    # Room for the target's path before and after.
+    # The margins show the target's path before the first frame and after the last frame.
     room = max(15, (last - first) // 12)
     return {
         "low": first - room,
@@ -128,13 +128,13 @@ def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
 
 
 def _frames(mode: str, text: str | None) -> list[int]:
-    """Frames of an answer; empty if it has none or cannot be read."""
+    """Return the frames that an answer states. The list is empty if there are none or the answer cannot be read."""
     answer = read_answer(mode, text)
     return [] if answer is None else frames_of_answer(answer)
 
 
 def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
-    """Return the target's (column, frame) in segments, which end if the target is out of view or crosses the seam."""
+    """Return the target's positions as (column, frame). A new segment begins after a gap or at the seam."""
     path: list[list[tuple[float, int]]] = []
     for frame, (x, _, w, _) in sorted(trace.target.items()):
         if not low <= frame <= high:
@@ -147,10 +147,10 @@ def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
 
 
 def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
-    """Entities by column and frame, and relations between entities of one frame.
+    """Return the marks on the map: sightings of entities, and relations between entities in one frame.
 
-    Each mark has its step, colour (`role`), frame and text. `label` is a name, at `label_y` from the mark. Relations
-    have an `end`.
+    Each mark has a step, a colour (`role`), a frame, a column and a text. A sighting may have a name (`label`) that is
+    drawn `label_y` below it. A relation has the column of its other end (`end`).
     """
     marks: list[dict[str, Any]] = []
     columns: dict[tuple[str, int], float] = {}
@@ -161,7 +161,7 @@ def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
             name, role = names[sighting.source]
             column = columns[sighting.source, sighting.frame] = (sighting.box.x + sighting.box.w / 2) % WIDTH
             mark = {"step": write.step, "role": role, "frame": sighting.frame, "column": column, "end": None}
-            # Few entities have names, at their first sighting, on the first free line below the mark.
+            # If there are few entities, their names are at their first sighting, on the first free line below it.
             label = name[:12] if sighting.source not in labelled and len(names) <= _NAMED else ""
             left = column * _MAP_WIDTH / WIDTH
             beside = levels.setdefault(sighting.frame // 15, [])
@@ -180,7 +180,7 @@ def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
 
 
 class Statement(NamedTuple):
-    """A text of the world model: written at a step, replaced at `until`."""
+    """A statement of the world model: the step that wrote it, the step that replaced it (`until`), and its text."""
 
     step: int
     until: int
@@ -189,7 +189,7 @@ class Statement(NamedTuple):
 
 @dataclass
 class Card:
-    """An entity: statements that always hold, and statements by frame."""
+    """An entity of the world model, with its statements: those that hold at all times, and those about one frame."""
 
     name: str
     role: int
@@ -200,10 +200,10 @@ class Card:
 
 
 def add_statement(statements: list[Statement], new: Statement) -> None:
-    """Add a statement; a repeated reading extends the statement that still holds.
+    """Add a statement. If an equal statement still holds, extend its time instead.
 
     Args:
-        statements: Statements about one entity, extended in place.
+        statements: Statements about one entity. The list is changed in place.
         new: The statement.
     """
     for index, old in enumerate(statements):
@@ -214,7 +214,7 @@ def add_statement(statements: list[Statement], new: Statement) -> None:
 
 
 def _cards(trace: Trace, names: Names) -> list[Card]:
-    """Each entity with the statements about it."""
+    """Return a card for each entity, with the statements about the entity."""
     cards: dict[str, Card] = {}
     for write in trace.writes:
         step, until, fact = write.step, write.until, write.fact
@@ -246,13 +246,13 @@ _MAP_WIDTH: Final = 934.0
 """Width of the map in the template."""
 _WORDS: Final = 60
 _MOST_NODES: Final = 40
-"""Maximum number of drawn entities; the page lists more relations as text."""
+"""Maximum number of entities in the drawing of relations. With more entities, the page lists the relations as text."""
 
 
 def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
-    """Related entities in a row (`knots`) and their relations as arcs above (`ties`), from `left`.
+    """Return the drawing of relations: entities in a row (`knots`), and relations as arcs above the row (`ties`).
 
-    None if no relations exist, or too many entities for a drawing.
+    `left` and `size` give the view box. Return None if there are no relations, or too many entities for a drawing.
     """
     made = {write.fact.entity.id: write.step for write in trace.writes if write.fact.entity is not None}
     related = [(write, tie) for write in trace.writes if (tie := write.fact.related) is not None]
@@ -269,14 +269,14 @@ def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
         shift = _NODE[0] * (0.62 if positions[tie.target] > positions[tie.source] else 0.38)
         x1, x2 = positions[tie.source] + shift, positions[tie.target] + _NODE[0] - shift
         title = f"{tie.name}, frame {tie.first}"
-        # Relations of different frames show their frames.
+        # The text has the frame only if the relations are not all in the same frame.
         text = shortened(title if several else tie.name, _WORDS)
         half = max(abs(x1 - x2), _LETTER * len(text)) / 2 + 6
         rise = _ARC * (1 + _level(levels, ((x1 + x2) / 2 - half, (x1 + x2) / 2 + half)))
         tie_words = {"text": text, "title": title, "step": write.step, "until": write.until}
         ties.append({"x1": x1, "x2": x2, "rise": rise, **tie_words})
     knots = [{"x": x, "name": names[key][0], "role": names[key][1], "step": made[key]} for key, x in positions.items()]
-    # Words may be wider than the row of entities.
+    # The words on arcs may reach beyond the row of entities.
     ends = [end for level in levels for extent in level for end in extent]
     left, right = min(0.0, *ends), max((len(positions) - 1) * _STRIDE + _NODE[0] + 2, *ends)
     height = max((tie["rise"] for tie in ties), default=0.0) + 18 + _NODE[1] + 2
@@ -284,7 +284,7 @@ def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
 
 
 def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
-    """Reserve the lowest level that is free over an extent, and return its index."""
+    """Reserve an extent on the lowest level that is still free there, and return the index of the level."""
     for index, taken in enumerate(levels):
         if all(extent[1] < low or high < extent[0] for low, high in taken):
             taken.append(extent)
@@ -331,7 +331,7 @@ def _step(step: StoredRow) -> dict[str, Any]:
 
 
 def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """Return a look with its panorama and crop as pictures; `missing` is the reason for missing pictures."""
+    """Return a look with its panorama and its crop as pictures. `missing` is the reason if a picture is missing."""
     view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
     try:
         if look.angle is not None:
@@ -343,7 +343,7 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
 
 
 def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """Return the evidence and the target's box in that frame, on the strip and in a crop around the evidence."""
+    """Return the evidence box and the target's box in the same frame, for the panorama and for a crop around them."""
     target = Box(*trace.target[frame]) if frame in trace.target else None
     angle = float(center_angle(box.x, box.w))
     view: dict[str, Any] = {
@@ -369,7 +369,7 @@ def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callab
 
 
 def _messages(text: str) -> str:
-    """Return the messages to a model as text, with names for images."""
+    """Return the messages to a model as text. Images are represented by their names."""
     messages = _decoded(text, list[_Message])
     return _cut(
         text if messages is text else "\n\n".join(f"[{message.role}]\n{message.content}" for message in messages)
@@ -386,7 +386,7 @@ def _reply(text: str) -> str:
 
 
 def _plain(text: str | None) -> str:
-    """Return a long JSON text, indented, with JSON objects in its strings; other texts unchanged."""
+    """Indent a long JSON text, including JSON objects inside its strings. Return other texts unchanged."""
     if not text or len(text) <= 100:
         return text or ""
     value = _decoded(text)
@@ -400,7 +400,7 @@ def _plain(text: str | None) -> str:
 
 
 def _decoded(text: str, kind: Any = Any) -> Any:
-    """Return the value of a JSON text, or the text itself if it has another type."""
+    """Return the value of a JSON text, or the text itself if it is not JSON of this type."""
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeError, RecursionError):

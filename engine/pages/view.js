@@ -21,14 +21,14 @@
     }
     for (const own of scene.boxes.filter((box) => box.frame === frame)) {
       const [left, y, width, height] = own.box;
-      // A box over the seam is at both ends.
+      // A box that crosses the seam is drawn at both ends.
       for (const x of [left - scene.width, left, left + scene.width]) {
         if (x >= scene.width || x + width <= 0) continue;
         const place = { x, y, width: Math.max(0, width), height: Math.max(0, height) };
         const group = drawn("g", { ...(own.kind.startsWith("role") && { class: own.kind }) });
         group.append(drawn("rect", { class: "edge", ...place }), drawn("rect", { class: `box ${own.kind}`, ...place }));
         group.append(drawn("title", {}, own.name));
-        // Of people side by side, one has the name below the box; of boxes of one person, one has it.
+        // If two people are side by side, one name is below its box. If a person has several boxes, one has the name.
         if (group.classList.length && !named.some(([name, left]) => name === own.name && Math.abs(left - x) < 200)) {
           const taken = named.some(([name, left, top]) => Math.abs(left - x) < 30 * name.length && Math.abs(top - y) < 60);
           const row = taken ? y + height + 70 : y;
@@ -108,7 +108,7 @@
   const keys = { ArrowLeft: () => go(at - 1), ArrowRight: () => go(at + 1), n: after, p: before, " ": toggle };
   document.addEventListener("keydown", (event) => {
     if (!isShortcut(event) || !keys[event.key]) return;
-    // A button takes the space bar, and what scrolls takes the arrows.
+    // The space bar presses the focused button, and arrow keys scroll the focused element. Neither is a shortcut then.
     if (event.target.closest(event.key === " " ? "button, summary, a, pre" : ".scroll[tabindex], pre")) return;
     event.preventDefault();
     keys[event.key]();

@@ -1,6 +1,7 @@
-"""The pages of `view`: runs side by side, a question with its frames, and a comparison of two runs.
+"""The pages of the command `view`: an overview of runs and questions, one question, and a comparison of two runs.
 
-Without scores only public files are read. Pages then contain no true answer, no boxes of the target, and no outcome.
+If scores are not shown, only public files are read. The pages then have no true answer, no box of the target, and no
+outcome.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.errors import InputError, StoreError
 
 SCORE_OUTCOMES: Final = ("both right", "answer only", "box only", "both wrong")
-"""Outcomes of a scored question."""
+"""Possible outcomes of a question that a run has answered, if scores are shown."""
 
 _PER_PAGE: Final = 100
 _PUBLIC: Final = ("family", "template", "sequence")
@@ -39,9 +40,9 @@ class ViewedRun:
 
     Attributes:
         manifest: The run's manifest.
-        predictions: Rows of `predictions` by question.
-        scores: 0 or 1 for answer, evidence and combined by question; empty without scores.
-        causes: Why the box does not score, by question; empty without scores.
+        predictions: Row of the table `predictions` by question id.
+        scores: 0 or 1 for answer, evidence and combined, by question id. Empty if scores are not shown.
+        causes: Cause of each box that does not score, by question id. Empty if scores are not shown.
     """
 
     manifest: RunManifest
@@ -55,31 +56,31 @@ class ViewedRun:
         return self.manifest.run_id
 
     def outcome(self, question_id: str) -> str:
-        """Return one of `SCORE_OUTCOMES`, or an empty text without a score of the question."""
+        """Return the outcome of a question, one of `SCORE_OUTCOMES`. Return "" if the question has no score."""
         if question_id not in self.scores:
             return ""
         answer, evidence, _ = self.scores[question_id]
         return SCORE_OUTCOMES[2 * (not answer) + (not evidence)]
 
     def mean(self, column: str) -> float | None:
-        """Return the mean of a column of `predictions`, or None without predictions."""
+        """Return the mean of a column of `predictions`, or None if there are no predictions."""
         values = [row[column] or 0 for row in self.predictions.values()]
         return sum(values) / len(values) if values else None
 
     def count(self, status: str) -> int:
-        """Return the number of questions with a status."""
+        """Return the number of predictions that have a status."""
         return sum(row["status"] == status for row in self.predictions.values())
 
     def share(self, score: int) -> float | None:
-        """Return the share of a score in percent, by its index in `SCORES`; None without scores."""
+        """Return the share of a score (given by its index in `SCORES`) in percent, or None if there are no scores."""
         return 100 * sum(scores[score] for scores in self.scores.values()) / len(self.scores) if self.scores else None
 
 
 class Viewer:
-    """Answers the requests of `view` from a store and its pictures. `comparison` has the scores; None hides them."""
+    """Server of the pages of `view`. If `comparison` is None, scores and answers are not shown."""
 
     def __init__(self, store: Store, image_root: str | None, comparison: Comparison | None) -> None:
-        """Read questions and runs.
+        """Read the questions and the finished runs of a store.
 
         Raises:
             StoreError: If a public file is missing.
@@ -102,16 +103,16 @@ class Viewer:
             self._pages |= {"report": self._report, "trace": self._trace}
 
     def respond(self, request: Request) -> Response:
-        """Answer a request.
+        """Respond to a request.
 
         Args:
             request: The request.
 
         Returns:
-            A page or a picture.
+            A page as HTML, or a picture as JPEG.
 
         Raises:
-            AvrError: If the page, run or question is unknown.
+            AvrError: If the page, run, question or frame is unknown.
         """
         if request.method != "GET" or request.path not in self._pages:
             raise InputError("there is no such page", field="path")
@@ -213,19 +214,19 @@ class Viewer:
         return self._by_id[question_id]
 
     def answer_of(self, run: ViewedRun, question: QuestionRow) -> str:
-        """Return a run's answer to a question in words, or an empty text without an answer."""
+        """Return a run's answer to a question in words, or an empty text if there is no answer."""
         row = run.predictions.get(question.question_id)
         fps = self.sequences[question.sequence].fps
         return "" if row is None else readable(question.answer_mode, row["answer"], question.choices, fps)
 
 
 def address(page: str, /, *pairs: tuple[str, str], **values: str) -> str:
-    """Make the relative address of a page.
+    """Return the relative address of a page.
 
     Args:
-        page: Name of the page; empty for the overview.
-        *pairs: Further parameters, which may repeat a name.
-        **values: Parameters of the query.
+        page: Name of the page. An empty name is the overview.
+        *pairs: Parameters as name and value. A name may occur several times.
+        **values: Parameters by name.
 
     Returns:
         The address.
@@ -234,13 +235,13 @@ def address(page: str, /, *pairs: tuple[str, str], **values: str) -> str:
 
 
 def public_runs(store: Store) -> list[ViewedRun]:
-    """Read the finished runs of a store's questions, without scores.
+    """Read the finished runs of a store from public files only.
 
     Args:
         store: The store.
 
     Returns:
-        The runs.
+        The runs, without scores. A run is left out if the questions of the store have changed since.
     """
     runs = []
     for name in run_ids(store):
@@ -255,13 +256,13 @@ def public_runs(store: Store) -> list[ViewedRun]:
 
 
 def scored_runs(comparison: Comparison) -> list[ViewedRun]:
-    """Return the runs of a comparison, in its order.
+    """Return the runs of a comparison in the form that the pages show.
 
     Args:
         comparison: The comparison.
 
     Returns:
-        The runs with their scores.
+        The runs with their scores, in the order of the comparison.
     """
     causes, columns = comparison.causes(), [f"{name}_score" for name in SCORES]
     scores: dict[str, dict[str, list[int]]] = {}
@@ -283,7 +284,7 @@ def _by_question(rows: Iterable[StoredRow]) -> dict[str, StoredRow]:
 
 
 def _fits(question: QuestionRow, filters: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
-    """Return whether a question matches the filters; a run must have both the outcome and the cause."""
+    """Return whether a question matches all filters. One run must match both the outcome and the cause."""
     if any(getattr(question, name) != filters[name] for name in _PUBLIC if name in filters):
         return False
     private = {name: filters[name] for name in _PRIVATE if name in filters}

@@ -1,4 +1,4 @@
-"""The page of a question in `view`: frames with looks and boxes, answers of runs, beliefs, and steps."""
+"""The page of one question in `view`: frames with looks and boxes, the answers of runs, and the steps of one run."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import parse_plan
 
 _LONGEST: Final = 4_000
-"""Maximum characters of a step's text; the page `trace` has more."""
+"""Maximum number of characters of a step's text. The page `trace` shows longer texts."""
 
 _MOST: Final = 3_000
-"""Maximum number of beliefs, and of steps; no built-in method writes as many."""
+"""Maximum number of beliefs, and also of steps. Built-in methods write fewer than that."""
 
 
 class Belief(NamedTuple):
     """A statement of the world model and its evidence.
 
     Attributes:
-        person: Name of the entity.
-        role: Colour of the entity.
+        person: Name of the entity that the statement is about.
+        role: Number of the entity's colour.
         text: The statement.
-        step: Step of the write.
-        until: Step of the write that replaced it; None if it still holds.
-        frame: Frame of the evidence.
-        look: Step of the look with the evidence.
-        votes: Number of readings for and against it.
+        step: Number of the step that wrote the statement.
+        until: Number of the step that replaced the statement. None if it still holds.
+        frame: Frame of the evidence, or None if there is no single frame.
+        look: Number of the step of the look that gave the evidence, or None if it is unknown.
+        votes: Number of readings for the statement, and number of readings against it.
     """
 
     person: str
@@ -62,14 +62,14 @@ def question_page(
 
     Args:
         question: The question.
-        info: Its sequence.
-        runs: Runs that have the question.
-        chosen: The run to show.
-        transcript: Record of the chosen run; a `Trace` if scores may be shown.
-        missing: Reason for a missing transcript.
-        near: The previous and the next question.
-        pictured: Whether the store has pictures.
-        address: Makes addresses of pages.
+        info: The sequence of the question.
+        runs: The runs (`ViewedRun`) that have the question.
+        chosen: The run to show in detail, or None.
+        transcript: Record of the chosen run's work on the question. A `Trace` if scores may be shown.
+        missing: The reason if there is no transcript.
+        near: The previous and the next question of the store, or None at the ends.
+        pictured: Whether the panoramas of the store are available.
+        address: The function `view.address`, which returns the address of a page.
 
     Returns:
         The HTML.
@@ -110,14 +110,15 @@ def _answer(run: Any, question: QuestionRow) -> str | None:
 
 
 def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
-    """Return the input of the script that draws over panoramas.
+    """Return the input of the script that draws boxes and looks on panoramas.
 
     Args:
         info: The sequence.
-        transcript: Record of the shown run.
+        transcript: Record of the shown run, or None.
 
     Returns:
-        Boxes in stitched pixels and columns of looks, by frame.
+        Facts about the sequence, the frame to start with (`start`), the boxes with their frames in stitched pixels
+        (`boxes`), and the looks with their frames and columns (`looks`).
     """
     scene_data: dict[str, Any] = {"sequence": info.sequence, "fps": info.fps, "frames": info.frames}
     scene_data |= {"width": WIDTH, "height": HEIGHT, "start": info.frames[0] if info.frames else 0}
@@ -141,7 +142,7 @@ def _drawn(box: Box, frame: int, kind: str, name: str) -> dict[str, Any]:
 
 
 def _names(writes: Sequence[Written]) -> dict[str, tuple[str, int]]:
-    """Name and colour of each entity by its key."""
+    """Return the name and the colour number of each entity by its key."""
     made = [write.fact.entity for write in writes if write.fact.entity is not None]
     return {entity.id: (entity.name, index % ROLES) for index, entity in enumerate(made)}
 
@@ -156,13 +157,13 @@ def _sightings(writes: Sequence[Written]) -> list[dict[str, Any]]:
 
 
 def beliefs(writes: Sequence[Written]) -> list[Belief]:
-    """Return the statements of a world model.
+    """Return the statements that writes made in a world model.
 
     Args:
         writes: Writes to the world model, in order.
 
     Returns:
-        The statements in the same order, each with its evidence.
+        The statements in the order of the writes, each with its evidence.
     """
     names = _names(writes)
     taken = {write.fact.observation.id: write.fact.observation for write in writes if write.fact.observation}

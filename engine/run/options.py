@@ -26,24 +26,24 @@ class QuestionSelection:
     list. A larger `limit` or `per_template` only adds questions to the list, so that a run can grow.
     """
 
-    questions: tuple[str, ...] = option((), "Question ids separated by commas, or a file with one id per line.")
-    families: tuple[str, ...] = option((), "Only of this family. May be repeated.", flag="family", metavar="NAME")
-    templates: tuple[str, ...] = option((), "Only of this template. May be repeated.", flag="template", metavar="NAME")
-    sequences: tuple[str, ...] = option((), "Only of this sequence. May be repeated.", flag="sequence", metavar="NAME")
+    questions: tuple[str, ...] = option((), "Ids of questions, separated by commas, or a file with one id per line.")
+    families: tuple[str, ...] = option((), "Only questions of this family. May be repeated.", flag="family")
+    templates: tuple[str, ...] = option((), "Only questions of this template. May be repeated.", flag="template")
+    sequences: tuple[str, ...] = option((), "Only questions of this sequence. May be repeated.", flag="sequence")
     per_template: int | None = option(
         None,
-        "Maximum questions per template. With --limit each template gets the same number, if it has enough questions.",
+        "Maximum number of questions per template. With --limit, the templates take turns until the limit is reached.",
         minimum=1,
         metavar="N",
     )
     limit: int | None = option(
-        None, "Maximum questions in total, counted among questions that have panoramas.", minimum=1, metavar="N"
+        None, "Maximum number of questions. Questions without panoramas do not count.", minimum=1, metavar="N"
     )
-    seed: int | None = option(None, "Draw the questions at random; without a seed the first ones are taken.")
+    seed: int | None = option(None, "Take questions in the random order of this seed. Default: the order of the store.")
     shard: tuple[int, int] | None = option(
         None,
-        "Answer the selected questions of every Nth sequence in the order of names, from the Ith on. The name of the "
-        "run ends in -IofN; 'runs merge' joins the N runs.",
+        "Answer shard I of N: the selected questions of every Nth sequence, from the Ith on in the order of names. "
+        "The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
         metavar="I/N",
     )
 
@@ -77,29 +77,29 @@ class QuestionSelection:
 
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions:
-    """Options that shape how a method answers."""
+    """Options that change how a method answers."""
 
     policy: Policy | None = option(
         None,
-        "How agent and agent-no-world choose looks: 'driven' (default), by the program; 'guided', by the model among "
-        "the best looks of the program; 'model', by the model alone. The first two show it one picture at a time.",
+        "Who chooses the looks of agent and agent-no-world. 'model': the model. 'guided': the model, among the looks "
+        "that the program rates best. 'driven' (default): the program. 'guided' and 'driven' send pictures one by one.",
         choices=POLICIES,
     )
     history: int | None = option(
         None,
-        "For react, and for agent-no-world with --policy model: send the last N pictures in each turn, and only the "
-        "metadata line of older ones. By default all are sent.",
+        "For react, and for agent-no-world with --policy model: send the last N pictures in each turn, and only frame "
+        "and angle of older pictures. Default: send all pictures.",
         minimum=1,
         metavar="N",
     )
     opaque: bool = option(
         False,
-        "Show the method hashes in place of the names of sequences. The hashes are equal in all runs of a store.",
+        "Replace the names of sequences by hashes in what the method sees. All runs of a store use the same hashes.",
     )
     marker: Knobs | None = option(
         None,
-        "A knob of the simulated model, on top of its profile: wrong_box=0.1, ids=off, seed=3, and others that "
-        "docs/models.md lists. May be repeated.",
+        "Change one knob of the simulated model's profile, such as wrong_box=0.1, ids=off or seed=3. docs/models.md "
+        "lists the knobs. May be repeated.",
         metavar="KEY=VALUE",
     )
 
@@ -112,30 +112,30 @@ class RunOptions:
     ends in its epoch, and each epoch gives the simulated model another seed.
     """
 
-    run_id: str | None = option(None, "Name of the run; by default made of method, policy (if given) and model.")
+    run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL. A non-default --policy is added.")
     resume: bool = option(
         False,
-        "Finish a run that was stopped. Questions that ended in an error are asked again; if more questions are "
-        "selected, they are asked too.",
+        "Continue a run that was stopped. Questions that ended in an error are asked again. If more questions are "
+        "selected than before, the new questions are asked too.",
     )
-    concurrency: int = option(16, "Questions in flight at a time.", minimum=1, maximum=64)
+    concurrency: int = option(16, "Maximum number of questions answered at the same time.", minimum=1, maximum=64)
     images: Path | None = option(
-        None, "Folder with one folder of panoramas per sequence; by default the folder that the store names."
+        None, "Folder of the panoramas, with one folder per sequence. Default: the folder that the store records."
     )
     world_db: Path | None = option(
         None,
-        "Graph file for the world model of the agent, in place of the graph of the store: for parallel runs, or for a "
-        "store without labels.",
+        "Graph file for the agent's world model, instead of the graph of the store. Needed if other runs use that "
+        "graph at the same time, or if the store is public.",
     )
     strict_preflight: bool = option(
-        False, "Refuse the run if the server fails a check that the method needs; by default this is a warning."
+        False, "Refuse the run if the server fails a check that the method needs. Default: only print a warning."
     )
     epoch: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions:
-    """All options of `evaluate`, by subject.
+    """All options of `evaluate`, in one field per subject.
 
     Example:
         EvaluateOptions(selection=QuestionSelection(limit=20), run=RunOptions(run_id="first"))

@@ -1,9 +1,9 @@
 """Reader of label files in the COCO format: lists of images, annotations and categories.
 
 Each annotation refers to its image and its category by their ids. These ids have a meaning only inside one file.
-The frame of an image is therefore read from the base name of its `file_name`, and not computed from the image id, which
-depends on the release. `width` and `height` are not read, because they describe another camera. An image is
-refused, together with its annotations, if it belongs to another sequence or if two files share its id.
+The frame of an image is read from the base name of its `file_name`. It is not computed from the image id, because
+releases number their images differently. `width` and `height` are not read, because they describe another camera. An
+image is refused, together with its annotations, if it belongs to another sequence or if two images share its id.
 Categories are identified by name. A name outside the vocabulary of `schema/things.py` is kept as written and reported.
 """
 
@@ -32,7 +32,7 @@ from jrdb_avr.schema.things import OBJECTS, normal_category
 MAX_LISTED: Final = 400_000
 """Maximum length of each list of a file. JRDB's largest sequence has half as many boxes of people."""
 CHUNK: Final = 1000
-"""Number of records that are decoded together. The decoded records of a chunk fit into the processor's cache."""
+"""Number of records that are decoded together. A decoded chunk fits into the processor's cache."""
 
 ImageId = Annotated[int, msgspec.Meta(ge=-(2**62), le=2**62)]
 """Id of an image, unique within its file."""
@@ -132,10 +132,10 @@ class Images:
         for image in images:
             (frame, reason), field = _frame_of(image.file_name, sequence), "images.file_name"
             if frame is not None and len(frames[image.id]) > 1:
-                # Because an annotation with this id may belong to either image.
+                # An annotation with this id may belong to either image.
                 reason, field = "two images with this id, neither is kept", "images.id"
             elif frame is not None and frame in number_of:
-                reason = "frame listed twice, the first is kept"
+                reason = "frame has two images, the first is kept"
             if reason:
                 name = shorten(image.file_name)
                 problems.add("frame", reason, frame=name, field=field, value=image.id)
@@ -145,7 +145,7 @@ class Images:
         self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
-        """Return the frame of each annotation's image. It is -1, and counted, if the image is missing or refused."""
+        """Return the frame of each annotation's image. If the image is missing or refused, count it and return -1."""
         image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
         frame = np.full(len(image_id), -1, np.int64)
         if len(self.ids):
@@ -153,7 +153,7 @@ class Images:
             frame = np.where(self.ids[row] == image_id, self.frame[row], -1)
         if len(lost := np.flatnonzero(frame < 0)):
             first = annotations[lost[0]]
-            reason, name = "its image is not in the file, or was refused", f"annotation {shorten(bytes(first.id), 30)}"
+            reason, name = "image of the annotation is missing or refused", f"annotation {shorten(bytes(first.id), 30)}"
             problems.add("record", reason, frame=name, field="image_id", value=first.image_id, count=len(lost))
         return frame
 
@@ -163,7 +163,7 @@ def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
     *folders, name = file_name.replace("\\", "/").split("/")
     match = _FRAME.fullmatch(name)
     if match is None:
-        return None, "file name is not six digits and jpg/jpeg/png"
+        return None, "file name is not six digits with the suffix jpg/jpeg/png"
     if any(_SEQUENCE.fullmatch(folder) and folder != sequence for folder in folders):
         return None, "image of another sequence"
     return int(match[1]), ""
@@ -172,7 +172,7 @@ def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
 # -- categories ----------------------------------------------------------------------------------------------------
 
 Categories = dict[int, tuple[str, str | None]]
-"""Names of each category by category id: as written in the file, and in the vocabulary (None if it is not there)."""
+"""Two names by category id: the name as written, and the name in the vocabulary or None."""
 
 
 def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Counter[tuple[str, str]]]:
@@ -184,7 +184,7 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
     names: Categories = {}
     ambiguous: set[int] = set()
     if file.categories is None:
-        problems.add("file", "there is no list of categories: what things are is unknown", field="categories")
+        problems.add("file", "there is no list of categories, so things have no category", field="categories")
     for chunk in read_chunks(file.categories or [], "category", _CATEGORIES, problems):
         for category in chunk:
             try:
@@ -196,7 +196,7 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
             if names.setdefault(category.id, (raw, usual if usual in OBJECTS else None))[0] == raw:
                 continue
             if normal_category(names[category.id][0]) != usual:
-                # Because an annotation with this id may belong to either category.
+                # An annotation with this id may belong to either category.
                 ambiguous.add(category.id)
                 problems.add("record", "two categories with this id, neither is kept", field="categories", value=raw)
     kept = {category_id: names[category_id] for category_id in sorted(names) if category_id not in ambiguous}

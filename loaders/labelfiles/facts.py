@@ -106,11 +106,12 @@ def keep_people(
     reason = "same person twice in a frame"
     refusals.count(again, "record", reason, "label_id", lambda row: labels[code[row]])
     row = usable[order[first]]
-    # Because the second record with a track may be of another person with a wrong track.
+    # The second record with a track may be another person's, with a wrong track.
     return KeptRecords(row, frame[row], track[row], set(frame[refused | again].tolist()))
 
 
 def _track_or_code(label: str) -> int:
+    """Return the track of a label id, or `_THING` or `_BAD` if it has none."""
     try:
         return records.read_track(label)
     except records.NotAPersonError:
@@ -246,11 +247,17 @@ def check_size(facts: int) -> None:
 
 
 def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals) -> None:
-    """Count the issues of each code once per row with the code. `codes` holds the code of each row."""
+    """Count each issue of a raw value as often as there are rows with the value.
+
+    Args:
+        codes: code of the raw value of each row.
+        issues: issues of the raw values by code.
+        refusals: counter.
+    """
     if not issues:
         return
     distinct, first, counts = np.unique(codes, return_index=True, return_counts=True)
-    # Because the report shows the example that is counted first, codes are sorted by their first row.
+    # The report shows the example that is counted first, so codes are sorted by their first row.
     for begin, code, count in sorted(zip(first.tolist(), distinct.tolist(), counts.tolist(), strict=True)):
         for reason, name, value in issues.get(code, ()):
             refusals.add("field", reason, name, begin, value, count)

@@ -27,12 +27,11 @@ from jrdb_avr.schema.errors import InputError
 MAX_FILE: Final = 320 << 20
 """Maximum bytes of a file. The largest file of JRDB has half as many."""
 MAX_RECORDS: Final = 1000
-"""Maximum records of a frame. JRDB's fullest frames have about 100. The number of pairs of people grows
-quadratically."""
+"""Maximum records of a frame, which bounds the number of pairs of people. JRDB's fullest frames have about 100."""
 MAX_GATHERED: Final = 400_000
 """Maximum records of a file. JRDB's largest sequence has half as many boxes."""
 BATCH: Final = 1000
-"""Number of records that are turned into columns together. So many records fit into the processor's cache."""
+"""Number of records that are turned into columns together. A batch fits into the processor's cache."""
 
 _LIST: Final = msgspec.json.Decoder(list[msgspec.Raw])
 _MISSING: Final = re.compile("Object missing required field `(.*)`")
@@ -73,7 +72,7 @@ def read_file(path: Path) -> bytes:
 
 
 def decode_file(path: Path, form: type[_F]) -> _F:
-    """Decode a JSON file into a type.
+    """Decode a JSON file into an object of the type `form`.
 
     Raises:
         InputError: If the file is unreadable, is not JSON, or does not fit the type `form`.
@@ -81,7 +80,7 @@ def decode_file(path: Path, form: type[_F]) -> _F:
     data = read_file(path)
     try:
         if not data.isascii():
-            # Because msgspec does not check whether raw values are UTF-8.
+            # msgspec does not check whether raw values are UTF-8.
             data.decode()
         return msgspec.json.decode(data, type=form)
     except msgspec.ValidationError as error:
@@ -182,7 +181,7 @@ def gather(
         try:
             records, whole = reader.read(raw, problems, lambda _, key=key: key)  # type: ignore[misc]
         except BROKEN as error:
-            problems.add("frame", "frame is no list of records", frame=key, value=str(error))
+            problems.add("frame", "frame is not a list of records", frame=key, value=str(error))
             continue
         if len(records) > MAX_RECORDS:
             problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=key)
@@ -209,9 +208,9 @@ def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterat
     for key, raw in decode_file(path, LabelFile).labels.items():
         match = form.fullmatch(key)
         if match is None:
-            problems.add("frame", "frame key is not six digits and " + "/".join(suffixes), frame=shorten(key))
+            problems.add("frame", "frame key is not six digits with suffix " + "/".join(suffixes), frame=shorten(key))
         elif int(match[1]) in listed:
-            problems.add("frame", "frame key twice, the first is kept", frame=key)
+            problems.add("frame", "frame key is repeated, the first is kept", frame=key)
         else:
             listed.add(int(match[1]))
             yield key, int(match[1]), raw

@@ -35,7 +35,7 @@ NOTHING: Final = msgspec.Raw(b"")
 _PERSON: Final = re.compile(r"pedestrian:([0-9]{1,10})")
 _WHOLE: Final = re.compile(r"-?[0-9]{1,19}")
 _PREFIXED: Final = re.compile(r"([^:]+):-?[0-9]+")
-# Because a thing of the category "other" may be a person, the category is left out.
+# A thing of the category "other" may be a person, so this category is left out.
 _THINGS: Final = frozenset(
     plain(name)
     for category in set(OBJECTS) - PERSON_CATEGORIES - {"other"}
@@ -96,7 +96,7 @@ def read_whole(value: object, low: int, high: int) -> int:
     result = read_number(value)
     if result != math.floor(result):
         raise ValueError("not a whole number")
-    # Because an int above 2**53 would lose digits as a float.
+    # An int above 2**53 would lose digits as a float.
     exact = value if isinstance(value, int) else int(result)
     if not low <= exact <= high:
         raise ValueError("number out of range")
@@ -119,7 +119,7 @@ def read_difficulty(value: object) -> int:
 
 @functools.lru_cache(maxsize=10_000)
 def read_text(value: str) -> str:
-    """Replace unprintable characters by blanks, strip the text, and return it if it has 1 to `MAX_TEXT` characters."""
+    """Return a text without unprintable characters. Raise ValueError if it is blank or longer than `MAX_TEXT`."""
     clean = "".join(c if c.isprintable() else " " for c in value).strip()
     if not clean:
         raise ValueError("empty text")

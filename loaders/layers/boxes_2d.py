@@ -66,6 +66,13 @@ _CODED: Final = ("label_id", "attributes", "file_id", "action_label", "social_gr
 def load_2d(path: Path, problems: Problems) -> LayerTables:
     """Read a stitched 2D label file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The tables of boxes, actions, groups and social activities, and the frames of each layer.
+
     Raises:
         InputError: If the file as a whole cannot be used.
     """
@@ -74,7 +81,7 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
     box = columns["box"]
     refusals = Refusals(columns["frame"], problems)
     people = keep_people(columns, codes, refusals, box_faults(box), lambda row: box[row].tolist())
-    # Because the rows are sorted by frame and person from here on, later refusals need the new order.
+    # From here on, rows are sorted by frame and person, so refusals are counted in the new order.
     refusals = Refusals(people.frame, problems)
     columns = {name: column[people.row] for name, column in columns.items()}
 
@@ -118,7 +125,7 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Return a mask and its reason for each fault of a box. `box` has the shape (n, 4)."""
+    """Return a mask of faulty boxes and the reason for each kind of fault. `box` has the shape (n, 4)."""
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
         (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),
@@ -185,7 +192,7 @@ def _taken(
 
 def _occlusion(value: str) -> str:
     if value not in OCCLUSIONS:
-        raise ValueError("unknown word")
+        raise ValueError("not a known degree of occlusion")
     return value
 
 

@@ -67,6 +67,13 @@ _READER: Final = RecordReader(Record3D)
 def load_3d(path: Path, problems: Problems) -> LayerTables:
     """Read a 3D label file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The table `boxes_3d`, and the frames of the layer `3d`.
+
     Raises:
         InputError: If the file as a whole cannot be used.
     """
@@ -108,13 +115,14 @@ def load_3d(path: Path, problems: Problems) -> LayerTables:
 
 
 def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:
+    """Return the columns of a batch of records. `numbers` has the shape (n, 7), in the order of `NUMBERS`."""
     n = len(fields["box"])
     numbers = chain.from_iterable(map(msgspec.structs.astuple, fields["box"]))
     attributes: list[Any] = [item or Attributes3D() for item in fields["attributes"]]
     return {
         **take_fields(fields, ("label_id",), codes),
         "numbers": np.fromiter(numbers, np.float64, n * len(NUMBERS)).reshape(n, len(NUMBERS)),
-        # Because JSON has no NaN, NaN can mean "missing". numpy converts None to NaN.
+        # JSON has no NaN, so NaN can mean "missing" from here on. numpy converts None to NaN.
         "distance": np.array([item.distance for item in attributes], np.float64),
         "points": np.array([item.num_points for item in attributes], np.float64),
         "flags": numbered(codes["flags"], [(item.interpolated, item.no_eval) for item in attributes], n),

@@ -35,7 +35,7 @@ TOLERANCE: Final = 0.05
 
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
-# Because all sequences of a root share the file, and because its parser is slow, the last tree is kept.
+# All sequences of a root share the file, and its parser is slow. Therefore the last tree is kept.
 _tree: Final = functools.lru_cache(maxsize=1)(lambda text: yaml.compose(text, yaml.SafeLoader))
 
 _Row = tuple[str, int | None, int | None, float, float, float, float]
@@ -43,6 +43,13 @@ _Row = tuple[str, int | None, int | None, float, float, float, float]
 
 def load_calibration(path: Path, problems: Problems) -> LayerTables:
     """Read the cameras of a root.
+
+    Args:
+        path: `cameras.yaml`.
+        problems: counter of refused parts.
+
+    Returns:
+        The table `calibration`, sorted by camera, without frames.
 
     Raises:
         InputError: If the file as a whole cannot be used.
@@ -82,7 +89,7 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
         line = f" in line {mark.line + 1}" if mark else ""
         raise InputError(f"{path.name}: not YAML{line}", file=path.name) from None
     except (RecursionError, UnicodeError, ValueError):
-        raise InputError(f"{path.name}: not YAML that can be read", file=path.name) from None
+        raise InputError(f"{path.name}: cannot be read as YAML", file=path.name) from None
     cameras = _members(top, "", problems).get("cameras")
     if not isinstance(cameras, yaml.MappingNode):
         raise InputError(f'{path.name}: there is no mapping "cameras"', file=path.name)
@@ -94,9 +101,9 @@ def _members(node: yaml.Node | None, name: str, problems: Problems) -> dict[str,
     members: dict[str, yaml.Node] = {}
     for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
         if not isinstance(key, yaml.ScalarNode):
-            problems.add("field", "key is not text", frame=name)
+            problems.add("field", "key is not a string", frame=name)
         elif key.value in members:
-            problems.add("field", "key twice, the first is kept", frame=name, field=shorten(key.value))
+            problems.add("field", "key is repeated, the first is kept", frame=name, field=shorten(key.value))
         else:
             members[key.value] = value
     return members

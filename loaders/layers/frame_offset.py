@@ -4,10 +4,11 @@ Files of the train sequences use two numberings that are two frames apart, and n
 of a layer at frame f are compared with the 2D boxes at frame f + s. There are two tests:
 
 - Equal boxes, for layers that repeat the 2D boxes. The shift is the s with the most equal boxes.
-- Motion, for 3D boxes. They equal no 2D box, and may be too far left or right in every frame. Camera and lidar are read
-  up to 40 ms apart, and standing people show no shift. Therefore the horizontal distance between a person's 3D box and
-  2D box is regressed on the person's horizontal speed in the panorama. The slope is the shift in frames. Its standard
-  error is the larger of two estimates: from blocks of frames of each person, and from blocks of frames of all people.
+- Motion, for 3D boxes. A 3D box cannot equal a 2D box, and may be too far left or right in every frame. Camera and
+  lidar are read up to 40 ms apart, and standing people show no shift. Therefore the horizontal distance between a
+  person's 3D box and 2D box is regressed on the person's horizontal speed in the panorama. The slope is the shift in
+  frames. Its standard error is the larger of two estimates: from blocks of frames of each person, and from blocks of
+  frames of all people.
 
 The column of a person is the horizontal centre of the person in pixels of the panorama. For a 3D box at the azimuth a
 it is 3760 * (0.5 - a / 2 pi).
@@ -36,7 +37,7 @@ MAX_ROWS: Final = 20_000
 SAME: Final = 1.0
 """Maximum difference in pixels between the coordinates of equal boxes."""
 MIN_LEAD: Final = 20
-"""Minimum lead of the best shift over the second best, in equal boxes."""
+"""Minimum difference between the numbers of equal boxes at the best and at the second best shift."""
 SHIFTED_SHARE: Final = 0.9
 """Minimum share of equal boxes among the compared boxes for the result "shifted"."""
 AGREEING_SHARE: Final = 0.5
@@ -63,14 +64,18 @@ CLOCK: Final = 0.7
 MIN_RESPONSE: Final = 0.5
 """Minimum value of `response_of` for the result "agrees"."""
 ERRORS_BEYOND: Final = 3.0
-"""Margin in standard errors: above `CLOCK` for the result "shifted", below the response for "agrees"."""
+"""Minimum margin in standard errors.
+
+For the result "shifted", a shift must exceed `CLOCK` by the margin. For the result "agrees", it must stay below the
+value of `response_of` by the margin.
+"""
 ERRORS_AWAY: Final = 6.0
 """Minimum size of a shift in standard errors for the result "shifted"."""
 
 NO_BOXES: Final = "the 2D layer has no boxes to compare with"
 NO_COMMON_PERSON: Final = "no person is in both layers"
 TOO_STILL: Final = "too few of the people in both layers move enough to tell"
-FOREIGN: Final = "the boxes fit the 2D boxes at no shift of up to 2 frames"
+FOREIGN: Final = "no shift of up to 2 frames makes the boxes fit the 2D boxes"
 
 
 @dataclass(frozen=True)
@@ -142,7 +147,7 @@ def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
 
 
 def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCheck:
-    """Compare the frame numbers of a layer with those of the 2D layer.
+    """Check whether a layer numbers its frames like the 2D layer.
 
     Args:
         layer: name of the layer.
@@ -206,7 +211,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
     Args:
         tracks: people of the layer.
         reference: people of the 2D layer.
-        moved: frames by which the layer is moved before the comparison.
+        moved: number of frames to add to the frames of the layer before the comparison.
 
     Returns:
         The shift and its standard error, or None if too few people move to estimate both.
@@ -244,6 +249,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
 
 
 def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
+    """Return the result for a known shift. `slope` is its estimate from motion, or None if boxes were equal."""
     if shift:
         about = "about " if slope else ""
         reason = f"agrees with the 2D boxes only when moved by {about}{shift:+d} frames: renumber it or load without it"
@@ -257,7 +263,7 @@ def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
 
 def _tracks_2d(table: pa.Table) -> Tracks:
     box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
-    # Because the centre of a box that is cut off at the seam is not the centre of the person, the box is left out.
+    # A box that is cut off at the seam is left out, because its centre is not the centre of the person.
     whole = (box[:, 0] > SAME) & (box[:, 0] + box[:, 2] < WIDTH - SAME)
     return _sorted(table, box[:, 0] + box[:, 2] / 2, box, whole)
 
@@ -268,6 +274,7 @@ def _tracks_3d(table: pa.Table) -> Tracks:
 
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:
+    """Return the usable rows, sorted by track and frame."""
     tracks = Tracks(whole_numbers(table, "frame"), whole_numbers(table, "track"), column, box)
     order = ascending(tracks.track, tracks.frame)
     return tracks.at(order[usable[order]])
@@ -282,6 +289,7 @@ def _difference(a: Floats, b: Floats) -> Floats:
 
 
 def _without_means(values: Floats, track: Ints) -> Floats:
+    """Subtract from each value the mean over its track."""
     _, group = rank_values(track)
     return values - (np.bincount(group, values) / np.bincount(group))[group]
 

@@ -82,6 +82,13 @@ _SEGMENTATION: Final = msgspec.json.Decoder(RunLengths | list[list[float]])
 def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     """Read a panoptic file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The tables `panoptic` and `categories`, and the frames of the layer `panoptic`.
+
     Raises:
         InputError: If the file as a whole cannot be used.
     """
@@ -96,7 +103,7 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     columns = {name: np.concatenate(parts.pop(name)) for name in list(parts)}
     frame, track, category = (columns[name] for name in ("frame", "object", "category_id"))
     refusals = Refusals(frame, problems)
-    # Because the records of one thing must be neighbours, rows are sorted by frame, category and track.
+    # Records of the same thing must be neighbours, so rows are sorted by frame, category and track.
     rows = ascending(frame, category, track == NO_TRACK, track)
     same = np.zeros(len(rows), np.bool_)
     same[1:] = track[rows[1:]] != NO_TRACK

@@ -46,6 +46,13 @@ _PACKED: Final = struct.Struct(f"{VALUES}d")
 def load_pose(path: Path, problems: Problems) -> LayerTables:
     """Read a pose file.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The table `poses`, and the frames of the layer `pose`.
+
     Raises:
         InputError: If the file as a whole cannot be used.
     """
@@ -55,7 +62,7 @@ def load_pose(path: Path, problems: Problems) -> LayerTables:
     for chunk in read_chunks(file.annotations, "annotation", _READER, problems):
         track = np.fromiter(map(attrgetter("track_id"), chunk), np.int64, len(chunk))
         frame = images.frames_of(chunk, problems)
-        # Because packing whole rows takes a third of the time of converting single numbers.
+        # Packing whole rows takes a third of the time of converting single numbers.
         packed = b"".join([_PACKED.pack(*annotation.keypoints) for annotation in chunk])
         values = np.frombuffer(packed, np.float64).reshape(-1, VALUES)
         rows = _usable(frame, values, problems)

@@ -103,7 +103,7 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
 
     Returns:
         The column `<layer>.size` has the length of each record's list, or -1 if it is missing. The columns
-        `<layer>.pair` and `<layer>.labels` have the codes of each entry. All entries follow one another.
+        `<layer>.pair` and `<layer>.labels` have one code per entry, with the entries of all records in one sequence.
     """
     entries = list(chain.from_iterable(filter(None, lists)))
     pairs, labels = (bytes(entry.pair) for entry in entries), (bytes(entry.inter_labels) for entry in entries)

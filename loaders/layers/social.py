@@ -43,7 +43,7 @@ HANDLING: Final = RelationKind("handles", "HOI", thing_of, ("object", "category_
 """Relations of a person to a thing."""
 
 ATTRIBUTES: Final = (("demographics", "demographics_info", DEMOGRAPHICS), ("group_info", "group_info", GROUP_INFO))
-"""Per layer of attributes: its name, the key of its list in a record, and the attribute names by their keys there."""
+"""For each layer of attributes: its name, the key of its list in a record, and its attributes by key in the list."""
 
 _NO_BOX: Final = (math.nan,) * 4
 
@@ -75,6 +75,13 @@ def load_social(path: Path, problems: Problems) -> LayerTables:
     If a record has neither `H-interaction` nor `HHI`, the interactions of the person in the frame are unknown. If the
     list is empty, the person has no interaction.
 
+    Args:
+        path: label file.
+        problems: counter of refused parts.
+
+    Returns:
+        The tables of attributes, interactions and complete lists, the frames of each layer, and the boxes of the file.
+
     Raises:
         InputError: If the file as a whole cannot be used.
     """
@@ -84,12 +91,16 @@ def load_social(path: Path, problems: Problems) -> LayerTables:
 def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
     """Read a reasoning file.
 
-    Reasoning files leave out empty lists. A person has no relation of a kind if the record lacks the list.
+    Reasoning files leave out empty lists. If a record lacks the list of a kind of relation, the person therefore has no
+    such relation in the frame.
 
     Args:
         path: label file.
         problems: counter of refused parts.
         social: True to read demographics, interactions and group information beside the relations to things.
+
+    Returns:
+        The tables of relations, attributes and complete lists, the frames of each layer, and the boxes of the file.
 
     Raises:
         InputError: If the file as a whole cannot be used.
@@ -151,6 +162,7 @@ def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
 
 
 def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.Table:
+    """Return the rows of the table `listed` for the people with a whole list, which the mask `whole` marks."""
     columns = {"frame": people.frame[whole], "track": people.track[whole]}
     return pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns})
 

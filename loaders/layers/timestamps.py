@@ -1,6 +1,6 @@
 """Loader of the times of frames, which makes the table `timestamps` from two files in `timestamps/<sequence>`.
 
-`frames_img.json` has the stamps of the images, and `frames_pc.json` those of the point clouds. A stamp is in seconds
+`frames_img.json` has the stamps of images, and `frames_pc.json` has the stamps of point clouds. A stamp is in seconds
 since the epoch, and each frame has at most one stamp per sensor. The frame of an entry is its `frame_id`, or the number
 in the base names of its images or clouds. If an entry has both and they differ, the entry is refused. If the stamps of
 a file do not strictly increase with the frames, the whole file is refused.
@@ -86,7 +86,7 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
         except OSError as error:
             errors.append(InputError(f"{sensor.file}: cannot be read: {error.strerror}", file=sensor.file))
     if not columns:
-        raise errors[0] if errors else InputError("there is neither frames_img.json nor frames_pc.json")
+        raise errors[0] if errors else InputError("the folder has neither frames_img.json nor frames_pc.json")
     for unusable in errors:
         problems.add("file", str(unusable))
     table = pa.concat_tables(
@@ -122,9 +122,9 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Float
         if len(frames) == 1:
             stamps.append((frames.pop(), entry.timestamp))
         else:
-            reason = "neither a frame_id nor a file named after a frame"
+            reason = "there is neither a frame_id nor a file name with a frame number"
             if frames:
-                reason = "frame_id and the names of files do not agree"
+                reason = "frame_id and file names are of different frames"
             problems.add("record", reason, frame=sensor.file, field="frame_id", value=_shown(entry, names))
     stamps.sort()
     frame = np.array([frame for frame, _ in stamps], np.int64)
@@ -135,4 +135,5 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Float
 
 
 def _shown(entry: StampedFrame, names: list[str]) -> Any:
+    """Return what the report shows of a refused entry: its frame_id and file names, or its stamp."""
     return entry.timestamp if entry.frame_id is None else (entry.frame_id, *names)

@@ -9,9 +9,7 @@ import math
 
 import pytest
 from loaded_stores import NAME, load_root, reported_store
-from worlds import VISIBLE, load_reported, member, person, person_3d, pose, thing, write_root
-
-from jrdb_avr.queries.graph.handle import Graph
+from worlds import VISIBLE, member, person, person_3d, pose, thing, write_root
 
 
 def placed(track):
@@ -27,27 +25,6 @@ def loaded(tmp_path, **layers):
     """The store without a graph, and the report, of one sequence; layers by their names, `boxes` for `2d`."""
     layers = {{"boxes": "2d", "solid": "3d"}.get(name, name): content for name, content in layers.items()}
     return reported_store(tmp_path, layers)
-
-
-GRAPHED = {}
-"""Worlds of the cases that look at the graph, by sequence: one graph holds them all."""
-
-
-@pytest.fixture(scope="module")
-def graphed(tmp_path_factory):
-    """By sequence a function that gives the rows of a query of it, which names it $s; and the load's report."""
-    store, reports = load_reported(tmp_path_factory.mktemp("cases"), GRAPHED)
-    with Graph.open(store.graph_path, read_only=True) as graph:
-
-        def of(sequence):
-            (report,) = [report for report in reports if report.sequence == sequence]
-
-            def ask(cypher):
-                return [tuple(row.values()) for row in graph.query(cypher, {"s": sequence}).to_pylist()]
-
-            return ask, report
-
-        yield of
 
 
 def column(store, kind, name):
@@ -107,19 +84,6 @@ def test_case_02_a_layer_with_another_numbering(tmp_path, layer, shift):
     assert store.interval("sightings", NAME).num_rows == 120
 
 
-@pytest.mark.parametrize("shift", [0, -2, -1, 1, 2])
-def test_case_02_3d_boxes_with_another_numbering(tmp_path, shift):
-    boxes = {f: [person(t, trail(t, f)[0], {"walking": 1}) for t in range(4)] for f in range(240)}
-    solid = {f: [person_3d(t, *trail(t, f + shift)[1]) for t in range(4)] for f in range(240)}
-    store, report = loaded(tmp_path, boxes=boxes, solid=solid)
-    if not shift:
-        assert all(column(store, "sightings", "located")) and report.problems == []
-        return
-    assert not any(column(store, "sightings", "located"))
-    assert [(p.kind, p.count) for p in report.problems] == [("file", 1)]
-    assert column(store, "sequence", "layers") == [["2d", "actions"]]
-
-
 def test_case_03_occlusion_and_truncation_missing(tmp_path):
     bare = {"interpolated": False, "no_eval": False}
     store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2, attributes=bare)]})
@@ -159,28 +123,6 @@ def test_case_06_empty_lists(tmp_path):
     # An empty list says that there are none; a missing key, or a missing record, says nothing.
     assert column(store, "sightings", "interactions_listed") == [True, False, False]
     assert column(store, "sightings", "handles_listed") == [False, False, False]
-    assert report.problems == []
-
-
-GRAPHED["case_07"] = {
-    "2d": {
-        0: [person(1, placed(1), {}), person(2, placed(2)), person(3, placed(3), {"impossible": 1}), walking(4)],
-    },
-}
-
-
-def test_case_07_no_actions_or_an_impossible_one(graphed):
-    ask, report = graphed("case_07")
-    assert ask(
-        "MATCH (p:Person)-[s:SeenIn]->() WHERE s.sequence = $s RETURN p.track, s.listed, s.pose ORDER BY p.track"
-    ) == [(1, False, None), (2, False, None), (3, False, None), (4, True, "walking")]
-    actions = "MATCH ()-[r:Performs]->(a) WHERE r.sequence = $s RETURN a.name, r.certain ORDER BY a.name"
-    assert ask(actions) == [("walking", True)]
-    # A person who walks may be said to run.
-    assert ask("MATCH ()-[r:MayPerform]->(a) WHERE r.sequence = $s RETURN a.name, r.gap ORDER BY a.name") == [
-        ("running", False)
-    ]
-    assert ask("MATCH (a:Action) WHERE a.name = 'impossible' RETURN a.name, $s ORDER BY a.name") == []
     assert report.problems == []
 
 
@@ -235,31 +177,6 @@ def test_case_09_spelling_variants(tmp_path):
         ("venue", "indoor_room/class"),
     ]
     assert sorted(label.label for label in report.unknown_labels) == ["fencing", "juggling balls"]
-    assert report.problems == []
-
-
-GRAPHED["case_10"] = {
-    "2d": {0: [person(0, placed(0), {"sitting": 1}, (0, 1)), person(1, placed(1), {"sitting": 1}, (0, 1))]},
-    "3d": {0: [person_3d(0, 3.0, 0.0)]},
-    "reasoning": {
-        0: [
-            member(0, placed(0), {"gender": {"Female": "1"}}, handles=[((0, 40), {"holding": "1"})]),
-            member(1, placed(1), None, [(0, {"conversation": "1"})], alias="HHI"),
-        ]
-    },
-    "pose": {0: [pose(0)]},
-    "panoptic": {0: [thing(0, 40)]},
-}
-
-
-def test_case_10_person_zero(graphed):
-    ask, report = graphed("case_10")
-    assert ask(
-        "MATCH (f)<-[s:SeenIn]-(p:Person {sequence: $s, track: 0})-[:Handles {certain: true}]->(o:Object), "
-        "(p)-[:Interacts]->(q:Person), (p)-[:MemberOf]->(g:SocialGroup) "
-        "RETURN p.gender, o.track, o.category, q.track, s.pose, s.located, s.face_visible, s.group_size, g.cluster "
-        "ORDER BY q.track"
-    ) == [("female", 0, "accessory", 1, "sitting", True, True, 2, 0)]
     assert report.problems == []
 
 
@@ -380,17 +297,6 @@ def test_case_21_3d_boxes_without_points(tmp_path):
     assert report.problems == []
 
 
-GRAPHED["case_22"] = {"2d": {0: [walking(1), walking(2, attributes=VISIBLE | {"no_eval": True})]}}
-
-
-def test_case_22_no_eval(graphed):
-    ask, report = graphed("case_22")
-    assert ask(
-        "MATCH (p)-[s:SeenIn]->() WHERE s.sequence = $s RETURN p.track, s.no_eval, s.clear, s.pose ORDER BY p.track"
-    ) == [(1, False, True, "walking"), (2, True, False, "walking")]
-    assert report.problems == []
-
-
 def test_case_23_rot_z_beyond_pi(tmp_path):
     turns = (3.509, -2.171, 3.509 + 2 * math.pi, math.pi / 2)
     solid = [person_3d(i, 3.0, 0.0) for i in range(4)]
@@ -408,29 +314,6 @@ def test_case_24_distance_missing(tmp_path):
     solid = [person_3d(1, 3.0, 4.0, distance=None), gone, person_3d(3, 3.0, 4.0, distance=6.5)]
     store, report = loaded(tmp_path, boxes={0: [walking(i) for i in (1, 2, 3)]}, solid={0: solid})
     assert column(store, "sightings", "distance") == [5.0, 5.0, 6.5]
-    assert report.problems == []
-
-
-GRAPHED["case_25"] = {
-    "2d": {
-        f: [person(t, placed(t), {"standing": 1}, (c, 1)) for t, c in enumerate((7, 7, 8) if f < 30 else (9, 9, 7), 1)]
-        for f in range(60)
-    }
-}
-
-
-def test_case_25_clusters_change_and_are_reused(graphed):
-    ask, report = graphed("case_25")
-    assert ask(
-        "MATCH (p)-[m:MemberOf]->(g) WHERE m.sequence = $s "
-        "RETURN p.track, g.cluster, m.first, m.last ORDER BY p.track, m.first"
-    ) == [(1, 7, 0, 29), (1, 9, 30, 59), (2, 7, 0, 29), (2, 9, 30, 59), (3, 8, 0, 29), (3, 7, 30, 59)]
-    sizes = (
-        "MATCH (p)-[s:SeenIn]->() WHERE s.sequence = $s AND s.frame IN [0, 59] "
-        "RETURN p.track, s.group_size ORDER BY s.frame, p.track"
-    )
-    # Alone in one's cluster is a group of one: no group.
-    assert ask(sizes) == [(1, 2), (2, 2), (3, 1)] * 2
     assert report.problems == []
 
 
@@ -456,31 +339,6 @@ def test_case_28_groups_and_actions_are_independent(tmp_path):
     assert report.problems == []
 
 
-TALK = [(2, {"conversation": "3"}), (2, {"conversation": "1"}), (3, {"hugging": "3"}), (9, {"hugging": "1"})]
-GRAPHED["case_29"] = {
-    "2d": {0: [walking(1), walking(2), walking(3)]},
-    "social": {0: [member(1, placed(1), None, TALK), member(2, placed(2), None, [])]},
-}
-
-
-def test_case_29_one_sided_and_repeated_interactions(graphed):
-    ask, report = graphed("case_29")
-    assert ask(
-        "MATCH (a)-[r:Interacts]->(b) WHERE r.sequence = $s "
-        "RETURN a.track, b.track, r.label, r.certain ORDER BY a.track, b.track"
-    ) == [
-        (1, 2, "conversation", True),
-        (1, 3, "hugging", False),
-        (2, 1, "conversation", True),
-        (3, 1, "hugging", False),
-    ]
-    assert ask(
-        "MATCH (p)-[s:SeenIn]->() WHERE s.sequence = $s RETURN p.track, s.interactions_listed ORDER BY p.track"
-    ) == [(1, False), (2, True), (3, False)]
-    # The partner who is not there is counted, and is no person; who is with such a person may be with others too.
-    assert (report.absent_partners, report.people, report.problems) == (1, 3, [])
-
-
 def test_case_29_nobody_interacts_with_oneself(tmp_path):
     store, report = loaded(
         tmp_path, boxes={0: [walking(1)]}, social={0: [member(1, placed(1), None, [(1, {"hugging": "1"})])]}
@@ -488,31 +346,6 @@ def test_case_29_nobody_interacts_with_oneself(tmp_path):
     assert store.interval("interactions", NAME).num_rows == 0
     assert column(store, "sightings", "interactions_listed") == [False]
     assert sum(p.count for p in report.problems) == 1
-
-
-VENUES = ({"indoor_room/class": "1"}, {"indoor_room/class": "2"}, {"outdoor_street": "1"}, {"outdoor_street": "3"})
-GRAPHED["case_30"] = {
-    "2d": {0: [person(i, placed(i), {"sitting": 1}, (5, 1)) for i in range(4)]},
-    "social": {
-        0: [member(i, placed(i), info={"venue": venue, "aim": {"wandering": "1"}}) for i, venue in enumerate(VENUES)]
-    },
-}
-
-
-def test_case_30_members_disagree_on_their_group(graphed, tmp_path):
-    ask, report = graphed("case_30")
-    groups = "MATCH (g:SocialGroup) WHERE g.sequence = $s RETURN g.cluster, g.venue, g.aim, g.ssc ORDER BY g.id"
-    assert ask(groups) == [(5, "indoor_room/class", ["wandering"], None)]
-    store, _ = reported_store(tmp_path, GRAPHED["case_30"])
-    assert rows(store, "group_info", "attribute", "value", "votes", "chosen") == [
-        ("aim", "wandering", 4, True),
-        ("venue", "indoor_room/class", 2, True),
-        ("venue", "outdoor_street", 1, False),
-    ]
-    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
-        ("group 5", "venue", {"indoor_room/class": 2, "outdoor_street": 1}, 3)
-    ]
-    assert report.problems == []
 
 
 def test_case_31_poses_reach_over_the_whole_panorama(tmp_path):
@@ -531,34 +364,6 @@ def test_case_32_poses_join_by_file_name(tmp_path):
     file = {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "person"}]}
     store, report = loaded(tmp_path, boxes={f: [walking(1)] for f in (0, 15, 30)}, pose=file)
     assert written(store, "poses", "frame", "track") == [(0, 2), (15, 17), (30, 5)]
-    assert report.problems == []
-
-
-def test_case_33_panoptic_ids_under_three_names(tmp_path):
-    things = [
-        thing(1, 40),
-        thing(1, 71, where="attributes.tracking_id"),
-        thing(2, 71, where="attributes.floor_id"),
-        thing(None, 4),
-        thing(5, 63),
-        thing(6, 900),
-    ]
-    categories = {40: "T_Accessory", 71: "DOOR", 4: "m_wall", 63: "pedestrian", 900: "teapot"}
-    images = [{"id": 9, "file_name": "image_stitched/x/000015.jpg", "width": 3760, "height": 480}]
-    file = {
-        "images": images,
-        "annotations": [{"id": i, "image_id": 9} | record for i, record in enumerate(things)],
-        "categories": [{"id": i, "name": name} for i, name in categories.items()],
-    }
-    store, report = loaded(tmp_path, boxes={15: [walking(5)]}, panoptic=file)
-    # The person of the panoptic layer is tracked by the boxes, and is no thing.
-    assert rows(store, "objects", "category_id", "object", "category") == [
-        (40, 1, "accessory"),
-        (71, 1, "door"),
-        (71, 2, "door"),
-        (900, 6, None),
-    ]
-    assert [label.label for label in report.unknown_labels] == ["teapot"]
     assert report.problems == []
 
 
@@ -615,27 +420,78 @@ def test_case_36_hhi_is_h_interaction(tmp_path, layer, alias):
     assert report.problems == []
 
 
-def test_case_37_demographics_that_change(tmp_path):
-    said = {
-        1: [{"Male": "1"}] * 3 + [{"Female": "1"}] * 2,
-        2: [{"Male": "1"}] * 2 + [{"Female": "2"}] * 2 + [{"Male": "3"}],
-        3: [{"impossible": "1"}] * 4 + [{"Female": "1"}],
-    }
+def test_case_07_no_actions_or_an_impossible_one(tmp_path):
+    people = [person(1, placed(1), {}), person(2, placed(2)), person(3, placed(3), {"impossible": 1}), walking(4)]
+    store, report = loaded(tmp_path, boxes={0: people})
+    assert rows(store, "sightings", "track", "listed", "pose") == [
+        (1, False, None),
+        (2, False, None),
+        (3, False, None),
+        (4, True, "walking"),
+    ]
+    assert rows(store, "actions", "action", "certain") == [("walking", True)]
+    # A person who walks may be said to run.
+    assert rows(store, "possible_actions", "action", "gap") == [("running", False)]
+    assert report.problems == []
+
+
+def test_case_10_person_zero(tmp_path):
+    told = [
+        member(0, placed(0), {"gender": {"Female": "1"}}, handles=[((0, 40), {"holding": "1"})]),
+        member(1, placed(1), None, [(0, {"conversation": "1"})], alias="HHI"),
+    ]
     store, report = loaded(
         tmp_path,
-        boxes={f: [walking(t) for t in said] for f in range(5)},
-        social={f: [member(t, placed(t), {"gender": said[t][f]}) for t in said] for f in range(5)},
+        boxes={0: [person(t, placed(t), {"sitting": 1}, (0, 1)) for t in (0, 1)]},
+        solid={0: [person_3d(0, 3.0, 0.0)]},
+        reasoning={0: told},
+        pose={0: [pose(0)]},
+        panoptic={0: [thing(0, 40)]},
     )
-    assert column(store, "persons", "gender") == [None, None, "female"]
-    assert rows(store, "demographics", "track", "value", "votes", "chosen") == [
-        (1, "female", 2, False),
-        (1, "male", 3, True),
-        (2, "female", 2, False),
-        (2, "male", 2, False),
-        (3, "female", 1, True),
+    assert rows(store, "persons", "track", "gender") == [(0, "female"), (1, None)]
+    seen = rows(store, "sightings", "track", "pose", "located", "face_visible", "group_size", "cluster")
+    assert seen[0] == (0, "sitting", True, True, 2, 0)
+    assert rows(store, "handles", "track", "object", "certain") == [(0, 0, True)]
+    assert rows(store, "interactions", "source", "target") == [(0, 1), (1, 0)]
+    assert report.problems == []
+
+
+def test_case_22_no_eval(tmp_path):
+    people = [walking(1), walking(2, attributes=VISIBLE | {"no_eval": True})]
+    store, report = loaded(tmp_path, boxes={0: people})
+    assert rows(store, "sightings", "no_eval", "clear", "pose") == [(False, True, "walking"), (True, False, "walking")]
+    assert report.problems == []
+
+
+def test_case_25_clusters_change_and_are_reused(tmp_path):
+    clusters = {f: (7, 7, 8) if f < 30 else (9, 9, 7) for f in range(60)}
+    boxes = {f: [person(t, placed(t), group=(c, 1)) for t, c in enumerate(own, 1)] for f, own in clusters.items()}
+    store, report = loaded(tmp_path, boxes=boxes)
+    assert sorted(rows(store, "memberships", "track", "first", "last", "cluster")) == [
+        (1, 0, 29, 7),
+        (1, 30, 59, 9),
+        (2, 0, 29, 7),
+        (2, 30, 59, 9),
+        (3, 0, 29, 8),
+        (3, 30, 59, 7),
+    ]
+    # Alone in one's cluster is a group of one: no group.
+    sizes = rows(store, "sightings", "track", "group_size")
+    assert sizes[:3] == sizes[-3:] == [(1, 2), (2, 2), (3, 1)]
+    assert report.problems == []
+
+
+def test_case_30_members_disagree_on_their_group(tmp_path):
+    venues = ({"indoor_room/class": "1"}, {"indoor_room/class": "2"}, {"outdoor_street": "1"}, {"outdoor_street": "3"})
+    told = [member(i, placed(i), info={"venue": venue, "aim": {"wandering": "1"}}) for i, venue in enumerate(venues)]
+    boxes = [person(i, placed(i), {"sitting": 1}, (5, 1)) for i in range(4)]
+    store, report = loaded(tmp_path, boxes={0: boxes}, social={0: told})
+    assert rows(store, "group_info", "attribute", "value", "votes", "chosen") == [
+        ("aim", "wandering", 4, True),
+        ("venue", "indoor_room/class", 2, True),
+        ("venue", "outdoor_street", 1, False),
     ]
     assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
-        ("person 1", "gender", {"male": 3, "female": 2}, 5),
-        ("person 2", "gender", {"male": 2, "female": 2}, 4),
+        ("group 5", "venue", {"indoor_room/class": 2, "outdoor_street": 1}, 3)
     ]
     assert report.problems == []

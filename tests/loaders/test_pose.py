@@ -181,13 +181,6 @@ def test_a_file_that_cannot_be_used_is_refused_as_a_whole(tmp_path, data):
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_cut_short_anywhere_is_refused(tmp_path):
-    whole = json.dumps(a_file(images=[image(10, 0), image(20, 15)])).encode()
-    for length in range(0, len(whole), 7):
-        with pytest.raises(InputError):
-            read(tmp_path, whole[:length])
-
-
 def test_limits(tmp_path, monkeypatch):
     monkeypatch.setattr(coco, "MAX_LISTED", 3)
     read(tmp_path, a_file(annotation(3, 20, 2)))

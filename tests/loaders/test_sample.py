@@ -94,36 +94,6 @@ def digest(folder):
     }
 
 
-def test_every_record_has_the_format(flat, frames):
-    for sequence, content in flat.items():
-        assert list(content) == ["labels"]
-        for key, objects in content["labels"].items():
-            assert len(key) == 10
-            assert key.endswith(".jpg")
-            assert int(key[:6]) < frames[sequence]
-            ids = [one["label_id"] for one in people(objects)]
-            assert len(set(ids)) == len(ids)
-            for one in people(objects):
-                assert int(one["label_id"].split(":")[1]) >= 0
-                assert one["file_id"].endswith(".jpg")
-                x, y, w, h = one["box"]
-                assert w > 0
-                assert h > 0
-                assert 0 <= y <= y + h <= 480
-                assert -3760 < x < 3760 + w
-                attributes = one["attributes"]
-                assert attributes["area"] == pytest.approx(w * h)
-                assert isinstance(attributes["interpolated"], bool)
-                assert isinstance(attributes["no_eval"], bool)
-                assert attributes.get("truncated") in ("true", "false", True, False, None)
-                for name, difficulty in one.get("action_label", {}).items():
-                    assert normal_action(name) in KNOWN
-                    assert code(difficulty) in (1, 2, 3)
-                if "social_group" in one:
-                    assert isinstance(one["social_group"]["cluster_ID"], int)
-                    assert one["social_group"]["cluster_stat"] in (1, 2, 3)
-
-
 def test_boxes_are_where_the_formulas_put_them(flat, solid):
     """Column and row of the 3D box's middle and feet, worked out from the published formulas."""
     errors, checked = [], 0

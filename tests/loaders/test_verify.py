@@ -6,8 +6,9 @@ import subprocess
 import sys
 
 import pytest
-from made_tables import table_store
 from processes import run
+from random_worlds import sociable_world
+from worlds import load_world
 
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.loaders.load import load, rebuild
@@ -24,7 +25,7 @@ from jrdb_avr.schema.rules import LoadRules, Rules
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
-    return table_store(tmp_path_factory.mktemp("verify"), sequences=("yard-1_0",), frames=61, people=8)
+    return load_world(tmp_path_factory.mktemp("verify"), sociable_world(random.Random(7), "yard-1_0"))
 
 
 @pytest.fixture
@@ -88,9 +89,9 @@ def test_a_graph_that_a_run_has_written_into_is_compared_by_its_rows(copy):
     write_episode(copy)
     assert faults(copy) == {}
     with Graph.open(copy.graph_path) as graph:
-        graph.execute("MATCH (o:Object) WITH o LIMIT 1 DETACH DELETE o")
-        left = graph.count_rows()["Object"]
-    assert faults(copy) == {"graph": f"graph.kuzu has {left} rows of Object instead of {left + 1}"}
+        graph.execute("MATCH ()-[r:Beside]->() WITH r LIMIT 1 DELETE r")
+        left = graph.count_rows()["Beside"]
+    assert faults(copy) == {"graph": f"graph.kuzu has {left} rows of Beside instead of {left + 1}"}
 
 
 @pytest.mark.slow

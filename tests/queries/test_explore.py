@@ -1,11 +1,14 @@
 """The kept queries against DuckDB, which computes the same from the interval tables."""
 
+import contextlib
+import random
 from pathlib import Path
 
 import duckdb
 import pytest
 from belief_runs import BELIEF_QUERIES
-from made_tables import table_store
+from random_worlds import random_world
+from worlds import load_world
 
 import jrdb_avr
 from jrdb_avr.queries.graph.handle import Graph
@@ -15,6 +18,7 @@ from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.tables import INTERVALS
 
+FIRST, SECOND = "sample-plaza-01_0", "sample-cafe-02_0"
 RIGHT = "first to the right of (robot view)"
 
 # One statement per kept query, over the views of the interval tables; $s, $f and $t are sequence, frame and track.
@@ -124,24 +128,25 @@ EXPECTED = {
 }
 
 
-@pytest.fixture(scope="module", params=[0, pytest.param(1, marks=pytest.mark.slow)])
-def store(request, tmp_path_factory):
-    return table_store(tmp_path_factory.mktemp("explore"), seed=request.param)
-
-
 @pytest.fixture(scope="module")
-def graph(store):
-    with Graph.open(store.graph_path, read_only=True) as opened:
+def graph(sample_benchmark):
+    with Graph.open(sample_benchmark.graph_path, read_only=True) as opened:
         yield opened
 
 
-@pytest.fixture(scope="module")
-def views(store):
+@contextlib.contextmanager
+def open_views(store):
     """DuckDB with a view of each interval table, `intervals_<kind>`."""
     with duckdb.connect() as connection:
         for kind in INTERVALS:
             files = store.path / "intervals" / kind / "*.parquet"
             connection.execute(f"CREATE VIEW intervals_{kind} AS SELECT * FROM read_parquet('{files}')")
+        yield connection
+
+
+@pytest.fixture(scope="module")
+def views(sample_benchmark):
+    with open_views(sample_benchmark) as connection:
         yield connection
 
 
@@ -159,12 +164,9 @@ def test_every_kept_query_is_compared():
     assert EXPECTED.keys() == kept - BELIEF_QUERIES - {"descriptions"}
 
 
-@pytest.mark.parametrize("name", EXPECTED)
-def test_kept_queries_agree_with_the_tables(store, graph, views, name):
-    query = named_queries("cypher")[name]
-    tracks = store.interval("interactions", "yard-1_0")["source"].unique().to_pylist()
-    compared = 0
-    for sequence, frame, track in (("yard-1_0", 60, tracks[0]), ("hall-2_0", 45, 1), ("yard-1_0", 90, tracks[-1])):
+def compare(graph, views, name, moments):
+    query, compared = named_queries("cypher")[name], 0
+    for sequence, frame, track in moments:
         given = {"sequence": sequence, "frame": frame, "track": track}
         answer = graph.query(query.text, query.values({k: given[k] for k in query.types if k in given}), ordered=False)
         values = {"s": sequence, "f": frame, "t": track}
@@ -176,16 +178,24 @@ def test_kept_queries_agree_with_the_tables(store, graph, views, name):
     assert compared
 
 
-def test_answers_come_in_order_and_fit_a_terminal(store, graph, capsys):
-    from jrdb_avr.engine.console import print_rows
+@pytest.mark.parametrize("name", sorted(EXPECTED.keys() - {"things_in_view"}))
+def test_kept_queries_agree_with_the_tables(sample_benchmark, graph, views, name):
+    tracks = sample_benchmark.interval("interactions", FIRST)["source"].unique().to_pylist()
+    compare(graph, views, name, ((FIRST, 60, tracks[0]), (SECOND, 45, 1), (FIRST, 90, tracks[-1])))
 
+
+def test_things_in_view_agree_with_the_tables(tmp_path):
+    """The sample of the tests has no masks of things."""
+    store = load_world(tmp_path, random_world(random.Random(37), FIRST))
+    frame = store.interval("object_sightings", FIRST)["frame"][0].as_py()
+    with Graph.open(store.graph_path, read_only=True) as graph, open_views(store) as views:
+        compare(graph, views, "things_in_view", ((FIRST, frame, 0),))
+
+
+def test_answers_come_in_the_same_order_from_a_shell_of_the_engine(graph):
     for name in EXPECTED:
         query = named_queries("cypher")[name]
-        given = {"sequence": "yard-1_0", "frame": 60, "track": 5}
-        table = graph.query(query.text, query.values({k: given[k] for k in query.types if k in given}), ordered=False)
-        print_rows([{k: v for k, v in row.items() if k != "layers"} for row in table.to_pylist()])
-        assert max(map(len, capsys.readouterr().out.splitlines()), default=0) <= 80, name
-        # Pasted into a shell of the engine it answers in the same order.
+        given = {"sequence": FIRST, "frame": 60, "track": 5}
         assert graph.explain(query.text, query.values({k: given[k] for k in query.types if k in given})).ordered, name
 
 
@@ -213,14 +223,14 @@ def test_what_goes_on_under_another_certainty_is_no_change_of_group(step):
     ]
 
 
-def test_the_store_answers_by_name_and_by_statement(store):
-    by_name = Store(store.path).cypher("who_is_where", sequence="yard-1_0", seconds=4.0)
+def test_the_store_answers_by_name_and_by_statement(sample_benchmark):
+    by_name = Store(sample_benchmark.path).cypher("who_is_where", sequence=FIRST, seconds=4.0)
     assert by_name.num_rows
-    assert by_name.equals(store.cypher("who_is_where", sequence="yard-1_0", frame=60))
-    first = store.cypher("timeline", sequence="yard-1_0", track=5)["first"].to_pylist()
+    assert by_name.equals(sample_benchmark.cypher("who_is_where", sequence=FIRST, frame=60))
+    first = sample_benchmark.cypher("timeline", sequence=FIRST, track=5)["first"].to_pylist()
     assert first == sorted(first)
 
 
-def test_a_sequence_that_is_not_loaded_names_the_nearest(store):
-    with pytest.raises(QueryError, match="did you mean yard-1_0"):
-        store.cypher("objects", sequence="yard-1")
+def test_a_sequence_that_is_not_loaded_names_the_nearest(sample_benchmark):
+    with pytest.raises(QueryError, match=f"did you mean {FIRST}"):
+        sample_benchmark.cypher("objects", sequence=FIRST[:-2])

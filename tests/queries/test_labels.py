@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
 
 import duckdb
 import pytest
@@ -13,7 +12,6 @@ from environment import DOCS, REAL, ROOT
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.labels import normal_action
 from jrdb_avr.schema.rules import LoadRules
@@ -113,91 +111,6 @@ def test_what_may_hold_is_never_a_label(graph, labels, possible, expected):
         assert not gap or last - first < LoadRules().gap_frames
         kinds.add(gap)
     assert kinds == expected
-
-
-# Per named query: columns of its rows, and the same from labels by frame (the statements above as views).
-NAMED = {
-    "looks_at_robot": (
-        "track first last",
-        """SELECT track, min(frame), max(frame) FROM labels_Performs
-        WHERE action = 'looking at robot' AND certain GROUP BY track""",
-    ),
-    "conversations": (
-        "track partner first last",
-        """SELECT track, other, min(frame), max(frame) FROM labels_Interacts
-        WHERE label = 'conversation' AND certain AND track < other GROUP BY ALL""",
-    ),
-    "longest_conversations": (
-        "track partner frame",
-        """SELECT track, other, frame FROM labels_Interacts
-        WHERE label = 'conversation' AND certain AND track < other""",
-    ),
-    "groups": (
-        "cluster size members",
-        """SELECT cluster, count(*), list(track ORDER BY track) FROM labels_MemberOf
-        WHERE frame = 150 AND certain GROUP BY cluster""",
-    ),
-    "timeline": (
-        "what name of frame",
-        """SELECT 'does', action, '', frame FROM labels_Performs WHERE track = 4
-        UNION ALL SELECT 'is in', 'group', cluster::VARCHAR, frame FROM labels_MemberOf WHERE track = 4
-        UNION ALL SELECT 'with', label, other::VARCHAR, frame FROM labels_Interacts WHERE track = 4
-        UNION ALL SELECT 'handles', verb, category || ' ' || object, frame
-        FROM labels_Handles JOIN (FROM categories WHERE sequence = 'sample-plaza-01_0') USING (category_id)
-        WHERE track = 4""",
-    ),
-    "things_handled": (
-        "track verb category thing first",
-        """SELECT track, verb, category, object, min(frame)
-        FROM labels_Handles JOIN (FROM categories WHERE sequence = 'sample-plaza-01_0') USING (category_id)
-        WHERE certain GROUP BY ALL""",
-    ),
-    "unknown_facts": (
-        "action frames people",
-        """SELECT action, count(*), count(DISTINCT track) FROM labels_Performs WHERE NOT certain GROUP BY action""",
-    ),
-    "objects": (
-        "category handled hard_only",
-        """SELECT category, count(*) FILTER (sure), count(*) FILTER (NOT sure)
-        FROM (SELECT category_id, object, bool_or(certain) AS sure FROM labels_Handles GROUP BY ALL)
-        JOIN (FROM categories WHERE sequence = 'sample-plaza-01_0') USING (category_id) GROUP BY ALL""",
-    ),
-    "demographics_by_group": (
-        "cluster people",
-        """SELECT cluster, count(DISTINCT track) FROM labels_MemberOf WHERE certain GROUP BY ALL""",
-    ),
-    # A closed gap is no change: up to seven frames without the label.
-    "group_changes": (
-        "frame change cluster track",
-        """WITH near AS (SELECT *, lag(frame) OVER w AS before, lead(frame) OVER w AS after FROM labels_MemberOf
-                      WINDOW w AS (PARTITION BY track, cluster ORDER BY frame))
-        SELECT frame, 'joins', cluster, track FROM near WHERE coalesce(frame - before > 8, true)
-        UNION ALL SELECT frame, 'leaves', cluster, track FROM near WHERE coalesce(after - frame > 8, true)""",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", NAMED)
-def test_named_queries_count_labels_only(graph, annotations, name):
-    columns, labels = NAMED[name]
-    query = named_queries("cypher")[name]
-    given = {"sequence": SEQUENCE, "frame": 150, "track": 4, "count": 10_000}
-    answer = graph.query(query.text, query.values({k: given[k] for k in query.types}), ordered=False).to_pylist()
-    found = Counter()
-    for row in answer:
-        if row.get("sequence", SEQUENCE) != SEQUENCE or not any(row.get(k, 1) for k in ("handled", "hard_only")):
-            continue
-        frames = range(row["first"], row["last"] + 1) if "frame" in columns and "first" in row else [row.get("frame")]
-        for frame in frames:
-            key = tuple({**row, "frame": frame}[column] for column in columns.split() if column != "people")
-            found[repr(key)] += row["people"] if "people" in columns else 1
-    expected = Counter()
-    for row in annotations.sql(labels).fetchall():
-        expected[repr(row[:-1] if "people" in columns else row)] += row[-1] if "people" in columns else 1
-    if name == "unknown_facts":
-        # Poses are unknown for other reasons too.
-        found, expected = ({k: n for k, n in c.items() if " sth" in k or "robot" in k} for c in (found, expected))
-    assert found == expected and expected
 
 
 def test_no_example_takes_what_may_hold_for_a_label():

@@ -2,7 +2,7 @@
 
     mutated, names = mutate(rng, data)
 
-Everything comes from the given `random.Random`. Half of the mutations work on bytes and tokens and mostly break the
+Everything comes from the given `random.Random`. Half of the mutations work on bytes and mostly break the
 JSON; the others work on its values and keep it valid.
 """
 
@@ -11,76 +11,47 @@ from __future__ import annotations
 import json
 import re
 
-_TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|-?[0-9][0-9.eE+-]*|true|false|null|NaN|[\[\]{}:,]')
 _SCALAR = re.compile(rb'"(?:[^"\\]|\\.)*"|-?[0-9][0-9.eE+-]*|true|false|null|NaN')
 _MEMBER = re.compile(rb'"((?:[^"\\]|\\.)*)": ?("(?:[^"\\]|\\.)*"|-?[0-9][0-9.eE+-]*|true|false|null)')
 
 WILD = [
     b"NaN",
     b"Infinity",
-    b"-Infinity",
     b"1e400",
     b"1" + b"0" * 400,
-    b"1e308",
     b"-1",
     b"0",
-    b"-0.0",
-    b"1.5",
     b"2147483647",
-    b"2147483648",
     b"9223372036854775808",
     b"1" * 5000,
     b"true",
     b"false",
     b"null",
     b'""',
-    b'" "',
-    b'"1"',
     b'"1.0"',
-    b'"-1"',
-    b'"3"',
     b'"x"',
-    b'"NaN"',
     b'"pedestrian:1"',
-    b'"pedestrian:-1"',
     b'"pedestrian:01"',
     b'"pedestrian:99999999999"',
-    b'"person:1"',
     b'"impossible"',
-    b'"unknown"',
     b"[]",
     b"{}",
     b"[[]]",
-    b"[null]",
     b'{"": 1}',
-    b'{"x": {}}',
     b"01",
-    b"+1",
-    b".5",
-    b"1.",
-    b"0x1",
-    b"'1'",
     b"undefined",
 ]
 TEXTS = [
     "\u0000",
     "\ud800",
-    "\u202e",
-    "\u0661",
     "é" * 60,
-    "x" * 101,
     "😀",
     "\x1b[31m",
-    "a\nb",
     " padded ",
-    "\u00a0",
-    "..",
     "/",
     "000000.jpg",
-    "000030.jpg",
     "999999.jpg",
     "pedestrian:2",
-    "&",
     "Male",
     "walking",
 ]
@@ -120,7 +91,7 @@ def mutate(rng, data):
     return data, names
 
 
-# -- bytes and tokens ----------------------------------------------------------------------------------------------
+# -- bytes -----------------------------------------------------------------------------------------------------
 
 
 def flip_bytes(rng, data):
@@ -128,13 +99,6 @@ def flip_bytes(rng, data):
     for _ in range(rng.randrange(1, 4) if data else 0):
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
     return bytes(data)
-
-
-def replace_byte(rng, data):
-    if not data:
-        return data
-    at = rng.randrange(len(data))
-    return data[:at] + bytes([rng.choice(b'{}[]",:0123456789.-eE \n\\tfn')]) + data[at + 1 :]
 
 
 def truncate(rng, data):
@@ -146,24 +110,9 @@ def drop_slice(rng, data):
     return data[:at] + data[at + rng.randrange(1, 60) :]
 
 
-def double_slice(rng, data):
-    at = rng.randrange(len(data) + 1)
-    end = at + rng.randrange(1, 120)
-    return data[:end] + data[at:end] + data[end:]
-
-
 def insert_junk(rng, data):
     at = rng.randrange(len(data) + 1)
     return data[:at] + rng.choice(JUNK) + data[at:]
-
-
-def swap_tokens(rng, data):
-    tokens = list(_TOKEN.finditer(data))
-    if len(tokens) < 2:
-        return data
-    a, b = sorted(rng.sample(range(len(tokens)), 2))
-    a, b = tokens[a], tokens[b]
-    return data[: a.start()] + b[0] + data[a.end() : b.start()] + a[0] + data[b.end() :]
 
 
 def change_scalar(rng, data):
@@ -264,17 +213,6 @@ def double_value(rng, places):
 
 
 @_structural
-def swap_values(rng, places):
-    """Two values change places: records between frames, fields between records, anything with anything of its kind."""
-    container, key = rng.choice(places)
-    alike = [(c, k) for c, k in places if type(c[k]) is type(container[key]) and not _holds(c[k], container)]
-    alike = [(c, k) for c, k in alike if not _holds(container[key], c)]
-    if alike:
-        other, place = rng.choice(alike)
-        container[key], other[place] = other[place], container[key]
-
-
-@_structural
 def rename_key(rng, places):
     named = [(container, key) for container, key in places if isinstance(container, dict)]
     if named:
@@ -292,25 +230,11 @@ def shift_number(rng, places):
         container[key] = rng.choice((value + 1, -value, value * 10, value + 0.5, str(value), [value], value == 1))
 
 
-def _holds(value, inner):
-    """Whether `inner` lies in a value (a swap would tie a knot)."""
-    pending = [value]
-    while pending:
-        item = pending.pop()
-        if item is inner:
-            return True
-        pending += item.values() if isinstance(item, dict) else item if isinstance(item, list) else ()
-    return False
-
-
 MUTATIONS = [
     flip_bytes,
-    replace_byte,
     truncate,
     drop_slice,
-    double_slice,
     insert_junk,
-    swap_tokens,
     change_scalar,
     change_scalar,
     change_text,
@@ -321,8 +245,6 @@ MUTATIONS = [
     change_value,
     drop_value,
     double_value,
-    swap_values,
-    swap_values,
     rename_key,
     shift_number,
 ]

@@ -22,7 +22,6 @@ from text_reader_language import (
     AHEAD,
     FPS,
     HELD,
-    OPEN,
     PARTNERS,
     POSES,
     SIDES,
@@ -553,10 +552,7 @@ class Asked:
 
     def read_view(self) -> dict:
         first, _ = self.spell(self.question.values[0])
-        angle, before = self.facts.people(first)[self.person].angle, self.seen(first - self.recording.step)
-        if self.facts.reading.moment == "between" and before is not None:
-            angle = (before.angle + turn(angle - before.angle) / 2) % 360
-        return {"frame": first - self.half, "angle_deg": angle}
+        return {"frame": first - self.half, "angle_deg": self.facts.people(first)[self.person].angle}
 
     def read_starts(self) -> dict:
         one, two = (self.spell(phrase)[0] for phrase in self.question.values)
@@ -637,7 +633,6 @@ NEEDS = {
     "votes": {"attribute"},
     "age": {"attribute"},
     "partner": {"with_someone"},
-    "moment": {"view"},
 }
 """Which facts and which reads each word of a `Reading` bears on."""
 
@@ -653,11 +648,6 @@ def held_readings(question: Question) -> list[Reading]:
     """Every combination of the readings that are held, the definitions' own first."""
     values = {word: HELD[word] for word in words_of(question) if word in HELD}
     return [Reading(**dict(zip(values, chosen, strict=True))) for chosen in itertools.product(*values.values())]
-
-
-def open_readings(question: Question) -> list[Reading]:
-    """The further readings, one word at a time."""
-    return [replace(Reading(), **{word: value}) for word in words_of(question) for value in OPEN.get(word, ())]
 
 
 @functools.cache

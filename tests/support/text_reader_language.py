@@ -112,7 +112,7 @@ AHEAD = {"in front of": 0, "front left": 1, "left": 2, "back left": 3, "behind":
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to take the words that leave a choice; the values of `HELD` and `OPEN`."""
+    """One way to take the words that leave a choice; the values of `HELD`."""
 
     sector: int = 40
     beside: str = "centre"
@@ -126,7 +126,6 @@ class Reading:
     votes: str = "majority"
     partner: str = "in frame"
     age: str = "band"
-    moment: str = "label"
 
     def __str__(self) -> str:
         own = [f"{word}={value}" for word, value in asdict(self).items() if value != asdict(Reading())[word]]
@@ -148,11 +147,6 @@ HELD: dict[str, tuple] = {
     "group": ("moment", "around"),
 }
 """Readings under which every published question has one answer; the first is that of docs/definitions.md."""
-
-OPEN: dict[str, tuple] = {
-    "moment": ("between",),
-}
-"""Further readings, under which some published questions have another answer or none: what is left to widen."""
 
 
 TIME = r"\d+\.\d s \(frame (\d+)\)"

@@ -19,29 +19,25 @@ from hypothesis import strategies as st
 from keyframe_layers import layer_rows, layers_in_memory, visible_share
 from loaded_stores import graphless_store
 from processes import run_program
-from question_files import all_evidence, question_files
+from question_files import question_files
 from random_worlds import lively_world
 from worlds import load_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.diagnostics import REFUSALS
-from jrdb_avr.engine.generate.publish import GENERATION_KEY
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.templates import plan_texts
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answer_modes import decode_answer
-from jrdb_avr.schema.answers import Span
 from jrdb_avr.schema.errors import LockedError, StoreError
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, answer_of_choice
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Condition, canonical, parse_plan
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
-from jrdb_avr.schema.rules import Rules, override, rules_hash
-from jrdb_avr.schema.tables import CANARY, CANDIDATES, QUESTIONS
+from jrdb_avr.schema.rules import Rules, override
 from jrdb_avr.schema.templates import TEMPLATES, Slots
 from jrdb_avr.schema.wording.people import in_order
-from jrdb_avr.schema.wording.text import question_id, question_key
+from jrdb_avr.schema.wording.text import question_key
 
 NAMES = ("hall-2020-01-01_0", "yard-2020-01-01_0")
 SEEDS = (34, 8)
@@ -110,122 +106,19 @@ def test_templates_have_questions(rows):
     assert found <= {template.name for template in TEMPLATES.values()}
 
 
-def test_tables_keep_their_contracts(made):
-    store = made[0]
-    marks = set()
-    for name, path in question_files(store).items():
-        schema = pq.read_schema(path)
-        assert schema.remove_metadata() == QUESTIONS[name.removesuffix(".parquet")]
-        assert schema.metadata[b"canary"].decode() == CANARY
-        marks.add(schema.metadata[GENERATION_KEY.encode()])
-    assert len(marks) == 1
-
-
-def test_ids_are_hashes_of_the_public_columns(rows):
-    public = ("sequence", "family", "template", "question", "choices", "answer_mode")
-    assert [row["question_id"] for row in rows] == [question_id(*(row[name] for name in public)) for row in rows]
-    assert len({row["question_id"] for row in rows}) == len(rows)
-
-
 def test_sequences_lists_all_loaded_ones(made):
     assert made[0].questions("sequences")["sequence"].to_pylist() == sorted(NAMES)
 
 
-def test_choices_are_distinct_and_one_is_true(made, rows):
-    found = pq.read_table(made[2]).to_pylist()
-    candidates = {(row["sequence"], row["template"], row["plan"]): row["answer"] for row in found}
-    places = []
-    for row in rows:
-        if row["answer_mode"] != "multiple_choice":
-            assert row["choices"] == []
-            assert row["stored"] == candidates[row["sequence"], row["template"], row["plan"]]
-            continue
-        assert len(set(row["choices"])) == 4
-        choice = json.loads(row["stored"])["choice"]
-        answers = [answer_of_choice(text) for text in row["choices"]]
-        assert answers[choice - 1] == candidates[row["sequence"], row["template"], row["plan"]]
-        words = {"presence": PRESENCE_ANSWERS, "distance": DISTANCE_ANSWERS}.get(row["template"], POSES)
-        assert set(answers) <= set(words)
-        perturbations = json.loads(row["distractors"])
-        assert len(perturbations) == 4
-        assert perturbations[choice - 1] is None
-        places.append(choice)
-    assert set(places) == {1, 2, 3, 4}
-
-
-def test_no_question_for_a_pose_states_one(rows):
-    for row in rows:
-        if row["template"] == "change":
-            conditions = parse_plan(row["plan"]).nodes[0].conditions
-            assert not {c.action for c in conditions} & set(POSES)
+def test_true_choices_stand_at_every_place(rows):
+    answers = [json.loads(row["stored"]) for row in rows]
+    assert {answer["choice"] for answer in answers if "choice" in answer} == {1, 2, 3, 4}
 
 
 def test_the_pose_at_t0_is_a_choice_of_change(made, rows):
     # The distractor that a method takes which answers at the wrong time.
     told = [row for row in rows if row["template"] == "change"]
     assert all("pose at t0" in json.loads(row["distractors"]) for row in told)
-
-
-def test_evidence_is_every_box_of_the_target(made, rows):
-    store = made[0]
-    boxes = {
-        (name, row["track"], row["frame"]): tuple(row[side] for side in "xywh")
-        for name in NAMES
-        for row in store.annotation("boxes_2d", name).to_pylist()
-    }
-    expected = sorted(
-        (row["question_id"], frame, *box)
-        for row in rows
-        for (sequence, track, frame), box in boxes.items()
-        if (sequence, track) == (row["sequence"], row["target_track"])
-    )
-    assert [tuple(row.values()) for row in all_evidence(store).to_pylist()] == expected
-    targets = {(row["sequence"], row["target_track"]) for row in rows}
-    stored = [(row["sequence"], row["track"], row["frame"]) for row in store.questions("evidence").to_pylist()]
-    assert stored == sorted(key for key in boxes if key[:2] in targets)
-
-
-def test_proofs_are_complete_and_hold(rows):
-    for row in rows:
-        proofs = json.loads(row["proofs"])
-        assert all(set(proof) == {"kind", "variant", "holds", "outcome", "answer"} for proof in proofs)
-        kinds = {proof["kind"] for proof in proofs}
-        asked = ("change", "presence", "distance", "two_hop", "three_hop", "later_pose")
-        moved = row["template"] in asked
-        hops = {"hop.stop", "hop.skip"} if parse_plan(row["plan"]).edges else set()
-        always = {"anchor", "evidence", "view.ahead", "view.single", "rederive"}
-        assert kinds == always | {"time.drop", "time.shift"} | hops
-        for proof in proofs:
-            if proof["kind"].startswith("time.") and not moved:
-                # The answer is a time itself: nothing is run.
-                assert (proof["variant"], proof["holds"], proof["outcome"]) == ("by construction", None, "not_run")
-                continue
-            assert proof["holds"] is True or proof["kind"] in ("time.shift", "view.single")
-        if moved:
-            assert any(proof["holds"] for proof in proofs if proof["kind"] == "time.shift")
-        drops = [p for p in proofs if p["variant"].startswith("without")]
-        assert len(drops) == len(parse_plan(row["plan"]).nodes[0].conditions)
-        assert row["rules"] == rules_hash(Rules())
-
-
-def test_needed_boxes_are_those_of_the_people_of_the_plan(made, rows):
-    for row in rows:
-        needed, bindings, plan = json.loads(row["needed"]), json.loads(row["bindings"]), parse_plan(row["plan"])
-        assert bindings[plan.target] == row["target_track"]
-        assert {(box["node"], box["track"]) for box in needed} == {(n.id, bindings[n.id]) for n in plan.nodes}
-        assert {box["node"] for box in needed if box["decisive"]} == {plan.target}
-        assert {box["node"] for box in needed if box["frame"] == bindings["t0"]} == {n.id for n in plan.nodes}
-        assert bindings["t0"] in {box["frame"] for box in needed}
-        assert any(box["decisive"] for box in needed)
-        decisive = [Box(*(box[side] for side in "xywh")) for box in needed if box["decisive"]]
-        assert not all(visible_share(box, 180.0) >= 0.5 for box in decisive)
-
-
-def test_candidates_are_canonical_and_keyed(made):
-    table = pq.read_table(made[2])
-    assert table.schema.remove_metadata() == CANDIDATES
-    for row in table.to_pylist():
-        assert canonical(parse_plan(row["plan"])) == row["plan"]
 
 
 def test_refusals_add_up(made):
@@ -244,13 +137,6 @@ def test_refusals_add_up(made):
             shown[place] = shown.get(place, 0) + 1
             parse_plan(row["plan"])
     assert shown == {place: min(count, 100) for place, count in counts.items()}
-
-
-def test_spans_are_stored_as_answers(rows):
-    for row in rows:
-        answer = decode_answer(row["answer_mode"], row["stored"])
-        if isinstance(answer, Span):
-            assert 0 <= answer.start_frame <= answer.end_frame
 
 
 # -- reproducible ---------------------------------------------------------------------------------------------

@@ -128,16 +128,6 @@ def test_near_duplicates_are_the_greedy_choice(drawn, cap, seconds):
     assert thinned(rows, rules) == (result, dropped)
 
 
-def test_exactly_two_seconds_is_near_and_a_frame_more_is_not():
-    rows = [
-        candidate(i, "start", "x", track=1, read=(frame,), key=f"{i:064}")
-        for i, frame in enumerate((100, 130, 131, 70))
-    ]
-    result, dropped = thinned(rows, RULES)
-    assert [row["carried"] for row in result] == ["row 0", "row 2"]
-    assert dropped == {"near_duplicate": 2}
-
-
 def test_of_presence_five_seconds_at_both_times_are_near():
     times = {"first": (0, 100), "near at both": (75, 25), "a frame more at one": (0, 176)}
     rows = [
@@ -147,20 +137,6 @@ def test_of_presence_five_seconds_at_both_times_are_near():
     result, dropped = thinned(rows, RULES)
     assert [row["carried"] for row in result] == ["first", "a frame more at one"]
     assert dropped == {"near_duplicate": 1}
-
-
-def test_what_no_selection_can_use_is_dropped_by_person_and_template():
-    rows = [
-        candidate(f"{template} {track} {i}", template, "x", track=track, read=(i * 100,))
-        for template in ("change", "start")
-        for track in (0, 1)
-        for i in range(20)
-    ]
-    result, dropped = thinned(rows, RULES)
-    assert Counter((row["template"], row["target_track"]) for row in result) == {
-        (template, track): 12 for template in ("change", "start") for track in (0, 1)
-    }
-    assert dropped == {"max_per_person": 32}
 
 
 CROWD = st.lists(

@@ -1,12 +1,14 @@
 """Statements of the generators, run by name over a stored graph: their ranges, and refusals without a layer."""
 
+import random
 import re
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_tables import table_store
+from random_worlds import lively_world
+from worlds import load_world
 
 import jrdb_avr
 from jrdb_avr.queries.graph.parameters import strip_literals
@@ -35,7 +37,7 @@ def test_every_node_of_the_layer_lies_in_the_range_of_the_sequence(name):
 
 
 def test_without_a_layer_one_line_says_what_to_run(tmp_path):
-    store = table_store(tmp_path, sequences=("yard-1_0",), frames=31, people=3)
+    store = load_world(tmp_path, lively_world(random.Random(5), "yard-1_0"))
     for query in ("two_hop", TEXTS["two_hop"]):
         with pytest.raises(StoreError) as refused:
             store.cypher(query, sequence="yard-1_0")

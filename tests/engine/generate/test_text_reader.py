@@ -12,8 +12,8 @@ import shutil
 import pytest
 from environment import REAL, SUPPORT
 from question_files import all_evidence
-from text_reader import Found, Reader, differs, open_readings
-from text_reader_language import BY_MIDDLES, HELD, Reading, UnreadableError, parse
+from text_reader import Found, Reader, differs
+from text_reader_language import HELD, Reading, parse
 
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.plan import parse_plan
@@ -119,7 +119,6 @@ def test_reader_finds_every_answer_of_the_real_annotations(tmp_path):
 
 CHOICES = ["walking", "standing", "sitting", "lying down"]
 ASKED = "What is that person's posture or movement at 4.0 s (frame 60)?"
-POSE = f"Find the only person to the robot's left who is holding something at 1.0 s (frame 15). {ASKED}"
 
 
 def person(number, degrees, *actions, width=40, prefix="pedestrian", group=None):
@@ -174,46 +173,6 @@ def alone(complaints):
 ALICE = person(1, 95, "standing", "holding sth")
 
 
-@pytest.mark.parametrize(("degrees", "disputed"), [(185, False), (150, True), (134, True)])
-def test_a_second_person_of_the_half_plane_is_a_dispute(reader, degrees, disputed):
-    one = reader(ALICE, person(2, degrees, "walking", "holding sth"))
-    assert bool(one.disputes(POSE, CHOICES, Found(1, {"choice": 2}))) == disputed
-
-
-def test_a_doubtful_label_may_fit_a_description(reader):
-    bob = person(2, 100, "walking")
-    bob["action_label"]["holding sth"] = 3
-    assert "several fit" in str(reader(ALICE, bob).disputes(POSE, CHOICES, Found(1, {"choice": 2})))
-
-
-def test_a_record_without_a_number_may_be_anybody(reader):
-    choices, away = ["neither time", "both times"], Found(1, {"choice": 1})
-    text = POSE.removesuffix(ASKED) + (
-        "Look again at 5.0 s (frame 75) and at 6.0 s (frame 90): at which of these can that person be seen, if at "
-        "either?"
-    )
-    assert not reader(ALICE, later=[]).disputes(text, choices, away)
-    for prefix in ("Pedestrian", "pedestrian:x", "ped"):
-        stranger = person(2, 300, "walking", prefix=prefix)
-        assert reader(ALICE, later=[stranger]).disputes(text, choices, away)
-    assert not reader(ALICE, later=[person(2, 300, prefix="car")]).disputes(text, choices, away)
-
-
-def test_first_to_the_left_is_the_nearest_by_its_middle(reader):
-    text = (
-        "In the scene at 1.0 s (frame 15), A is the only person who is holding something. B is the first person to the "
-        "left of A as seen from the robot. C is the first person to the left of B as seen from the robot. "
-        f"What is C's posture or movement?{BY_MIDDLES}"
-    )
-    others = [person(2, 80, "walking"), person(3, 70, "sitting"), person(4, 62, "walking", width=240)]
-    assert not reader(ALICE, *others).disputes(text, CHOICES, Found(3, {"choice": 3}))
-    others[1]["attributes"] = {"occlusion": "Severely_occluded"}
-    complaints = reader(ALICE, *others).disputes(text, CHOICES, Found(3, {"choice": 3}))
-    assert alone(complaints) == {"beside=visible"} and all("person 4" in line for line in complaints)
-    with pytest.raises(UnreadableError):
-        parse(text.removesuffix(BY_MIDDLES))
-
-
 def described(words, at="1.0 s (frame 15)"):
     return f"Consider the only {words} at {at}. {ASKED}"
 
@@ -256,53 +215,6 @@ def test_what_another_reader_could_say_is_a_dispute(reader, reading):
     complaints = reader(ALICE, *others, **files).disputes(text, CHOICES, Found(1, {"choice": 2}))
     assert reading in alone(complaints) <= {reading, "metres=space"}
     assert all("several fit" in line or "nobody" in line for line in complaints)
-
-
-@pytest.mark.parametrize(
-    ("words", "degrees", "disputed"),
-    [
-        ("to A's left", (90, 200), set()),
-        ("to A's left", (60, 200), {"eighths"}),
-        ("to A's left", (90, 20), {"halves"}),
-        ("in front of A", (10, 40), {"quarters", "halves"}),
-        ("behind A", (190, 140), {"quarters", "halves"}),
-    ],
-)
-def test_sectors_of_a_person_are_drawn_in_several_ways(reader, words, degrees, disputed):
-    text = (
-        f"In the scene at 1.0 s (frame 15), A is the only person who is holding something. B is the only person who is "
-        f"at a moderate distance from A (1.5 to 5 m) and {words}, from A's own point of view. What is B's posture or "
-        "movement?"
-    )
-    places = [placed(1, 0, 0), *(placed(number, 3, way) for number, way in enumerate(degrees, 2))]
-    one = reader(ALICE, person(2, 250, "walking"), person(3, 280, "sitting"), places=places)
-    complaints = one.disputes(text, CHOICES, Found(2, {"choice": 1}))
-    assert alone(complaints) == {f"facing={way}" for way in disputed}
-
-
-def test_open_readings_name_what_the_rules_do_not_hold(reader):
-    text = (
-        "Find the only person who is holding something at 3.0 s (frame 45). At which frame does that person start "
-        "walking, and at which panorama angle is the person then?"
-    )
-    one = reader(ALICE, later=[person(1, 195, "walking", "holding sth")])
-    found = Found(1, {"frame": 53, "angle_deg": 195.0})
-    assert not one.disputes(text, CHOICES, found)
-    assert alone(one.disputes(text, CHOICES, found, open_readings)) == {"moment=between"}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        POSE.replace("holding something", "juggling"),
-        POSE.replace("1.0 s", "2.0 s"),
-        POSE.replace("posture or movement", "mood"),
-        POSE.replace("robot's left", "robot's far side"),
-    ],
-)
-def test_unknown_words_are_refused(text):
-    with pytest.raises(UnreadableError):
-        parse(text)
 
 
 def test_reader_shares_no_code_with_the_program():

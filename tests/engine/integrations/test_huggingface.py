@@ -140,7 +140,7 @@ def test_the_card_states_licence_canary_and_occlusion(store, folders, monkeypatc
     front = yaml.safe_load(card.split("---\n")[1])
     assert front["license"] == "apache-2.0" and front["configs"][0]["default"] is True
     assert CANARY in card and "**Synthetic" in card and SAMPLE.licence_url in card
-    assert "state how far a person is hidden; decisive" in card
+    assert "state how far a person is hidden. Every box that decides" in card
     monkeypatch.setattr(Store, "without_occlusion", lambda store: sorted(store.manifest().sequences)[:1])
     public, _ = export_folders(store, tmp_path / "again", published=DAY)
     assert "In 1 of 2 sequences the boxes do not state" in (public / "README.md").read_text()

@@ -2,9 +2,9 @@
 
 import msgspec
 import pytest
-from readings import EASY, HARD, MIDDLE, RULES, World, ask, at_t0
+from readings import HARD, RULES, World, ask, at_t0
 
-from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, rederive
+from jrdb_avr.engine.rederive import rederive
 from jrdb_avr.schema.templates import TEMPLATES, Slots
 
 SITTING, STANDING, READING = at_t0(action="sitting"), at_t0(action="standing"), at_t0(action="reading")
@@ -13,30 +13,6 @@ SECONDS = range(15, 601, 15)
 
 
 # -- facts --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("actions", "pose", "sitting", "reading"),
-    [
-        (("sitting",), "sitting", TRUE, FALSE),
-        ((("sitting", MIDDLE), "reading"), "sitting", TRUE, TRUE),
-        ((("sitting", HARD), ("reading", HARD)), None, UNKNOWN, UNKNOWN),
-        ((("sitting", None),), None, UNKNOWN, FALSE),
-        (("sitting", "bending"), None, UNKNOWN, FALSE),
-        (("reading",), None, UNKNOWN, TRUE),
-        (("standing",), "standing", FALSE, FALSE),
-        ((), None, UNKNOWN, FALSE),
-        (None, None, UNKNOWN, UNKNOWN),
-        ((("sitting", HARD), ("sitting", EASY)), "sitting", TRUE, FALSE),
-    ],
-)
-def test_facts_have_three_values(actions, pose, sitting, reading):
-    annotations = World(SECONDS).see(1, [15], actions).see(1, [30]).read()
-    assert annotations.pose(1, 15) == pose
-    assert annotations.state(1, "sitting", 15) == sitting
-    assert annotations.state(1, "reading", 15) == reading
-    assert annotations.state(1, "reading", 45) == UNKNOWN  # no box
-    assert annotations.state(2, "reading", 15) == UNKNOWN  # nobody
 
 
 @pytest.mark.parametrize(
@@ -65,43 +41,6 @@ def test_a_clear_view(change, clear):
 
 def test_without_any_attributes_occlusion_is_not_asked():
     assert World(SECONDS, attributes=False).see(1, [15]).read().clear(1, 15)
-
-
-@pytest.mark.parametrize(
-    ("angle", "left", "ahead"),
-    [(91, TRUE, UNKNOWN), (129.9, TRUE, UNKNOWN), (130.1, UNKNOWN, UNKNOWN), (139.9, UNKNOWN, UNKNOWN),
-     (140.1, UNKNOWN, TRUE), (181, FALSE, TRUE), (240, FALSE, UNKNOWN), (271, FALSE, FALSE), (359, FALSE, FALSE),
-     (1, UNKNOWN, FALSE), (49.9, UNKNOWN, FALSE), (50.1, TRUE, FALSE), (89, TRUE, FALSE)],
-)  # fmt: skip
-def test_a_sector_is_true_near_its_axis_and_unknown_in_the_half_circle_round_it(angle, left, ahead):
-    annotations = World(SECONDS).see(1, [15], x=angle / 360 * 3760 - 25).read()
-    assert annotations.holds(at_t0(attribute="sector", value="left"), 1, 15) == left
-    assert annotations.holds(at_t0(attribute="sector", value="ahead"), 1, 15) == ahead
-
-
-@pytest.mark.parametrize(
-    ("metres", "close", "moderate"),
-    [(1.0, TRUE, FALSE), (1.349, TRUE, FALSE), (1.35, UNKNOWN, UNKNOWN), (1.65, UNKNOWN, UNKNOWN), (1.651, FALSE, TRUE),
-     (4.49, FALSE, TRUE), (4.5, FALSE, UNKNOWN), (5.5, FALSE, UNKNOWN), (5.51, FALSE, FALSE),
-     (0.5, UNKNOWN, FALSE)],
-)  # fmt: skip
-def test_distance_words_have_margins(metres, close, moderate):
-    annotations = World(SECONDS).see(1, [15], at=(metres, 0.0)).see(1, [30], at=(1.0, 0.0), points=0).read()
-    assert annotations.holds(at_t0(attribute="distance", value="close"), 1, 15) == close
-    assert annotations.holds(at_t0(attribute="distance", value="moderate"), 1, 15) == moderate
-    assert annotations.holds(at_t0(attribute="distance", value="close"), 1, 30) == UNKNOWN
-
-
-def test_group_sizes():
-    def world(**others):
-        return World(SECONDS).see(1, [15], group=7).see(2, [15], group=7).see(3, [15], **others).read()
-
-    assert [world(group=8).group_size(track, 15) for track in (1, 2, 3)] == [2, 2, 1]
-    assert [world(group=7).group_size(track, 15) for track in (1, 2, 3)] == [3, 3, 3]
-    assert [world(group=(7, HARD)).group_size(track, 15) for track in (1, 2, 3)] == [None, None, None]
-    assert [world(group=(8, HARD)).group_size(track, 15) for track in (1, 2, 3)] == [2, 2, None]
-    # Somebody without a row could belong to anybody.
-    assert [world().group_size(track, 15) for track in (1, 2, 3)] == [None, None, None]
 
 
 # -- whom a description means -------------------------------------------------------------------------------------
@@ -265,13 +204,6 @@ def test_start_and_span_at_fifteen_frames_per_second():
     assert outcome.answer == '{"start_frame":100,"end_frame":199}'
     assert outcome.faults == () and outcome.times == (("t0", 15), ("t1", 100), ("t2", 199))
     assert [(n.frame, n.decisive) for n in outcome.needed] == [(15, False), (100, True), (199, True)]
-
-
-def test_start_and_span_at_one_frame_per_second_are_half_a_step_wider():
-    world = phone_call(15, range(90, 181))
-    assert start(world).answer == '{"frame":83}'
-    assert span(world).answer == '{"start_frame":83,"end_frame":187}'
-    assert start(world, t0=30).faults == () and start(world, t0=45).faults != ()  # 83 - 38 is the last
 
 
 def test_short_gaps_are_closed_at_fifteen_frames_per_second_only():

@@ -29,21 +29,6 @@ def in_a_row(*poses, frames=SECONDS, hidden=(), **more):
 # -- chains at one time ---------------------------------------------------------------------------------------------
 
 
-def test_two_steps_lead_to_a_pose():
-    found = ask(in_a_row("standing", "standing", "sitting"), "two_hop", [READING], [15], relations=[FIRST_RIGHT] * 2)
-    assert (found.outcome, found.answer, found.target, found.faults) == ("defined", "sitting", 2, ())
-    assert found.people == (("a", 0), ("b", 1), ("c", 2)) and found.times == (("t0", 15),)
-    assert boxes(found, decisive=False) == [("a", 0, 15), ("b", 1, 15)]
-    assert boxes(found, decisive=True) == [("c", 2, 15)]
-
-
-def test_three_steps_lead_to_a_pose():
-    row = in_a_row("standing", "standing", "walking", "sitting")
-    found = ask(row, "three_hop", [READING], [15], relations=[FIRST_RIGHT] * 3)
-    assert (found.answer, found.target, found.faults) == ("sitting", 3, ())
-    assert boxes(found, decisive=True) == [("d", 3, 15)]
-
-
 @pytest.mark.parametrize(
     ("relations", "outcome"),
     [
@@ -96,16 +81,6 @@ def fork(*degrees, first=300, pose="sitting"):
 
 def join(world, relations=BRANCHES):
     return ask(world, "fork_join", [READING], [15], relations=relations)
-
-
-def test_two_branches_join_at_one_person():
-    # 60 degrees to the right of b are 100 to 160, 60 to the left of c are 120 to 180.
-    found = join(fork(140, 110, 170))
-    assert (found.outcome, found.answer, found.target, found.faults) == ("defined", "sitting", 3, ())
-    assert boxes(found) == [("a", 0, 15), ("b", 1, 15), ("c", 2, 15), ("d", 3, 15)]
-    assert boxes(found, decisive=True) == [("d", 3, 15)]
-    # The people of the plan are left out.
-    assert join(fork(140, 110, 170, first=150)).target == 3
 
 
 def test_a_join_needs_both_branches():
@@ -171,12 +146,6 @@ def test_action_search_reads_where_and_when_an_action_starts():
     assert found.times == (("t0", 15), ("t1", 200))
     assert boxes(found) == [("a", 0, 15), ("b", 1, 15), ("c", 2, 15), ("c", 2, 200)]
     assert boxes(found, decisive=True) == [("c", 2, 200)]
-
-
-def test_action_search_at_one_frame_per_second_looks_at_the_first_labelled_frame():
-    found = search(searched(first=210, last=315, turn=90.0, frames=SECONDS))
-    assert found.answer == '{"frame":203,"angle_deg":230.0}'
-    assert boxes(found, decisive=True) == [("c", 2, 210)]
 
 
 def test_whoever_is_searched_for_moves_and_starts_later():
@@ -373,16 +342,3 @@ def test_a_count_has_rules():
     assert "frame 150 is less than 10 s after frame 15" in count(company(FOUR), t2=150).faults
     # Somebody who may or may not have been met at another time makes the number unknown; met for certain, they do not.
     assert count(company(FOUR, unlisted=[(4, 60)])).outcome == "unknown"
-
-
-def test_groups_are_counted():
-    def world(other):
-        made = World(SECONDS).see(0, SECONDS, ["standing", "typing"], group=7)
-        for track in (1, 2, 3, 4):
-            made.see(track, [15, 30], x=100 + 300 * track, group=7)
-            made.see(track, range(45, 166, 15), x=100 + 300 * track, group=other)
-        return made
-
-    assert count(world(8), relation=SAME_GROUP).answer == '{"value":4.0}'
-    assert count(world((8, HARD)), relation=SAME_GROUP).answer == '{"value":4.0}'
-    assert count(world(None).see(5, [30], x=50), relation=SAME_GROUP).outcome == "unknown"

@@ -258,7 +258,7 @@ def test_errors_are_rows_and_are_asked_again(store):
         resumed = evaluate(store, *options, "--resume")
         (row,) = json.loads(resumed.stdout)
         assert (row["error"], row["invalid"]) == (0, 3)
-        assert "3 of 3 questions ended as invalid, 3 of them so: no looks are left" in resumed.stderr
+        assert "3 of 3 questions ended as invalid, 3 of them because: no looks are left" in resumed.stderr
 
 
 @pytest.mark.parametrize(
@@ -322,7 +322,7 @@ def test_a_run_that_reaches_its_cost_stops_and_goes_on_with_more(store, tmp_path
         (("--model", "qwen"), "--base-url"),
         (("--max-cost", "3"), "--prices FILE"),
         (("--extra-body", "[1]"), "must be a JSON object"),
-        (("--extra-body", "{"), "no JSON"),
+        (("--extra-body", "{"), "not JSON"),
         (("--extra-body", '{"model": "x"}'), "give its option"),
         (("--header", "novalue"), "NAME=ENV"),
         (("--header", "Host=MINE"), "no header of this name"),

@@ -1,6 +1,7 @@
 """World models of runs: what a live run wrote, write by write, is what its record gives back, row by row."""
 
 import json
+import random
 import signal
 import subprocess
 import sys
@@ -9,10 +10,11 @@ import pyarrow as pa
 import pytest
 from belief_runs import ASKED, Believer, run, world_dump
 from click.testing import CliRunner
-from made_tables import table_store
 from painted import write_public
 from processes import run_program
+from random_worlds import lively_world
 from scored_runs import InMemory, segment_of
+from worlds import load_world
 
 from jrdb_avr.engine.cli import group
 from jrdb_avr.engine.run import journal as journals
@@ -45,7 +47,7 @@ def jrdb_avr(*arguments):
 @pytest.fixture(scope="module")
 def template(tmp_path_factory):
     """A store with a scene of one sequence, and two runs in its graph."""
-    store = table_store(tmp_path_factory.mktemp("world"), sequences=("yard-1_0",), frames=46, people=4)
+    store = load_world(tmp_path_factory.mktemp("world"), lively_world(random.Random(5), "yard-1_0"))
     run(store, "one")
     run(store, "two", ASKED[3:4])
     return store

@@ -201,7 +201,7 @@ def test_a_method_that_would_end_the_program_ends_its_question(evaluate, tmp_pat
     (tmp_path / "mine.py").write_text(METHOD.replace("return self.deeper(task)", f"raise {error}"))
     code, (row,), err, asked = evaluate("--limit", "3")
     assert (code, row["n"], row["error"], len(asked)) == (1, 3, 3, 3)
-    assert f"3 of them so: {error.partition('(')[0]}" in err and "(mine.py:8, in answer)" in err
+    assert f"3 of them because: {error.partition('(')[0]}" in err and "(mine.py:8, in answer)" in err
 
 
 def test_a_run_id_of_no_letters_is_refused_in_a_line(store):
@@ -218,10 +218,10 @@ def test_an_exception_of_a_method_is_shown_with_its_place(store, evaluate, tmp_p
     at = next(n for n, line in enumerate(lines.splitlines(), 1) if "who" in line)
     last = err.splitlines()[-1]
     assert code == 1 and last.startswith(
-        f"3 of 3 questions ended in an error, 3 of them so: KeyError: 'who' (mine.py:{at}, in deeper); run the same"
+        f"3 of 3 questions ended in an error, 3 of them because: KeyError: 'who' (mine.py:{at}, in deeper); run the "
     )
     # In a library the method's own line is named, and of an error of this package likewise.
     for raising, text in (("__import__('json').loads('{')", "JSONDecodeError"), ("task.observe('x', 1, 2)", "")):
         (tmp_path / "mine.py").write_text(METHOD.replace("return self.deeper(task)", raising))
         err = evaluate("--resume")[2]
-        assert f"so: {text}" in err and "(mine.py:8, in answer)" in err
+        assert f"because: {text}" in err and "(mine.py:8, in answer)" in err
