@@ -244,10 +244,7 @@ class Client:
             tries = (waiting if passing else repeating).statistics["attempt_number"]
             # A probe belongs to no run that could be resumed.
             resume = "" if probe else " (evaluate with --resume)"
-            raise kind(
-                f"{self.base_url}: {broken.reason} ({tries} {'try' if tries == 1 else 'tries'}): "
-                f"{broken.remedy}{resume}"
-            ) from None
+            raise kind(f"{self.base_url}: {broken.reason} (tries: {tries}): {broken.remedy}{resume}") from None
 
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
@@ -308,10 +305,7 @@ def _pause_s(state: RetryCallState) -> float:
     broken = state.outcome and state.outcome.exception()
     assert isinstance(broken, _BrokenError), "only these are repeated"
     least, most = _PAUSE_S
-    wait = broken.pause
-    if wait is None:
-        wait = min(
-            least * 2.0 ** (state.attempt_number - 1), _BUSY_PAUSE_S if isinstance(broken, _PassingError) else most
-        )
+    longest = _BUSY_PAUSE_S if isinstance(broken, _PassingError) else most
+    wait = min(least * 2.0 ** (state.attempt_number - 1), longest) if broken.pause is None else broken.pause
     # The random share spreads calls that were refused together.
     return min(max(wait, least), most) * random.uniform(1, 1.5)  # noqa: S311

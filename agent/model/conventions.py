@@ -14,8 +14,10 @@ from typing import Any, Final, Literal
 
 Order = Literal["xyxy", "yxyx"]
 Scale = Literal["thousandths", "pixels", "unit", "resized"]
-"""The unit of a box, the simplest first: the full width is 1000, the image's width, 1, or its width after the model's own
-resizing."""
+"""The unit of a box, the simplest first.
+
+The full width is 1000, the image's width, 1, or the image's width after the model's own resizing.
+"""
 
 SCALE: Final = 1000
 TOLERANCE: Final = 0.02
