@@ -90,10 +90,8 @@ class EndpointOptions:
                 raise InputError(f"--header {name!a}: no header of this name can be set", field="headers")
         if math.isnan(self.timeout_s):
             raise InputError("--timeout is a number of seconds", field="timeout_s")
-        if self.max_cost is not None and not self.max_cost > 0:
-            raise InputError("--max-cost is a number of dollars above 0", field="max_cost")
-        if self.max_cost is not None and self.price is None:
-            raise InputError("--max-cost needs the model's price: name it in a file, --prices FILE", field="max_cost")
+        if self.max_cost is not None and (self.price is None or not self.max_cost > 0):
+            raise InputError("--max-cost is a number above 0, and needs the price: --prices FILE", field="max_cost")
 
     def settings(self, convention: Convention) -> dict[str, Any]:
         """Return the options without the address, as plain JSON for the manifest of a run.

@@ -116,7 +116,7 @@ def test_the_pause_that_a_server_asks_for(asked, waited):
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        (Status(500, "later"), "HTTP 500: later \\(5 tries\\): look into the server's log"),
+        (Status(500, "later"), "HTTP 500: later \\(tries: 5\\): look into the server's log"),
         (CutOff("hi"), "the reply broke off"),
         (Body(b"<html>bad gateway</html>", "text/html; charset=utf-8"), "no chat completion but text/html"),
         (Body(b'{"choices": []}'), "no chat completion but application/json \\(it holds no choice\\)"),
@@ -316,7 +316,7 @@ def test_a_reply_that_never_begins_is_given_up(said):
         made = Client(
             f"http://127.0.0.1:{listening.getsockname()[1]}/v1", "x", EndpointOptions(timeout_s=0.2, retries=0)
         )
-        with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(1 try\): .*--concurrency"):
+        with pytest.raises(EndpointError, match=r"no whole reply within 0.2 s \(tries: 1\): .*--concurrency"):
             made.complete(ASK)
         assert made.server_version() == ""
 
