@@ -148,10 +148,11 @@ def rebuild(
         The new entries of the manifest by sequence.
 
     Raises:
-        StoreError: If an annotation file is missing, unreadable or changed since the load, or if the store cannot be
-            written.
+        StoreError: If an annotation file is missing, unreadable or changed since the load, if the store is public,
+            or if it cannot be written.
         LockedError: If another process writes the store.
     """
+    store.refuse_public()
     with store.writing("load --rebuild"), _staging(store) as staging:
         manifest = store.manifest()
         shards = [

@@ -59,9 +59,10 @@ def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None)
         One result per part, in this order: annotations, intervals, graph.
 
     Raises:
-        StoreError: If the store has no manifest.
+        StoreError: If the store has no manifest, or if it is public.
         LockedError: If another process writes the graph.
     """
+    store.refuse_public()
     manifest = store.manifest()
     checks = []
     with lock_graph(store.graph_path, shared=True):

@@ -140,6 +140,11 @@ class Store(Displayed):
         path = self.question_path(name)
         if not path.exists():
             self.manifest()  # If nothing is loaded, this error is more useful.
+            if self.is_public():
+                raise StoreError(
+                    f"{self.path} is a public store, without answers: run 'jrdb-avr export RUN --jsonl FILE --store "
+                    f"{self.path}', then 'jrdb-avr score --jsonl FILE' on the store with the answers"
+                )
             raise StoreError(f"{self.path} has no questions yet: run 'jrdb-avr generate --store {self.path}'")
         return read_table(path, columns)
 
@@ -188,6 +193,17 @@ class Store(Displayed):
     def manifest(self) -> Manifest:
         """Read the manifest. Raises StoreError if nothing is loaded or the manifest is broken."""
         return read_manifest(self.path)
+
+    def is_public(self) -> bool:
+        """Return whether `export --public` wrote the store, so that it has questions, but no labels and no answers."""
+        with contextlib.suppress(StoreError):
+            return self.question_path("questions").exists() and not self.manifest().sequences
+        return False
+
+    def refuse_public(self) -> None:
+        """Raise StoreError if `export --public` wrote the store, because nothing was loaded into it."""
+        if self.is_public():
+            raise StoreError(f"{self.path} has no labels: it is a public store")
 
     def relative(self, folder: str) -> str:
         """Return the path of a folder relative to the store if the folder is inside it, or else the given path."""

@@ -5,8 +5,12 @@ from __future__ import annotations
 import os
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jrdb_avr.engine.commands._options import STORE_VARIABLE
+
+if TYPE_CHECKING:
+    from jrdb_avr.queries.store import Store
 
 
 def next_steps(folder: Path) -> list[str]:
@@ -30,6 +34,13 @@ def next_steps(folder: Path) -> list[str]:
             *(f"  {command:<{len(load)}}  {what}" for command, what in steps),
         ]
     return [line for place in stores for line in _of_store(place, folder, named)]
+
+
+def scoring_steps(store: Store, *runs: str) -> str:
+    """Return the commands that lead to the scores of runs. A public store has no answers, so it exports the runs."""
+    if store.is_public():
+        return " && ".join(f"jrdb-avr export {run} --jsonl {run}.jsonl --store {store.path}" for run in runs)
+    return f"jrdb-avr score --store {store.path} {' '.join(runs)}"
 
 
 def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:

@@ -14,6 +14,7 @@ import click
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.engine.commands._declared import build, check_address, field_options, model_option
 from jrdb_avr.engine.commands._matrix import matrix_runs
+from jrdb_avr.engine.commands._next import scoring_steps
 from jrdb_avr.engine.commands._options import FILE, form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, NO_MODEL
@@ -109,9 +110,12 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
     if len(results) < len(epochs) or any(row["error"] for row in rows):
         sys.exit(1)
     if not form:
-        names = " ".join(run.run_id for run in results)
-        scored = f"score --store {store.path} {names} && jrdb-avr report --store {store.path}"
-        note(f"next: jrdb-avr {f'runs diff {names} --store {store.path}' if len(results) == 2 else scored}")
+        names = [run.run_id for run in results]
+        steps = scoring_steps(store, *names)
+        if not store.is_public():
+            report = f"{steps} && jrdb-avr report --store {store.path}"
+            steps = f"jrdb-avr runs diff {' '.join(names)} --store {store.path}" if len(names) == 2 else report
+        note(f"next: {steps}")
 
 
 def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jrdb_avr.engine.commands._options import FILE, FOLDER, run_argument, store_option
-from jrdb_avr.engine.console import note
+from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.schema.card import CREATOR, HOME
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def export(
     if public is not None:
         from jrdb_avr.engine.run.public import export_public
 
-        count = export_public(store, public, opaque)
+        with warnings_as_notes():
+            count = export_public(store, public, opaque)
         note(f"wrote {public}: {count} questions and their panoramas")
     if hf is not None:
         from jrdb_avr.engine.integrations.huggingface import export_folders

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jrdb_avr.engine.commands._declared import field_options
+from jrdb_avr.engine.commands._next import scoring_steps
 from jrdb_avr.engine.commands._options import store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.engine.run.options import MethodOptions, QuestionSelection, RunOptions
@@ -58,4 +59,4 @@ def command(store: Store, port: int | None, trusted: bool, model: str, **options
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with warnings_as_notes():
         run = serve(store, port=port, trusted=trusted, model=model, ready=ready, **options)
-    note(f"next: jrdb-avr score --store {store.path} {run}")
+    note(f"next: {scoring_steps(store, run)}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from jrdb_avr.engine.commands._declared import field_options
+from jrdb_avr.engine.commands._next import scoring_steps
 from jrdb_avr.engine.commands._options import port_option, store_option
 from jrdb_avr.engine.console import note, warnings_as_notes
 from jrdb_avr.engine.run.options import QuestionSelection, RunOptions
@@ -52,4 +53,4 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
         note("open this address in a browser; Ctrl-C ends, and --resume goes on")
         server.serve_forever()
     if run.finished:
-        note(f"next: jrdb-avr score --store {store.path} {run_id}")
+        note(f"next: {scoring_steps(store, run_id)}")

@@ -102,10 +102,10 @@ def read_index(store: Store) -> QuestionIndex:
         The questions, in the order of `sort_by_sequence`.
 
     Raises:
-        StoreError: If the store has no questions.
+        StoreError: If the store has no questions, or no answers.
     """
-    questions = store.questions("questions", ["question_id", *_TEXTS])
     answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg"])
+    questions = store.questions("questions", ["question_id", *_TEXTS])
     return QuestionIndex(sort_by_sequence(questions), answers)
 
 

@@ -2,15 +2,14 @@
 
 DIR/store.json                                        the manifest
 DIR/questions/questions.parquet, sequences.parquet    the columns that a method may see
-DIR/images/<sequence>/<frame>.jpg                     the frames that can be observed
+DIR/images/<sequence>/<frame>.jpg                     the frames that can be observed, without metadata
 DIR/runs/                                             an empty folder for the runs of `evaluate`
 """
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
+import warnings
 from pathlib import Path
 from typing import Final
 
@@ -18,19 +17,24 @@ import pyarrow as pa
 
 from jrdb_avr.engine.run.bench import find_images
 from jrdb_avr.engine.run.opaque import opaque_names, rename_sequences
-from jrdb_avr.queries.files import new_folder, write_bytes
+from jrdb_avr.queries.files import new_folder
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.questions import HIDDEN
 from jrdb_avr.queries.store import Store, write_table
-from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.errors import AvrWarning, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 
 _IMAGES: Final = "images"
-_START, _SCAN, _END = 0xD8, 0xDA, 0xD9
-_KEPT: Final = (0xE0, 0xEE)
-"""Markers of the application segments that decoders need: JFIF and Adobe."""
-_NEXT_MARKER: Final = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+_SCAN, _END = 0xDA, 0xD9
+_KEPT: Final = (0xC0, 0xC1, 0xC2, 0xC4, _SCAN, 0xDB, 0xDD)
+"""Markers of segments that decoders need: size, Huffman tables, scan, quantisation tables and restart interval."""
+_JFIF: Final = b"\xff\xe0\x00\x10JFIF\0\1\1\0\0\1\0\1\0\0"
+_ADOBE: Final = b"\xff\xee\x00\x0eAdobe\0\x64\0\0\0\0"
+"""Segments that say how colours are stored, without free text. One byte follows `_ADOBE`."""
+_MARKER: Final = re.compile(rb"\xff+([\xc0-\xc2\xc4\xd9-\xdd\xe0-\xef\xfe])")
+"""Pattern of the markers that a picture may have between scans. Bytes 0xFF before a marker are padding."""
+_NEXT_MARKER: Final = re.compile(rb"(?<!\xff)\xff+[^\x00\xd0-\xd7\xff]")
 """Pattern of the marker that ends a scan. In the scan, 0xFF is followed only by a zero or by a restart marker."""
 
 
@@ -40,14 +44,14 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
     Args:
         store: The store, or its folder.
         folder: The folder of the public store. It must be missing or empty.
-        opaque: Whether to replace the names of sequences by hashes, and to remove the metadata of the pictures.
+        opaque: Whether to replace the names of sequences by hashes.
 
     Returns:
         The number of questions in the public store.
 
     Raises:
         InputError: If the folder is not empty.
-        StoreError: If the store has no questions or no panoramas, if it has a training set, or if a picture is damaged.
+        StoreError: If the store has no questions or no panoramas, if it has a training set, or if a file is not a JPEG.
     """
     store = Store.of(store)
     store.refuse_training()
@@ -69,34 +73,31 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
                 # Sorted anew, because the order of the real names would reveal which sequence is which.
                 renamed = renamed.sort_by(schema.names[0])
             write_table(public.question_path(name), renamed, schema, metadata)
-        for row in sequences.to_pylist():
-            _write_pictures(Path(root, row["sequence"]), made / _IMAGES / names[row["sequence"]], row["frames"], opaque)
+        frames = dict(zip(real, sequences["frames"].to_pylist(), strict=True))
+        copied = sum(_copy_pictures(Path(root, name), made / _IMAGES / names[name], frames[name]) for name in real)
+        if not copied:
+            raise StoreError(f"{root} has no panorama of a sequence of {store.path}: a public store needs them")
         (made / "runs").mkdir()
         rules = LoadRules()
         public.write_manifest(Manifest(_IMAGES, rules, rules_hash(rules), {}, {}))
+    if copied < len(real):
+        warnings.warn(f"{len(real) - copied} of {len(real)} sequences have no panorama", AvrWarning, stacklevel=2)
     return len(questions)
 
 
-def _write_pictures(source: Path, target: Path, frames: list[int], strip: bool) -> None:
-    """Write the pictures of a sequence that exist. Make hard links of unchanged files if possible, else copies."""
+def _copy_pictures(source: Path, target: Path, frames: list[int]) -> bool:
+    """Copy the pictures of a sequence that exist, without metadata. Return whether there are any."""
     target.mkdir(parents=True)
-    for name in (f"{frame:06d}.jpg" for frame in frames):
-        path = source / name
-        if not path.exists():
-            continue
-        if strip and (data := path.read_bytes()) != (stripped := strip_metadata(data, path)):
-            write_bytes(target / name, stripped)
-            continue
-        try:
-            os.link(path.resolve(), target / name)
-        except OSError:
-            shutil.copyfile(path, target / name)
+    paths = [path for frame in frames if (path := source / f"{frame:06d}.jpg").is_file()]
+    for path in paths:
+        (target / path.name).write_bytes(strip_metadata(path.read_bytes(), path))
+    return bool(paths)
 
 
 def strip_metadata(data: bytes, path: Path) -> bytes:
     """Remove the metadata of a JPEG file.
 
-    Metadata are comments, application segments that decoders do not need, and bytes after the end of the picture.
+    Only segments that decoders need stay. Of JFIF and Adobe segments, only the facts about the colours stay.
 
     Args:
         data: The bytes of the file.
@@ -106,19 +107,21 @@ def strip_metadata(data: bytes, path: Path) -> bytes:
         The bytes of a file that has the same pixels.
 
     Raises:
-        StoreError: If the file is not a JPEG, or if its end is missing.
+        StoreError: If the file is not a JPEG, if its end is missing, or if it has an unusual segment.
     """
-    kept, at = [data[:2]], 2
-    if data[:2] != bytes([0xFF, _START]):
-        raise StoreError(f"{path} is not a JPEG")
-    while data[at : at + 1] == b"\xff" and len(data) > at + 3:
-        marker, end = data[at + 1], at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    kept, at = [data[:2]], 2 if data.startswith(b"\xff\xd8") else len(data)
+    while found := _MARKER.match(data, at):
+        marker, start = found[1][0], found.end()
+        if marker == _END:
+            return b"".join([*kept, bytes([0xFF, _END])])
+        at = start + int.from_bytes(data[start : start + 2], "big")
+        name, size = data[start + 2 : start + 7], at - start
         if marker == _SCAN:
-            following = _NEXT_MARKER.search(data, end)
-            end = len(data) if following is None else following.start()
-        is_metadata = marker == 0xFE or (0xE0 <= marker <= 0xEF and marker not in _KEPT)
-        kept += [] if is_metadata else [data[at:end]]
-        if data[end : end + 2] == bytes([0xFF, _END]):
-            return b"".join([*kept, data[end : end + 2]])
-        at = end
-    raise StoreError(f"{path} is not a whole JPEG")
+            at = next((found.start() for found in _NEXT_MARKER.finditer(data, at)), len(data))
+        if marker in _KEPT:
+            kept.append(bytes([0xFF, marker]) + data[start:at])
+        elif marker == 0xE0 and name == b"JFIF\0" and size >= len(_JFIF) - 2:
+            kept.append(_JFIF)
+        elif marker == 0xEE and name == b"Adobe" and size >= len(_ADOBE) - 1:
+            kept.append(_ADOBE + data[start + 13 : start + 14])
+    raise StoreError(f"{path} is not a whole JPEG of a usual kind")

@@ -23,6 +23,7 @@ from jrdb_avr.engine.run.public import export_public, strip_metadata
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
+ADOBE_RGB = b"\xff\xee\x00\x0eAdobe\0d\0\0\0\0\0"
 COLUMNS = {
     "questions.parquet": ["question_id", "sequence", "question", "choices", "answer_mode"],
     "sequences.parquet": ["sequence", "fps", "frame_count", "frames"],
@@ -58,24 +59,37 @@ def test_a_public_store_holds_nothing_private(full, tmp_path, opaque):
     assert {(path.parent.name, int(path.stem)) for path in pictures} == {
         (row["sequence"], frame) for row in shown for frame in row["frames"]
     }
+    originals = {path.stat().st_ino for path in Path(full.manifest().image_root).rglob("*.jpg")}
+    assert originals and not originals & {path.stat().st_ino for path in pictures}
+    assert all(strip_metadata(path.read_bytes(), path) == path.read_bytes() for path in pictures)
     if opaque:
         for path in files:
             data = path.read_bytes()
             assert not any(name.encode() in data or name in str(path.relative_to(made)) for name in real), path
-        assert all(strip_metadata(path.read_bytes(), path) == path.read_bytes() for path in pictures)
 
 
 def test_metadata_leave_a_picture_and_pixels_stay(asked_world, tmp_path):
     source = next((asked_world / "images" / SEQUENCE).glob("*.jpg"))
     data = source.read_bytes()
 
-    def segment(marker):
-        return bytes([0xFF, marker]) + (2 + len(SEQUENCE)).to_bytes(2, "big") + SEQUENCE.encode()
+    def segment(marker, start=b""):
+        body = start + SEQUENCE.encode()
+        return bytes([0xFF, marker]) + (2 + len(body)).to_bytes(2, "big") + body
 
-    marked = data[:2] + segment(0xE1) + segment(0xFE) + segment(0xED) + data[2:] + SEQUENCE.encode()
+    colours = segment(0xE0, b"JFIF\0\1\1\0\0\1\0\1\0\0") + segment(0xEE, b"Adobe\0d\0\0\0\0\1")
+    texts = b"".join(map(segment, (*range(0xE0, 0xF0), 0xFE, 0xDC)))
     progressive = cv2.imencode(".jpg", cv2.imread(str(source)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
-    for file, plain in ((marked, data), (progressive[:2] + segment(0xFE) + progressive[2:], progressive)):
+    scan = data.index(b"\xff\xda")
+    for file, plain in (
+        (data[:2] + texts + data[2:] + SEQUENCE.encode(), data),
+        (progressive[:2] + segment(0xFE) + progressive[2:], progressive),
+        (data[:2] + colours + data[2:], data),
+        (data[:2] + b"\xff\xff" + texts + data[2:scan] + b"\xff\xff" + data[scan:-2] + b"\xff\xff" + data[-2:], data),
+        # Without its Adobe segment, this picture would be decoded in other colours.
+        (data[:2] + segment(0xEE, b"Adobe\0d\0\0\0\0\0") + data[20:], data[:2] + ADOBE_RGB + data[20:]),
+    ):
         stripped = strip_metadata(file, source)
+        assert strip_metadata(stripped, source) == stripped
         assert SEQUENCE.encode() in file and SEQUENCE.encode() not in stripped
         one, other = (cv2.imdecode(np.frombuffer(own, np.uint8), cv2.IMREAD_COLOR) for own in (stripped, plain))
         assert np.array_equal(one, other)
@@ -84,16 +98,47 @@ def test_metadata_leave_a_picture_and_pixels_stay(asked_world, tmp_path):
             strip_metadata(broken, source)
 
 
+@pytest.mark.parametrize("opaque", [False, True])
+def test_a_file_that_is_no_picture_is_not_copied(full, tmp_path, opaque):
+    images = shutil.copytree(full.manifest().image_root, tmp_path / "pictures")
+    manifest = json.loads((full.path / "store.json").read_text())
+    (full.path / "store.json").write_text(json.dumps(manifest | {"image_root": str(images)}))
+    picture = next(images.rglob("*.jpg"))
+    picture.unlink()
+    picture.symlink_to(full.path / "store.json")
+    export = ("export", "--store", full.path, "--public", tmp_path / "public", *(["--opaque"] if opaque else []))
+    code, _, err = run(*export)
+    assert code == 1 and "is not a" in err and err.count("\n") == 1 and not (tmp_path / "public").exists()
+    shutil.rmtree(picture.parent)
+    remaining = len(full.questions("sequences")) - 1
+    code, _, err = run(*export)
+    assert (code, f"1 of {remaining + 1} sequences have no panorama" in err) == ((0, True) if remaining else (1, False))
+    shutil.rmtree(images)
+    code, _, err = run(*export[:4], tmp_path / "other")
+    assert code == 1 and "no panorama" in err and err.count("\n") == 1 and not (tmp_path / "other").exists()
+
+
 def test_what_a_public_store_lacks_is_refused_in_a_line(full, tmp_path):
     made = tmp_path / "public"
     export_public(full, made)
+    before = sorted(made.rglob("*"))
+    for option in ("--rebuild", "--verify"):
+        code, _, err = run("load", option, "--store", made)
+        assert code == 1 and "has no labels: it is a public store" in err and err.count("\n") == 1
+    assert sorted(made.rglob("*")) == before
+    (question,) = full.questions("questions")["question_id"].to_pylist()[:1]
+    method = ("--method", "react", "--model", "marker", "--questions", question, "--run-id", "own", "--no-scores")
+    code, _, err = run("evaluate", "--store", made, *method)
+    assert code == 0 and f"next: jrdb-avr export own --jsonl own.jsonl --store {made}\n" in err
+    for command in (["score", "own"], ["score"], ["report"], ["stats"], ["trace", "own", question]):
+        code, _, err = run(*command, "--store", made)
+        assert code == 1 and "is a public store, without answers" in err and err.count("\n") == 1
     base = ("evaluate", "--store", made, "--method", "react", "--model", "marker")
     for options in (["--family", "long_range"], ["--template", "gap"], ["--per-template", "1"]):
         code, _, err = run(*base, *options)
         assert code == 1 and "a public store have no" in err and err.count("\n") == 1
     code, _, err = run("evaluate", "--store", made, "--method", "agent", "--model", "marker")
     assert code == 1 and "--world-db" in err
-    assert run("score", "--store", made)[0] == 1
 
 
 @pytest.mark.slow
