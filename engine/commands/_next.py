@@ -45,10 +45,7 @@ def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:
         steps = [f"validate{option}", f"inspect --sample 20{option}", f"evaluate{option} {model}"]
     elif open_runs:
         state = f"has {len(runs)} runs, of which {len(open_runs)} are unfinished"
-        steps = [
-            f"runs show {open_runs[0]}{option}",
-            f"evaluate{option} --resume ... (with the options of the first call)",
-        ]
+        steps = [f"runs show {open_runs[0]}{option}", f"evaluate{option} --resume ... (with its first options)"]
     else:
         state = f"has {len(runs)} run{'s' if len(runs) > 1 else ''}"
         steps = [f"score{option}", f"report{option}", f"evaluate{option} {model}"]
