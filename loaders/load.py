@@ -40,7 +40,7 @@ from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.handle import Graph, build_graph, remove_graph
-from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer, refuse_public
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_sequences, without_collector
@@ -152,7 +152,7 @@ def rebuild(
             or if it cannot be written.
         LockedError: If another process writes the store.
     """
-    store.refuse_public()
+    refuse_public(store.path, "labels")
     with store.writing("load --rebuild"), _staging(store) as staging:
         manifest = store.manifest()
         shards = [

@@ -17,7 +17,7 @@ from jrdb_avr.queries import workers
 from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.file import check_fingerprint, lock_graph
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.manifest import Manifest
+from jrdb_avr.queries.manifest import Manifest, refuse_public
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, StoreError
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
@@ -62,7 +62,7 @@ def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None)
         StoreError: If the store has no manifest, or if it is public.
         LockedError: If another process writes the graph.
     """
-    store.refuse_public()
+    refuse_public(store.path, "labels")
     manifest = store.manifest()
     checks = []
     with lock_graph(store.graph_path, shared=True):

@@ -78,6 +78,19 @@ def read_manifest(store: Path) -> Manifest:
     return msgspec.structs.replace(manifest, image_root=str(store.absolute() / manifest.image_root))
 
 
+def is_public(store: Path) -> bool:
+    """Return whether `export --public` wrote the store, so that it has questions, but no labels and no answers."""
+    with contextlib.suppress(StoreError):
+        return (store / "questions" / "questions.parquet").exists() and not read_manifest(store).sequences
+    return False
+
+
+def refuse_public(store: Path, missing: str) -> None:
+    """Raise StoreError if the store is public. `missing` ends the message: what the store lacks, and a remedy."""
+    if is_public(store):
+        raise StoreError(f"{store}: a public store has no {missing}")
+
+
 class _Version(msgspec.Struct):
     version: int
 

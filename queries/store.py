@@ -34,7 +34,7 @@ from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import STAMP, keyframe_values
-from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest
+from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest, refuse_public
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, QueryError, StoreError, did_you_mean
@@ -140,11 +140,8 @@ class Store(Displayed):
         path = self.question_path(name)
         if not path.exists():
             self.manifest()  # If nothing is loaded, this error is more useful.
-            if self.is_public():
-                raise StoreError(
-                    f"{self.path} is a public store, without answers: run 'jrdb-avr export RUN --jsonl FILE --store "
-                    f"{self.path}', then 'jrdb-avr score --jsonl FILE' on the store with the answers"
-                )
+            export = f"jrdb-avr export RUN --jsonl FILE --store {self.path}"
+            refuse_public(self.path, f"answers: run '{export}', then 'score --jsonl FILE' on the store with answers")
             raise StoreError(f"{self.path} has no questions yet: run 'jrdb-avr generate --store {self.path}'")
         return read_table(path, columns)
 
@@ -193,17 +190,6 @@ class Store(Displayed):
     def manifest(self) -> Manifest:
         """Read the manifest. Raises StoreError if nothing is loaded or the manifest is broken."""
         return read_manifest(self.path)
-
-    def is_public(self) -> bool:
-        """Return whether `export --public` wrote the store, so that it has questions, but no labels and no answers."""
-        with contextlib.suppress(StoreError):
-            return self.question_path("questions").exists() and not self.manifest().sequences
-        return False
-
-    def refuse_public(self) -> None:
-        """Raise StoreError if `export --public` wrote the store, because nothing was loaded into it."""
-        if self.is_public():
-            raise StoreError(f"{self.path} has no labels: it is a public store")
 
     def relative(self, folder: str) -> str:
         """Return the path of a folder relative to the store if the folder is inside it, or else the given path."""

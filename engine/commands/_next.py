@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jrdb_avr.engine.commands._options import STORE_VARIABLE
+from jrdb_avr.queries.manifest import is_public
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -38,7 +39,7 @@ def next_steps(folder: Path) -> list[str]:
 
 def scoring_steps(store: Store, *runs: str) -> str:
     """Return the commands that lead to the scores of runs. A public store has no answers, so it exports the runs."""
-    if store.is_public():
+    if is_public(store.path):
         return " && ".join(f"jrdb-avr export {run} --jsonl {run}.jsonl --store {store.path}" for run in runs)
     return f"jrdb-avr score --store {store.path} {' '.join(runs)}"
 

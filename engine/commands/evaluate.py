@@ -19,6 +19,7 @@ from jrdb_avr.engine.commands._options import FILE, form_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 from jrdb_avr.engine.run.methods import METHODS, NO_MODEL
 from jrdb_avr.engine.run.options import EvaluateOptions, MethodOptions, QuestionSelection, RunOptions
+from jrdb_avr.queries.manifest import is_public
 from jrdb_avr.schema.errors import AvrError, InputError
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
     if not form:
         names = [run.run_id for run in results]
         steps = scoring_steps(store, *names)
-        if not store.is_public():
+        if not is_public(store.path):
             report = f"{steps} && jrdb-avr report --store {store.path}"
             steps = f"jrdb-avr runs diff {' '.join(names)} --store {store.path}" if len(names) == 2 else report
         note(f"next: {steps}")
