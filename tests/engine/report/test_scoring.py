@@ -229,12 +229,6 @@ def test_threshold_is_inclusive_and_a_setting():
             score(rows, [], wrong)
 
 
-def test_boxes_are_x_y_width_height():
-    # The same four numbers read as two corners would be the truth exactly.
-    rows = [("q", "multiple_choice", {"choice": 1}, {7: (100.0, 50.0, 40.0, 80.0)})]
-    assert score(rows, [prediction("q", {"choice": 1}, (7, (100.0, 50.0, 140.0, 130.0)))])[0][1] == 0
-
-
 def test_errors_and_silence_score_nothing_and_stay_in_n():
     rows = [(name, "multiple_choice", {"choice": 1}, {7: BOX}) for name in "abcd"]
     predicted = [
