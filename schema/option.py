@@ -43,8 +43,8 @@ def option(
         The dataclass field, with all arguments except `default` as metadata.
     """
     limits = {"minimum": minimum, "maximum": maximum, "choices": tuple(choices)}
-    metadata = {"text": text, "flag": flag, "metavar": metavar, **limits}
-    return field(default_factory=dict, metadata=metadata) if default == {} else field(default=default, metadata=metadata)
+    about = {"text": text, "flag": flag, "metavar": metavar, **limits}
+    return field(default_factory=dict, metadata=about) if default == {} else field(default=default, metadata=about)
 
 
 @dataclass(frozen=True)
