@@ -64,4 +64,5 @@ class Options:
                     msgspec.convert(value, Annotated[allowed, msgspec.Meta(ge=about["minimum"], le=about["maximum"])])
                 except msgspec.ValidationError as error:
                     hint = did_you_mean(str(value), about["choices"])
-                    raise InputError(f"{declared.name}: {error}{hint}", field=declared.name) from None
+                    flag = about["flag"] or declared.name.replace("_", "-")
+                    raise InputError(f"--{flag}: {error}{hint}", field=declared.name) from None
