@@ -18,7 +18,8 @@ failed check only if the run's method needs it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, get_args
 
@@ -137,54 +138,47 @@ class _Probe(NamedTuple):
     remedy: str = ""
 
 
-@dataclass
-class _Prober:
-    """Sends requests, with a system message if the server takes one."""
-
-    client: Client
-    system: bool = True
-
-    def send(self, *parts: Part, schema: Mapping[str, Any] | None = None) -> _Probe:
-        """Send one user message."""
-        before = [Message("system", (render("preflight_system"),))] if self.system else []
-        try:
-            reply = self.client.probe([*before, Message("user", parts)], schema)
-        except EndpointError as error:
-            return _Probe(None, fault=f"refused ({error})")
-        try:
-            return _Probe(reply, reply_object(reply, self.client.convention))
-        except DecodeError as error:
-            # A reply that ends at the token limit is a fault of neither the server nor the schema.
-            cut = reply.finish_reason == "length"
-            return _Probe(reply, {}, str(error) if cut else f"not followed ({error})", _LONGER_REMEDY if cut else "")
+def _send(client: Client, system: bool, *parts: Part, schema: Mapping[str, Any] | None = None) -> _Probe:
+    """Send one user message, after a system message if the server takes one."""
+    before = [Message("system", (render("preflight_system"),))] if system else []
+    try:
+        reply = client.probe([*before, Message("user", parts)], schema)
+    except EndpointError as error:
+        return _Probe(None, fault=f"refused ({error})")
+    try:
+        return _Probe(reply, reply_object(reply, client.convention))
+    except DecodeError as error:
+        # A reply that ends at the token limit is a fault of neither the server nor the schema.
+        cut = reply.finish_reason == "length"
+        return _Probe(reply, {}, str(error) if cut else f"not followed ({error})", _LONGER_REMEDY if cut else "")
 
 
 def _checks(client: Client) -> Iterator[Check]:
     text = client.probe([Message("user", (render("preflight_text"),))])
     yield _text(text)
-    prober = _Prober(client)
-    answered = prober.send(render("preflight_text"))
-    prober.system = answered.reply is not None
+    answered = _send(client, True, render("preflight_text"))
+    system = answered.reply is not None
+    send = functools.partial(_send, client, system)
     yield Check(
         "system",
-        prober.system,
-        "a system message is " + ("taken" if prober.system else answered.fault),
+        system,
+        "a system message is " + ("taken" if system else answered.fault),
         "give the server a chat template that takes the system role: every method sends a system message",
     )
     strict = client.options.response_format == "json_schema"
-    shaped = prober.send(render("preflight_schema" if strict else "preflight_object"), schema=_KEY_SCHEMA)
+    shaped = send(render("preflight_schema" if strict else "preflight_object"), schema=_KEY_SCHEMA)
     yield _schema(client, shaped)
     if strict and shaped.reply is None:
         # Each picture would be refused for the same reason.
         return
-    picture = _picture(prober)
+    picture = _picture(send)
     yield picture
     if picture.passed:
-        yield from _many_pictures(prober)
+        yield from _many_pictures(send)
     # A schema is refused only if it is sent.
     if strict:
         content, keys = "the schema of a plan ($ref at the root)", set(Plan.__struct_fields__)
-        probe = prober.send(render("preflight_plan"), schema=plan_form())
+        probe = send(render("preflight_plan"), schema=plan_form())
         yield _largest_request("plan", content, probe, set(probe.value) == keys)
     yield _thinking(client, text, shaped.reply)
     yield Check(
@@ -230,12 +224,12 @@ def _schema(client: Client, shaped: _Probe) -> Check:
     return Check("schema", not fault, f"{declared} is {fault or 'followed'}", shaped.remedy or remedy)
 
 
-def _picture(prober: _Prober) -> Check:
+def _picture(send: Callable[..., _Probe]) -> Check:
     remedy = "serve a model that sees, and check that the server passes image_url parts on"
     right = 0
     for corner, box in CORNERS.items():
         parts = (render("preflight_picture"), drawn_picture(CROP_SIZE, box), CORNER_LINE)
-        probe = prober.send(*parts, schema=_CORNER_SCHEMA)
+        probe = send(*parts, schema=_CORNER_SCHEMA)
         if probe.remedy or probe.reply is None:
             return Check("picture", False, f"a picture is {probe.fault}", probe.remedy or remedy)
         right += probe.value.get("corner") == corner
@@ -243,7 +237,7 @@ def _picture(prober: _Prober) -> Check:
     return Check("picture", right >= _SEEN_CORNERS, seen, remedy)
 
 
-def _many_pictures(prober: _Prober) -> Iterator[Check]:
+def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     """Yield the checks of the most pictures in one request.
 
     The marked picture is neither the first nor the last, because a server may pass only one of them on.
@@ -256,17 +250,16 @@ def _many_pictures(prober: _Prober) -> Iterator[Check]:
     ]
     content = f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)"
     parts = [render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE]
-    probe = prober.send(*parts, schema=graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA))
+    probe = send(*parts, schema=graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA))
     calls = probe.value.get("calls")
     last = calls[-1] if isinstance(calls, list) and calls else None
-    right = isinstance(last, dict) and last.get("answer") == 5
-    yield _largest_request("panoramas", content, probe, right)
+    yield _largest_request("panoramas", content, probe, isinstance(last, dict) and last.get("answer") == 5)
     content = f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)"
     parts = [render("preflight_crops", n=CROPS)]
     for n in range(1, CROPS + 1):
         box = CORNERS["upper left"] if n == 14 else None
         parts += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
-    probe = prober.send(*parts, CROP_LINE, schema=react_turn_schema(question))
+    probe = send(*parts, CROP_LINE, schema=react_turn_schema(question))
     # A model that loses count among many crops can still answer: most questions need a few.
     yield _largest_request("crops", content, probe, probe.value.get("frame_id") == "000014", needed=bool(probe.fault))
 

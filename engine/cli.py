@@ -79,7 +79,7 @@ class LazyGroup(NamingGroup):
             return None
         module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name)}")
         command: click.Command = getattr(module, cmd_name, None) or module.command
-        # Click joins the lines of a paragraph, unless it begins with a backspace character. Examples must keep lines.
+        # Click joins the lines of a paragraph, unless it begins with a backspace character. Examples keep their lines.
         command.help = re.sub(r"\n\n(?=Examples?:\n|  )", "\n\n\b\n", inspect.cleandoc(command.help or ""))
         return command
 

@@ -1,1 +1,1 @@
-"""The store, queries of it in Cypher and SQL, the graph, and the compiler from plans to Cypher."""
+"""The store of a benchmark, its graph, queries of both in SQL and Cypher, and the compiler from plans to Cypher."""

@@ -1,4 +1,4 @@
-"""Progress reports of library functions, and the display of their results in a console and in a notebook."""
+"""Progress reports of long functions, and the display of their results in a console or a notebook."""
 
 from __future__ import annotations
 
@@ -8,26 +8,31 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 Progress = Callable[[str, int, int], None]
-"""Function of the task's name, the number of finished steps and the number of all steps."""
+"""Function that is called when steps of a task have finished.
+
+Its arguments are the name of the task, the number of finished steps, and the number of all steps.
+"""
 
 _Rows = Sequence[Mapping[str, Any]]
 Tables = Mapping[str, _Rows]
-"""Rows of tables by the title of the table."""
+"""Rows of each table, by the title of the table."""
 
 MAX_ROWS: Final = 100
-"""Maximum number of rows that a notebook displays of a table."""
+"""Maximum number of rows of a table that a notebook displays."""
 
 
 def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[int], None]:
-    """Return a function that adds finished steps and reports the sum to `progress`.
+    """Return a function that counts finished steps and reports the count to `progress`.
+
+    The count 0 is reported at once.
 
     Args:
-        progress: Receiver of the reports; None reports nothing.
+        progress: Function that receives the reports; None for no reports.
         what: Name of the task.
         total: Number of all steps.
 
     Returns:
-        A function of the number of steps that have just finished; the first report, of no steps, has been made.
+        A function to call with the number of steps that have just finished (1 if it is left out).
     """
     done = 0
 
@@ -42,12 +47,12 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
 
 
 def list_columns(rows: _Rows) -> list[str]:
-    """Return the columns of all rows, in the order of their first appearance."""
+    """Return the names of all columns in rows, in the order in which they first appear."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
 
 class Displayed(ABC):
-    """Base class of a result. `repr` is a summary in one line; a notebook also displays its tables."""
+    """Base class of results. `repr` gives a summary in one line. A notebook displays the summary and the tables."""
 
     @abstractmethod
     def _summary(self) -> str: ...

@@ -1,7 +1,9 @@
-"""Atomic writes of files and folders: a temporary file in the same folder is written, synced and renamed.
+"""Atomic writes of files and folders.
 
-A process that is killed before the rename leaves the old state and a hidden `.NAME.????????.tmp`. The next write of
-NAME by the same user removes that file. A live writer holds a lock on its temporary file, so no process removes it.
+The content is written to a temporary file in the same folder. The file is then synced to the disk and renamed. If a
+process is killed before the rename, the old file stays, and a hidden file `.NAME.????????.tmp` is left over. The next
+process of the same user that writes NAME removes the left-over file. A running writer holds a lock on its temporary
+file, so that other processes do not remove it.
 """
 
 from __future__ import annotations
@@ -22,14 +24,14 @@ from jrdb_avr.schema.errors import InputError, StoreError
 
 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file atomically: let `write` write a temporary file, sync it and rename it to `path`.
+    """Write a file atomically: call `write` for a temporary file, sync that file, and rename it to `path`.
 
     Args:
-        path: File to make or replace; its folder is made if it is missing.
-        write: Function that writes a file at the path it is given.
+        path: File to create or replace. Its folder is created if it does not exist.
+        write: Function that is called once with the path of the temporary file, and writes the content there.
 
     Raises:
-        StoreError: The disk refuses, or `path` exists and is not a file.
+        StoreError: If the file cannot be written, or `path` exists and is not a file.
     """
     if path.exists() and not path.is_file():
         raise StoreError(f"cannot write {path}: it exists and is not a file; choose another name")
@@ -37,27 +39,33 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
         write(temporary)
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
-        # mkstemp makes private files, but a store may be shared.
+        # mkstemp creates files that only the user can read, but other users may share a store.
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
 
 
 def file_hash(path: Path) -> str:
-    """Return the sha256 of a file in hexadecimal digits. Raises OSError."""
+    """Return the sha256 of a file in hexadecimal digits. Raises OSError if the file cannot be read."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write bytes to a file atomically, as `write_atomic` does. Raises StoreError if the disk refuses."""
+    """Write bytes to a file atomically. Raises StoreError if the file cannot be written."""
     write_atomic(path, lambda temporary: temporary.write_bytes(data))
 
 
 def write_once(path: Path, data: bytes) -> None:
-    """Write a private file unless it exists. If several processes write it at once, the first file stays.
+    """Write a file that only the user can read, unless the file exists.
+
+    If several processes call this function at the same time, the file of the first process stays.
+
+    Args:
+        path: File to create.
+        data: Content of the file.
 
     Raises:
-        StoreError: The disk refuses.
+        StoreError: If the file cannot be written.
     """
     with _beside(path, folder=False) as temporary:
         temporary.write_bytes(data)
@@ -69,14 +77,19 @@ def write_once(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder, and rename it to `folder` when the block ends; remove it if the block raises.
+    """Yield a temporary folder, and rename it to `folder` when the `with` block ends.
+
+    If the block raises an exception, the temporary folder is removed, and `folder` does not change.
 
     Args:
-        folder: Folder that does not exist or is empty.
+        folder: Folder to create, which must not exist or must be empty.
+
+    Yields:
+        The temporary folder, beside `folder`.
 
     Raises:
-        InputError: `folder` is not empty, or cannot be replaced.
-        StoreError: The disk refuses.
+        InputError: If `folder` is not empty, or cannot be replaced.
+        StoreError: If the folder cannot be written.
     """
     folder = folder.resolve()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -91,17 +104,17 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _beside(path: Path, *, folder: bool) -> Iterator[Path]:
-    """Yield a new locked hidden file or folder beside `path`, and remove it at the end. Map OSError to StoreError."""
+    """Yield a new locked temporary file or folder beside `path`, and remove it at the end. Raises StoreError."""
     with contextlib.ExitStack() as cleanup:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             _remove_left_over(path, folder)
             yield _make(path, folder, cleanup)
         except OSError as error:
-            # pyarrow raises OSError without a number; the reason is then its text.
+            # pyarrow raises OSError without an errno. The text of the error is then the reason.
             reason = os.strerror(error.errno) if error.errno else (str(error).splitlines() or [type(error).__name__])[0]
             hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) else ""
-            # A file that cannot be read may be the source of a copy. Then the message names it too.
+            # If the faulty file is the source of a copy, the message names the source too.
             source = str(error.filename or path)
             prefix = "" if path.is_relative_to(source) or f".{path.name}." in source else f"{source}: "
             raise StoreError(f"cannot write {path}: {prefix}{reason}{hint}") from None
@@ -115,11 +128,11 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
             descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
             os.close(descriptor)
         cleanup.callback(_remove, temporary := Path(name))
-        # Before the lock is taken, another writer may remove the file as one of a killed process. Then make another.
+        # Until the lock is held, another writer may take the file for a left-over and remove it. Then make a new one.
         with contextlib.suppress(FileNotFoundError):
             handle = os.open(name, os.O_RDONLY)
             cleanup.callback(os.close, handle)
-            # Some file systems have no locks. There no writer removes temporary files either.
+            # Some file systems do not support locks. On these, no writer removes left-over files either.
             with contextlib.suppress(OSError):
                 fcntl.flock(handle, fcntl.LOCK_EX)
             if temporary.exists():
@@ -127,7 +140,7 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
 
 
 def _remove_left_over(path: Path, folder: bool) -> None:
-    """Remove the temporary files, or folders, that killed writers of `path` left, if they belong to this user."""
+    """Remove this user's temporary files (or folders) that killed writers of `path` left over."""
     pattern = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\.tmp")
     for entry in list(os.scandir(path.parent)):
         if pattern.fullmatch(entry.name):
@@ -136,7 +149,7 @@ def _remove_left_over(path: Path, folder: bool) -> None:
                 is_kind = stat.S_ISDIR if folder else stat.S_ISREG
                 if not is_kind(status.st_mode) or status.st_uid != os.geteuid():
                     continue
-                # A link or a pipe may have replaced the entry since stat(). So do not follow it, and do not wait.
+                # Since stat(), a link or a pipe may have replaced the entry. Neither follow a link nor wait for a pipe.
                 handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

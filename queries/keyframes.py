@@ -1,4 +1,4 @@
-"""Parameters of statements over the keyframe layer of a stored graph, and the stamp of that layer."""
+"""Parameters of statements about the keyframe layer of a graph, and the record of how that layer was made."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from jrdb_avr.schema.graph import KEYFRAME_NODES
 from jrdb_avr.schema.rules import FPS, Rules, frames
 
 SPAN: Final = 1 << 32
-"""Number of node ids reserved for each sequence of a layer; the range of a sequence begins at its `low`."""
+"""Number of node ids that are reserved for each sequence. The ids of a sequence begin at its `low`."""
 
 
 def keyframe_values(rules: Rules, low: int) -> dict[str, int | float]:
-    """Return the values of all parameters that statements over the layer may use.
+    """Return the values of all parameters that statements about the keyframe layer may use.
 
     Args:
         rules: Rules under which the layer was made.
-        low: First id of the sequence.
+        low: First node id of the sequence.
 
     Returns:
-        Values by parameter name: ids, or quantities in frames, metres or degrees.
+        Values by the name of the parameter. Times are in frames, distances in metres and angles in degrees.
     """
     return {
         "low": low,
@@ -44,14 +44,18 @@ STAMP: Final = (
     "MATCH (k:Keyframes) RETURN k.low AS low, k.sequence AS sequence, k.rules_hash AS rules_hash, k.rules AS rules "
     "ORDER BY low"
 )
-"""Statement that reads the stamp of a layer: a row per sequence, with the rules of the layer."""
+"""Statement that returns one row per sequence of the layer: its first id, its name, and the rules of the layer."""
 
 
 def layer_stamp(graph: Graph) -> tuple[dict[str, int], Rules | None]:
-    """Return the first id of each sequence in the keyframe layer, and the rules of the layer.
+    """Read the sequences of a graph's keyframe layer, and the rules of that layer.
+
+    Args:
+        graph: Session on the graph.
 
     Returns:
-        Ids by sequence, and rules; an empty dictionary and None if the graph has no complete layer.
+        The first node id of each sequence by name, and the rules. If the graph lacks a complete layer, they are an
+        empty dictionary and None.
     """
     if not KEYFRAME_NODES.keys() <= graph.tables():
         return {}, None

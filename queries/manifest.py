@@ -1,4 +1,4 @@
-"""The manifest of a store: its sequences, their files, and the rules under which they were loaded."""
+"""The manifest of a store: its sequences with their files, and the rules of `load`."""
 
 from __future__ import annotations
 
@@ -13,11 +13,16 @@ from jrdb_avr.schema.rules import LoadRules
 
 MANIFEST_NAME: Final = "store.json"
 MANIFEST_VERSION: Final = 2
-"""Version of a store's tables and manifest. A program reads only stores of its own version."""
+"""Version of the tables and the manifest of a store. The program reads only stores with its own version."""
 
 
 class SequenceEntry(msgspec.Struct, frozen=True):
-    """Entry of a sequence: its layers, and the sha256 of each of its files by path in the store."""
+    """Entry of a sequence in the manifest.
+
+    Attributes:
+        layers: Annotation layers of the sequence.
+        tables: The sha256 of each Parquet file of the sequence, by the path of the file in the store.
+    """
 
     layers: tuple[str, ...]
     tables: dict[str, str]
@@ -26,8 +31,14 @@ class SequenceEntry(msgspec.Struct, frozen=True):
 class Manifest(msgspec.Struct, frozen=True):
     """Content of `store.json`.
 
-    `image_root` is the folder that holds one folder of panoramas per sequence, or None. It is relative to the store if
-    it is inside, so that a store can be moved together with its panoramas.
+    Attributes:
+        image_root: Folder with one folder of panoramas per sequence, or None. In the file, a folder inside the store
+            has a relative path, so that the store can be moved together with its panoramas.
+        load_rules: Rules that `load` applied.
+        load_rules_hash: Hash of these rules.
+        sequences: Entry of each sequence, by name.
+        graph: Number of rows of each scene table when the graph was built, and the storage version of the graph.
+        version: Version of the store.
     """
 
     image_root: str | None
@@ -35,7 +46,6 @@ class Manifest(msgspec.Struct, frozen=True):
     load_rules_hash: str
     sequences: dict[str, SequenceEntry]
     graph: dict[str, int | str]
-    """Number of rows in each table of the scene when it was built, and the storage version."""
     version: int = MANIFEST_VERSION
 
 
@@ -49,7 +59,7 @@ def read_manifest(store: Path) -> Manifest:
         The manifest, with an absolute `image_root`.
 
     Raises:
-        StoreError: Nothing is loaded, or the manifest is broken or of another version.
+        StoreError: If the folder has no manifest, or the manifest is broken or has another version.
     """
     refuse_newer(store)
     path = store / MANIFEST_NAME
@@ -73,11 +83,11 @@ class _Version(msgspec.Struct):
 
 
 def refuse_newer(store: Path) -> None:
-    """Raise StoreError if a newer version of the program wrote the store, because this version could damage it."""
+    """Raise StoreError if a newer version of the program wrote the store. This version could damage such a store."""
     with contextlib.suppress(OSError, UnicodeDecodeError, msgspec.DecodeError):
         version = msgspec.json.decode((store / MANIFEST_NAME).read_bytes(), type=_Version).version
         if version > MANIFEST_VERSION:
             raise StoreError(
-                f"{store} was written by a newer jrdb-avr (version {version} of the store, this reads "
+                f"{store} was written by a newer jrdb-avr (the store has version {version}, this program reads "
                 f"{MANIFEST_VERSION}): update jrdb-avr, or load into another --store"
             )

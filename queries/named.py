@@ -1,8 +1,9 @@
-"""Named queries: the files of `queries/results/*.sql` and of four folders of Cypher, named by their stem.
+"""Named queries: statements that users run by the name of their file without its suffix.
 
-The first comment line of a file states the question that the query answers. A comment line `param NAME: TYPE` declares
-a parameter of the type text, integer or number; `param NAME: TYPE = VALUE` gives it a default. If a query has a
-parameter `frame`, the caller may give `seconds` in its place (frame / 15, as in questions).
+SQL queries are in `queries/results`, and Cypher queries are in `queries/explore`, `generators`, `necessity` and
+`search`. The first comment line of a file says what the query returns. A comment line `param NAME: TYPE` declares a
+parameter of the type text, integer or number. `param NAME: TYPE = VALUE` also gives it a default. If a query has a
+parameter `frame`, the caller may give `seconds` instead (frame / 15, as in questions).
 """
 
 from __future__ import annotations
@@ -29,7 +30,15 @@ _PARAMETER = re.compile(r"^param\s+(\w+):\s*(text|integer|number)(?:\s*=\s*(.*))
 
 @dataclass(frozen=True)
 class NamedQuery:
-    """Query from a file: its text, the question it answers, and the types and defaults of its parameters."""
+    """Query that was read from a file.
+
+    Attributes:
+        name: Name of the query.
+        text: Statement with its comments.
+        answers: First comment line, which says what the query returns.
+        types: Type of each parameter (text, integer or number), by name.
+        defaults: Default of each optional parameter, by name.
+    """
 
     name: str
     text: str
@@ -39,7 +48,7 @@ class NamedQuery:
 
     @property
     def takes(self) -> str:
-        """Description of the parameters: 'sequence (text), frame (integer; or seconds), count (integer, 20)'."""
+        """Description of the parameters for users, such as 'frame (integer; or seconds), count (integer, 20)'."""
         parts = []
         for name, kind in self.types.items():
             more = "; or seconds" if name == "frame" else f", {self.defaults[name]}" if name in self.defaults else ""
@@ -47,13 +56,16 @@ class NamedQuery:
         return ", ".join(parts)
 
     def values(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Return a value for every parameter: the given one, or the default.
+        """Return a value for every parameter: the given value, or else the default.
 
         Args:
-            params: Given values by name.
+            params: Given values, by the name of the parameter.
+
+        Returns:
+            Values by the name of the parameter.
 
         Raises:
-            QueryError: A value is missing, unknown or of another type; the message gives the remedy.
+            QueryError: If a value is missing, has the wrong type, or does not belong to a parameter.
         """
         values = dict(params)
         if "frame" in self.types and "seconds" in values and "frame" not in values:
@@ -73,7 +85,7 @@ _EXAMPLES: Final = {"text": "TEXT", "integer": "INTEGER", "number": "NUMBER"}
 
 
 def _checked(name: str, kind: str, value: Any) -> Any:
-    """Return the value if it has the type `kind`. Raises QueryError otherwise."""
+    """Return a parameter's value if it has the type `kind`; a number counts as text. Raise QueryError otherwise."""
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
     value = unwrap_scalar(value)
@@ -85,7 +97,7 @@ def _checked(name: str, kind: str, value: Any) -> Any:
 
 
 def named_queries(language: str) -> dict[str, NamedQuery]:
-    """Return the queries of a language ("cypher" or "sql") by name, sorted."""
+    """Return the named queries of a language ("cypher" or "sql") by name, in alphabetical order."""
     folders = [files("jrdb_avr.queries").joinpath(folder) for folder in FOLDERS[language]]
     entries = [entry for folder in folders for entry in folder.iterdir() if entry.name.endswith(f".{language}")]
     queries = [_parse(entry.name.removesuffix(f".{language}"), entry.read_text("utf-8")) for entry in entries]
@@ -93,15 +105,18 @@ def named_queries(language: str) -> dict[str, NamedQuery]:
 
 
 def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return the statement and the parameters for a text, which is the name of a query or a statement.
+    """Return the statement to run for the text that a user gave.
 
     Args:
         language: "cypher" or "sql".
-        text: Name or statement.
-        params: Given values by name.
+        text: Name of a query, or a statement.
+        params: Values of parameters, by name.
+
+    Returns:
+        The statement, and the value of each of its parameters. If the text is a statement, both are as given.
 
     Raises:
-        QueryError: The text is a single word but not the name of a query, or the parameters do not fit the query.
+        QueryError: If the text is a single word but not the name of a query, or the values do not fit the query.
     """
     if not _NAME.fullmatch(text.strip()):
         return text, params
@@ -114,9 +129,9 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
 
 
 def parse_value(text: str) -> Any:
-    """Return the value of a parameter: decoded if the text is JSON, otherwise the text itself.
+    """Return the value of a parameter that a user typed: the decoded value if the text is JSON, or else the text.
 
-    The id of a question stays a text even if it looks like a number with an exponent.
+    The id of a question stays a text, even if it looks like a number with an exponent.
 
     >>> parse_value("15"), parse_value("female"), parse_value("[1, 2]"), parse_value("0012345678901e23")
     (15, 'female', [1, 2], '0012345678901e23')

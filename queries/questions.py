@@ -1,4 +1,4 @@
-"""The public tables of a store: the questions, and the sequences with the frames that can be observed."""
+"""Readers of the public tables of a store: the questions, and the sequences with the frames that can be observed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from jrdb_avr.schema.method import Question, SequenceInfo
 from jrdb_avr.schema.tables import QUESTIONS
 
 HIDDEN: Final = ("family", "template")
-"""Columns of questions that a public store leaves out."""
+"""Columns of `questions` that a public store leaves out."""
 
 
 @dataclass(frozen=True, slots=True)
 class QuestionRow:
-    """A row of `questions.parquet`; `family` and `template` are empty if the store is public (`export --public`)."""
+    """Row of `questions.parquet`. If the store is public (`export --public`), `family` and `template` are ""."""
 
     question_id: str
     sequence: str
@@ -33,15 +33,21 @@ class QuestionRow:
     answer_mode: AnswerMode
 
     def to_question(self) -> Question:
-        """Return the columns that a method may see."""
+        """Return the question with only those columns that a method may see."""
         return Question(self.question_id, self.sequence, self.question, self.choices, self.answer_mode)
 
 
 def read_question_rows(store: Store) -> list[QuestionRow]:
-    """Read the public questions, in the order of the file.
+    """Read the public columns of all questions.
+
+    Args:
+        store: Store with questions.
+
+    Returns:
+        The rows in the order of the file.
 
     Raises:
-        StoreError: The store has no questions, or their columns or values are wrong.
+        StoreError: If the store has no questions, or the file has wrong columns or values.
     """
     rows = _public_rows(store, "questions", HIDDEN)
     ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
@@ -51,13 +57,23 @@ def read_question_rows(store: Store) -> list[QuestionRow]:
 
 
 def read_sequences(store: Store) -> dict[str, SequenceInfo]:
-    """Return the public facts of each sequence by name. Raises StoreError if the file is missing or broken."""
+    """Read `sequences.parquet`, and return its rows by the name of the sequence.
+
+    Args:
+        store: Store with questions.
+
+    Returns:
+        Each sequence with the frames that can be observed, by name.
+
+    Raises:
+        StoreError: If the file is missing or broken.
+    """
     rows = _public_rows(store, "sequences")
     return {row["sequence"]: SequenceInfo(**{**row, "frames": tuple(row["frames"])}) for row in rows}
 
 
 def _public_rows(store: Store, name: str, optional: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Return the rows of a public table without nulls. The table may lack the optional columns of its schema."""
+    """Return the rows of a public table as dictionaries. The table may lack the columns in `optional`."""
     table = store.questions(name)
     present = set(table.column_names)
     schema = pa.schema([field for field in QUESTIONS[name] if field.name in present or field.name not in optional])
@@ -69,30 +85,33 @@ def _public_rows(store: Store, name: str, optional: Sequence[str] = ()) -> list[
 
 
 def sequences_of_questions(store: Store) -> dict[str, str]:
-    """Return the sequence of each question by question id. Raises StoreError if there are no questions."""
+    """Return the name of each question's sequence by question id. Raises StoreError if the store has no questions."""
     table = store.questions("questions", ["question_id", "sequence"])
-    # With a dictionary, all questions of a sequence share one string.
+    # With a dictionary column, all questions of a sequence share one string in memory.
     encoded = table["sequence"].combine_chunks().dictionary_encode()
     names, ids = encoded.dictionary.to_pylist(), table["question_id"].to_pylist()
     return {question: names[index] for question, index in zip(ids, encoded.indices.to_pylist(), strict=True)}
 
 
 def sort_by_sequence(questions: pa.Table) -> pa.Table:
-    """Return rows with the columns `sequence` and `question_id` in the order of the tables of runs."""
+    """Sort rows by the columns `sequence` and `question_id`, which is the order of all tables of runs."""
     return questions.sort_by([("sequence", "ascending"), ("question_id", "ascending")])
 
 
 def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
-    """Cast a table to a schema, and drop all other columns.
+    """Return a table with exactly the columns and types of a schema. Other columns are dropped.
 
     Args:
         table: Table that was read from `path`.
         schema: Schema of the result.
-        path: File to name in the message.
-        command: Command to repeat, for the message.
+        path: File that the error message names.
+        command: Command that the error message advises to run again.
+
+    Returns:
+        The table under the schema.
 
     Raises:
-        StoreError: A column is missing or of another type.
+        StoreError: If a column is missing or cannot be cast to the type in the schema.
     """
     missing = set(schema.names) - set(table.column_names)
     if missing:
@@ -104,11 +123,18 @@ def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> 
 
 
 def read_loaded_sequence(store: Store, name: str) -> SequenceInfo:
-    """Return the facts of a loaded sequence, with the frames that have a panorama.
+    """Return a loaded sequence, with the frames that have a panorama. The store needs no questions.
+
+    Args:
+        store: Loaded store.
+        name: Name of the sequence.
+
+    Returns:
+        The sequence with its frames in ascending order.
 
     Raises:
-        StoreError: Nothing is loaded.
-        ObserveError: The store has no sequence of this name.
+        StoreError: If nothing is loaded.
+        ObserveError: If the store has no sequence of this name.
     """
     names = sorted(store.manifest().sequences)
     if name not in names:

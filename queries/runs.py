@@ -14,13 +14,18 @@ from jrdb_avr.schema.errors import StoreError, did_you_mean
 class RunManifest(msgspec.Struct, frozen=True):
     """Content of `run.json`.
 
-    - `questions_sha256`: hash of the file of questions; `question_ids`: the questions of the run.
-    - `synthetic`: true for the simulated model and for sample worlds; every table marks the scores of such a run.
-    - `settings`: other settings of the run (budget, sampling, box convention), as plain JSON.
-    - `created`: time in ISO 8601.
-    - `selection`: the `QuestionSelection` as plain JSON, empty if the run has all questions.
-    - `world`: number of statements that read (`reads`) and wrote (`writes`) the world model. A resumed run adds to the
-      numbers. Sessions that were killed are not counted.
+    Attributes:
+        run_id: Id of the run, which is also the name of its folder.
+        method: Name of the method.
+        model: Id of the model at its server.
+        questions_sha256: Hash of the store's file of questions when the run began.
+        question_ids: Ids of the questions of the run.
+        synthetic: Whether the run used the simulated model or a sample world. All score tables mark such runs.
+        settings: Other settings of the run, such as the budget, the sampling and the box convention, as plain JSON.
+        created: Time when the run began, in ISO 8601.
+        selection: The `QuestionSelection` as plain JSON, empty if the run has all questions.
+        world: Number of statements that read (`reads`) and wrote (`writes`) the world model. A resumed run adds its
+            statements. The statements of a killed session are not counted.
     """
 
     run_id: str
@@ -36,7 +41,7 @@ class RunManifest(msgspec.Struct, frozen=True):
 
 
 def questions_hash(store: Store) -> str:
-    """Return the sha256 of the file of questions, in hex. Raises StoreError if there are no questions."""
+    """Return the sha256 of the store's file of questions, in hex. Raises StoreError if the store has no questions."""
     path = store.question_path("questions")
     try:
         return file_hash(path)
@@ -47,12 +52,23 @@ def questions_hash(store: Store) -> str:
 
 
 def write_run_manifest(store: Store, manifest: RunManifest) -> None:
-    """Write `run.json` atomically."""
+    """Write the manifest of a run to `run.json` atomically. Raises StoreError if the file cannot be written."""
     write_json(store.run_path(manifest.run_id) / "run.json", manifest)
 
 
 def read_run_manifest(store: Store, run_id: str) -> RunManifest:
-    """Read `run.json`. Raises StoreError if the run is missing, or its manifest is broken or names another run."""
+    """Read the manifest of a run.
+
+    Args:
+        store: Store with the run.
+        run_id: Id of the run.
+
+    Returns:
+        The content of `run.json`.
+
+    Raises:
+        StoreError: If the run does not exist, or its `run.json` is broken or belongs to another run.
+    """
     path = store.run_path(run_id) / "run.json"
     try:
         manifest = msgspec.json.decode(path.read_bytes(), type=RunManifest)
@@ -61,7 +77,7 @@ def read_run_manifest(store: Store, run_id: str) -> RunManifest:
     except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
         raise StoreError(f"cannot read {path}: {error}; evaluate again under another run id") from None
     if manifest.run_id != run_id:
-        # In a copied or renamed folder, scores would be reported as those of the other run.
+        # The folder was copied or renamed. Reports would list its scores under the id of the other run.
         raise StoreError(f"{path} is of run {manifest.run_id!r}: give the folder that name, or take it out of runs/")
     return manifest
 

@@ -1,8 +1,8 @@
 """Read-only SQL over the Parquet files of a store, with DuckDB and one view per table.
 
-The views are `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `runs`, the tables of all runs, and
-the joins in `JOINED`. The view of a table that has not been written yet is empty. Statements can open only the files of
-the views.
+The views are `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `runs`, the tables of runs (each
+with the rows of all runs), and the joins in `JOINED`. If a table has not been written yet, its view is empty. A
+statement can open only the files behind these views.
 """
 
 from __future__ import annotations
@@ -28,24 +28,31 @@ JOINED: Final[dict[str, str]] = {
         " LEFT JOIN annotations_poses p USING (sequence, frame, track)"
     )
 }
-"""Views that join tables. The graph holds no key points (51 numbers per person and frame), because they would be two
-thirds of its file; this view joins them to the sightings."""
+"""Statements of the views that join two tables, by the name of the view.
+
+`sightings_keypoints` adds the key points to the sightings. The graph does not contain key points, because 51 numbers
+per person and frame would take two thirds of its file.
+"""
 
 
 _RUN_COLUMNS: Final = ", ".join(f"{name}: '{'BOOL' if name == 'synthetic' else 'TEXT'}'" for name in RUNS["runs"].names)
 
 
 def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
-    """Yield the name, the schema and the sorted files of each view.
+    """Yield each view of a store's tables with its files.
 
-    The manifest lists the files of annotations and intervals, so that a missing file is an error instead of fewer rows.
+    The files of annotations and intervals are taken from the manifest. So a missing file is an error, instead of a view
+    with fewer rows.
 
     Args:
         folder: Folder of the store.
-        runs: Ids of the runs to include; None includes all.
+        runs: Ids of the runs to include; None for all runs.
+
+    Yields:
+        The name of the view, its schema, and its files in alphabetical order.
 
     Raises:
-        StoreError: The manifest is broken, or the questions are of an older version.
+        StoreError: If the manifest is broken or has another version.
     """
     listed: dict[Path, list[Path]] = {}
     if loaded := (folder / MANIFEST_NAME).exists():
@@ -71,18 +78,21 @@ def query_tables(
     timeout_s: float = _TIMEOUT_S,
     tables: Mapping[str, pa.Table] | None = None,
 ) -> pa.Table:
-    """Run one SELECT over the views of a store.
+    """Run one SELECT statement over the views of a store.
 
     Args:
         folder: Folder of the store.
-        sql: Statement; `$name` is the value of `name` in `params`.
-        params: Values of parameters.
-        timeout_s: Seconds after which the statement is stopped.
-        tables: Further tables, as in `open_tables`.
+        sql: Statement. `$name` stands for the value of the parameter `name`.
+        params: Values of the parameters, by name.
+        timeout_s: Maximum time in seconds, after which the statement is stopped.
+        tables: Tables in memory that the statement can read too, by name. A table replaces the view of the same name.
+
+    Returns:
+        The rows that the statement selects.
 
     Raises:
-        StoreError: The folder is not a store.
-        QueryError: The statement is refused, fails or takes too long.
+        StoreError: If the folder does not exist, or its manifest is broken.
+        QueryError: If the statement is not a SELECT, fails, or takes longer than `timeout_s`.
     """
     with open_tables(folder, tables) as select:
         return select(sql, params, timeout_s)
@@ -90,18 +100,21 @@ def query_tables(
 
 @contextlib.contextmanager
 def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> Iterator[Callable[..., pa.Table]]:
-    """Yield a function that runs SELECTs over the views of a store, which takes longer to set up than most statements.
+    """Create the views of a store once, and yield a function that runs several SELECT statements over them.
+
+    To create the views takes longer than most statements.
 
     Args:
         folder: Folder of the store.
-        tables: Tables that are added to the views, or replace views of the same name. If `scores` is among them, the
-            views of runs hold only its runs.
+        tables: Tables in memory that statements can read too, by name. A table replaces the view of the same name. If a
+            table is called `scores`, the views of runs have only the runs in this table.
 
     Yields:
-        A function of a statement, its parameters and its timeout, which raises QueryError as `query_tables` does.
+        A function that runs one statement. Its arguments `sql`, `params` and `timeout_s`, its result and its QueryError
+        are those of `query_tables`.
 
     Raises:
-        StoreError: The folder is not a store.
+        StoreError: If the folder does not exist, or its manifest is broken.
     """
     import duckdb
 
@@ -122,8 +135,8 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
             try:
                 statements = connection.extract_statements(sql)
                 if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
-                    raise QueryError("only one SELECT statement is allowed, which cannot write, load or attach")
-                # A relation gives Arrow without a second copy of the rows.
+                    raise QueryError("only one SELECT is allowed: statements that write, load or attach are refused")
+                # A relation converts its rows to Arrow without a second copy.
                 values = {name: unwrap_scalar(value) for name, value in (params or {}).items()}
                 return connection.sql(sql, params=values or None).to_arrow_table()
             except duckdb.InterruptException:
@@ -136,14 +149,14 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
                 raise QueryError(message if len(message) <= 300 else message[:297] + "...") from None
             finally:
                 timer.cancel()
-                # The engine reports a leak if a thread holds the connection when the program ends.
+                # DuckDB reports a leak if the timer's thread still holds the connection when the program ends.
                 timer.join()
 
         yield select
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
-    """Make all views. Return the reason for each view that cannot be made, so that the other views stay usable."""
+    """Create all views. Return the reason for each view that cannot be created, by name; all other views are usable."""
     import duckdb
 
     broken: dict[str, str] = {}
@@ -173,14 +186,14 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
         if reason := next((reason for table, reason in broken.items() if table in query), ""):
             broken[name] = reason
         else:
-            # The join fails if the Parquet files have other columns.
+            # The join fails if a Parquet file lacks one of the columns.
             make(name, query, f"cannot make {name}")
     connection.execute(f"SET allowed_paths = [{', '.join(allowed)}]")
     return broken
 
 
 def _lock_down(connection: Any) -> None:
-    """Disable access to other files, to extensions and to Python objects, and lock these settings."""
+    """Stop statements from reading other files, loading extensions and reading Python objects. Lock these settings."""
     for setting in (
         "python_enable_replacements = false",
         "autoinstall_known_extensions = false",

@@ -1,4 +1,4 @@
-"""Texts of the Cypher and SQL statements in the files below this folder."""
+"""Reader of the files below this folder that contain Cypher and SQL statements."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from importlib.resources import files
 
 @cache
 def read_statement(path: str) -> str:
-    """Return the text of a file below `queries/`, such as `reads/scene/value.cypher`."""
+    """Return the text of a statement file. `path` is relative to `queries/`, such as `reads/scene/value.cypher`."""
     return files("jrdb_avr.queries").joinpath(path).read_text("utf-8")

@@ -1,14 +1,14 @@
-"""The store on disk: its folders, and its Parquet tables.
+"""The store on disk: its folders and its Parquet tables.
 
     STORE/
       annotations/<layer>/<sequence>.parquet    the label files as tables
       intervals/<kind>/<sequence>.parquet       intervals derived from them
-      store.json                                the manifest, written last
-      graph.kuzu                                an index over the intervals, rebuildable
+      store.json                                the manifest, which `load` writes last
+      graph.kuzu                                a graph of the intervals, which can be built again from them
       questions/*.parquet                       questions, and the private tables with answers and evidence
-      runs/<run_id>/
+      runs/<run_id>/                            manifest and tables of a run
 
-Files are written atomically (`queries/files.py`), so that a reader sees the old file or the new one.
+Files are written atomically (`queries/files.py`), so that a reader sees either the old file or the new file.
 """
 
 from __future__ import annotations
@@ -43,30 +43,30 @@ from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.tables import ANNOTATIONS, GENERATION_KEY, INTERVALS, QUESTIONS, RUNS
 
 ROW_GROUP: Final = 1 << 18
-"""Maximum number of rows in a row group."""
+"""Maximum number of rows in a row group of a Parquet file."""
 
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 def is_plain_name(name: str) -> bool:
-    """Return whether a name is safe as the name of a file: letters, digits, '.', '-' and '_', but no '..'."""
+    """Return whether a name is safe as a file name: up to 100 letters, digits, '.', '-' and '_', without '..'."""
     return bool(_PLAIN_NAME.fullmatch(name)) and ".." not in name
 
 
 def safe_sequence(name: str) -> str:
-    """Return the name of a sequence if it is safe as the name of a file. Raises InputError otherwise."""
+    """Return the given name of a sequence. Raises InputError if it is not safe as a file name."""
     if not is_plain_name(name):
         raise InputError(f"{name!r} cannot be a sequence name: use letters, digits, '.', '_' and '-'", field="sequence")
     return name
 
 
 def write_json(path: Path, value: msgspec.Struct) -> None:
-    """Write a record atomically as indented JSON with sorted keys. Raises StoreError if the disk refuses."""
+    """Write a record atomically as indented JSON with sorted keys. Raises StoreError if the file cannot be written."""
     write_bytes(path, msgspec.json.format(msgspec.json.encode(value, order="sorted"), indent=1))
 
 
 class Store(Displayed):
-    """Store in a folder. The constructor checks nothing; `manifest()` raises StoreError if nothing has been loaded."""
+    """Store in a folder. The constructor checks nothing; `manifest()` raises StoreError if nothing is loaded."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -84,19 +84,19 @@ class Store(Displayed):
         return self.path / STORE_GRAPH
 
     def annotation_path(self, layer: str, sequence: str) -> Path:
-        """Return the path of an annotation table."""
+        """Return the path of the annotation table of a layer and a sequence."""
         return self.path / "annotations" / layer / f"{safe_sequence(sequence)}.parquet"
 
     def interval_path(self, kind: str, sequence: str) -> Path:
-        """Return the path of an interval table."""
+        """Return the path of the interval table of a kind of facts and a sequence."""
         return self.path / "intervals" / kind / f"{safe_sequence(sequence)}.parquet"
 
     def question_path(self, table: str) -> Path:
-        """Return the path of a table of `questions/`."""
+        """Return the path of a table in `questions/`."""
         return self.path / "questions" / f"{table}.parquet"
 
     def run_path(self, run_id: str) -> Path:
-        """Return the folder of a run. Raises InputError if the id is not safe as the name of a file."""
+        """Return the path of a run's folder. Raises InputError if the id is not safe as a file name."""
         if not is_plain_name(run_id):
             raise InputError(
                 f"{run_id[:120]!r} cannot be a run id: use up to 100 letters, digits, '.', '_' and '-'", field="run_id"
@@ -106,15 +106,15 @@ class Store(Displayed):
     # -- tables -----------------------------------------------------------------------------------------------
 
     def write_annotation(self, layer: str, sequence: str, table: pa.Table) -> str:
-        """Write an annotation table, and return the sha256 of the file."""
+        """Write the annotation table of a layer and a sequence, and return the sha256 of the file."""
         return write_table(self.annotation_path(layer, sequence), table, ANNOTATIONS[layer])
 
     def write_interval(self, kind: str, sequence: str, table: pa.Table) -> str:
-        """Write an interval table, and return the sha256 of the file."""
+        """Write the interval table of a kind of facts and a sequence, and return the sha256 of the file."""
         return write_table(self.interval_path(kind, sequence), table, INTERVALS[kind])
 
     def write_questions(self, name: str, table: pa.Table, metadata: dict[str, str]) -> str:
-        """Write a table of `questions/`, and return the sha256 of the file."""
+        """Write a table in `questions/`, and return the sha256 of the file."""
         return write_table(self.question_path(name), table, QUESTIONS[name], metadata)
 
     def write_run(self, run_id: str, name: str, table: pa.Table) -> str:
@@ -122,21 +122,21 @@ class Store(Displayed):
         return write_table(self.run_path(run_id) / f"{name}.parquet", table, RUNS[name])
 
     def annotation(self, layer: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read an annotation table, or some of its columns. Raises StoreError if it is missing or broken."""
+        """Read an annotation table, or only some columns. Raises StoreError if the file is missing or broken."""
         return read_table(self.annotation_path(layer, sequence), columns)
 
     def interval(self, kind: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read an interval table, or some of its columns. Raises StoreError if it is missing or broken."""
+        """Read an interval table, or only some columns. Raises StoreError if the file is missing or broken."""
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the written labels of one kind (`LABELED`) and, as rows that are not certain, the unwritten facts."""
+        """Return the rows of `intervals_<kind>`, then `intervals_possible_<kind>` with `certain` false in each row."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
 
     def questions(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read a table of `questions/`, or some of its columns. Raises StoreError if it is missing or broken."""
+        """Read a table in `questions/`, or only some columns. Raises StoreError if the file is missing or broken."""
         path = self.question_path(name)
         if not path.exists():
             self.manifest()  # If nothing is loaded, this error is more useful.
@@ -144,10 +144,14 @@ class Store(Displayed):
         return read_table(path, columns)
 
     def question_tables(self, *names: str, columns: Mapping[str, Sequence[str]] | None = None) -> list[pa.Table]:
-        """Read tables of `questions/`, or those `columns` of them, that one `generate` wrote.
+        """Read several tables in `questions/`, and check that the same run of `generate` wrote them.
+
+        Args:
+            names: Names of the tables.
+            columns: Columns to read, by the name of the table. All columns of other tables are read.
 
         Raises:
-            StoreError: A table is missing or broken, or several runs of `generate` wrote them.
+            StoreError: If a table is missing or broken, or the tables come from different runs of `generate`.
         """
         tables = [self.questions(name, (columns or {}).get(name)) for name in names]
         if len({(table.schema.metadata or {}).get(GENERATION_KEY.encode()) for table in tables}) > 1:
@@ -158,9 +162,9 @@ class Store(Displayed):
         return tables
 
     def training_set(self) -> dict[str, str]:
-        """Return the record of a training set, or an empty dictionary if the questions are a benchmark.
+        """Return how a training set was made, or an empty dictionary if the questions are a benchmark.
 
-        `disjoint_from` is the generation of the questions that the training set is disjoint from. Raises StoreError if
+        `disjoint_from` is the generation of the held-out questions that the training set avoids. Raises StoreError if
         the file of questions is missing or broken.
         """
         metadata = self.questions("questions", []).schema.metadata or {}
@@ -168,7 +172,7 @@ class Store(Displayed):
         return {key: metadata[key.encode()].decode() for key in keys if key.encode() in metadata}
 
     def warn_of_training(self) -> None:
-        """Warn by an AvrWarning if the questions are a training set."""
+        """Issue an AvrWarning if the questions are a training set."""
         if record := self.training_set():
             apart = f", disjoint from generation {record[DISJOINT_KEY][:12]}" if record.get(DISJOINT_KEY) else ""
             line = f"{self.path} holds a training set (profile {record[PROFILE_KEY]}{apart}), not a benchmark"
@@ -182,16 +186,16 @@ class Store(Displayed):
     # -- the manifest -----------------------------------------------------------------------------------------
 
     def manifest(self) -> Manifest:
-        """Read the manifest. Raises StoreError if nothing is loaded, or the manifest is broken."""
+        """Read the manifest. Raises StoreError if nothing is loaded or the manifest is broken."""
         return read_manifest(self.path)
 
     def relative(self, folder: str) -> str:
-        """Return the path from the store to a folder inside it; return any other folder as it is."""
+        """Return the path of a folder relative to the store if the folder is inside it, or else the given path."""
         root = self.path.resolve()
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
     def without_occlusion(self) -> list[str]:
-        """Return the sequences with 2D boxes but no occlusion attributes. There every box counts as a clear view."""
+        """Return the sequences with 2D boxes that all lack occlusion attributes. Their boxes count as clear views."""
         return [
             name
             for name in sorted(self.manifest().sequences)
@@ -200,43 +204,52 @@ class Store(Displayed):
         ]
 
     def write_manifest(self, manifest: Manifest) -> None:
-        """Write the manifest, which makes the folder a store. Raises StoreError if the disk refuses."""
+        """Write the manifest, which makes the folder a store. Raises StoreError if the file cannot be written."""
         write_json(self.path / MANIFEST_NAME, manifest)
 
     # -- queries ----------------------------------------------------------------------------------------------
 
     def cypher(self, query: str, /, **params: Any) -> pa.Table:
-        """Query the scene graph.
+        """Run a Cypher statement on the graph.
 
             store.cypher("who_is_where", sequence="gates-ai-lab-2019-02-08_0", seconds=10).to_pandas()
 
         Args:
-            query: One reading statement, or the name of a query in `queries/explore/`.
-            params: Values of parameters.
+            query: One statement that only reads, or the name of a query (`jrdb-avr cypher --list`).
+            params: Values of the parameters.
+
+        Returns:
+            The rows that the statement returns.
 
         Raises:
-            QueryError: The statement is refused or fails.
-            StoreError: The store has no graph.
+            QueryError: If the statement is refused or fails.
+            StoreError: If the graph is missing or damaged.
         """
         return self.query("cypher", query, params)
 
     def sql(self, query: str, /, **params: Any) -> pa.Table:
-        """Query the Parquet tables.
+        """Run a SQL statement on the Parquet tables.
 
         Args:
-            query: One SELECT over the views of `queries/sql.py`, or the name of a query in `queries/results/`.
-            params: Values of parameters.
+            query: One SELECT over the tables of docs/tables.md, or the name of a query (`jrdb-avr sql --list`).
+            params: Values of the parameters.
+
+        Returns:
+            The rows that the statement selects.
 
         Raises:
-            QueryError: The statement is refused or fails.
-            StoreError: The folder is not a store.
+            QueryError: If the statement is refused or fails.
+            StoreError: If the folder does not exist, or its manifest is broken.
         """
         return self.query("sql", query, params)
 
     def query(
         self, language: Literal["cypher", "sql"], query: str, params: Mapping[str, Any], timeout_s: float = 60.0
     ) -> pa.Table:
-        """Run a statement or a named query, as `cypher` and `sql` do, within `timeout_s` seconds."""
+        """Run a statement or a named query, as `cypher` and `sql` do, and return its rows.
+
+        The statement is stopped after `timeout_s` seconds. Then, or if it is refused or fails, QueryError is raised.
+        """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
             return query_tables(self.path, statement, values, timeout_s=timeout_s)
@@ -248,9 +261,9 @@ class Store(Displayed):
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
 
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
-        """Return the parameters of a statement over the keyframe layer, with a range of ids in place of `sequence`.
+        """Return the parameters of a statement about the keyframe layer: a range of node ids replaces `sequence`.
 
-        Raises StoreError if the graph has no such layer, or a layer of other rules than the questions.
+        Raises StoreError if the graph lacks this layer, or made it under other rules than those of the questions.
         """
         try:
             rows = query_graph(self.graph_path, STAMP).to_pylist()
@@ -302,11 +315,14 @@ class Store(Displayed):
 
     @contextlib.contextmanager
     def writing(self, what: str) -> Iterator[None]:
-        """Hold the writer lock of the store inside a `with` block; `what` names the command to other processes.
+        """Hold the writer lock of the store inside a `with` block, so that only one process writes.
+
+        Args:
+            what: Name of the command, which error messages of other processes show.
 
         Raises:
-            LockedError: Another process holds the lock.
-            StoreError: The folder cannot be written.
+            LockedError: If another process holds the lock.
+            StoreError: If the folder cannot be written.
         """
         lock = self.path / ".writing"
         try:
@@ -328,22 +344,22 @@ class Store(Displayed):
 
 
 def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:
-    """Write the columns of a schema to a Parquet file atomically.
+    """Write a table to a Parquet file atomically. Columns that the schema lacks are left out.
 
-    Dictionary columns are written as dictionaries, in half the time, and are read as plain texts. Equal tables with
-    equal dictionaries give equal bytes.
+    Dictionary columns are written as dictionaries, because that takes half the time. Readers get plain texts. Equal
+    tables with equal dictionaries give equal bytes.
 
     Args:
         path: File to write.
         table: Table with all columns of the schema, in any order.
-        schema: Schema of the file.
-        metadata: Key-value metadata of the file.
+        schema: Schema that readers of the file see.
+        metadata: Texts by key, to be stored in the file.
 
     Returns:
         The sha256 of the file, in hex.
 
     Raises:
-        StoreError: The disk refuses.
+        StoreError: If the file cannot be written.
     """
     table = table.select(schema.names)
     groups = (table.slice(start, ROW_GROUP) for start in range(0, table.num_rows, ROW_GROUP))
@@ -353,12 +369,15 @@ def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[s
 def write_groups(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, metadata: dict[str, str] | None = None
 ) -> str:
-    """Write tables as the row groups of one file, as `write_table` does. Only one table is in memory at a time."""
+    """Write tables to one file, as `write_table` does for one table. Return the sha256 of the file, in hex.
+
+    Each table becomes a row group of the file. Only one table is in memory at a time.
+    """
     return _write(path, groups, schema, schema, metadata)
 
 
 def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
-    """Return the schema with the dictionary types of a table's columns in place of their plain types."""
+    """Return the schema, with a dictionary type for each column that is a dictionary column in the table."""
     kinds = [(field, table.schema.field(field.name).type) for field in schema]
     return pa.schema([field.with_type(kind) if pa.types.is_dictionary(kind) else field for field, kind in kinds])
 
@@ -366,8 +385,8 @@ def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
 def _write(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
 ) -> str:
-    """Write row groups with the column types of `kinds` to a file that readers see with the types of `schema`."""
-    # Readers take the types from this entry. Without it they would return dictionary columns.
+    """Write row groups with the column types of `kinds` to a file that readers see under `schema`."""
+    # Readers take the column types from this entry. Without it, they would return dictionary columns.
     read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
 
     def write(temporary: Path) -> None:
@@ -383,7 +402,7 @@ def _write(
 def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
     """Return the options of the Parquet writer.
 
-    Disable dictionary encoding for floats and min/max statistics for strings: neither is used, and both together cost
+    They disable dictionaries for floats and min/max statistics for strings. Readers use neither, and both together cost
     20 % of the time to write.
     """
     measured = [field.name for field in schema if pa.types.is_floating(field.type) or pa.types.is_nested(field.type)]
@@ -395,18 +414,19 @@ def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
 
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a Parquet table, or some of its columns. Raises StoreError if the file is missing or broken."""
+    """Read a Parquet table, or only some columns. Raises StoreError if the file or a column is missing or broken."""
     with _parquet(path) as file:
-        # The reader would silently omit columns that the file does not have.
+        # Without this check, the result would lack such a column, and the error would appear later.
         if lacking := set(columns or ()) - set(file.schema_arrow.names):
             raise pa.ArrowKeyError(f"it lacks the column {min(lacking)}")
         return file.read(columns)
 
 
 def read_rows(path: Path, column: str, value: str) -> pa.Table:
-    """Read the rows of a Parquet table that have a value in a column.
+    """Read those rows of a Parquet table that have a given value in a column.
 
-    Of row groups without the value, only that column is read. Raises StoreError if the file is missing or broken.
+    If a row group does not have the value, the other columns of the group are not read. Raises StoreError if the file
+    is missing or broken.
     """
     with _parquet(path) as file:
         parts = [file.schema_arrow.empty_table()]

@@ -1,8 +1,8 @@
-"""Functions that run in other processes: one for each sequence, on this machine or on a Ray cluster, or one alone.
+"""Calls of functions in other processes, on this machine or on a Ray cluster.
 
-The function and its arguments must be importable and picklable; only plain data travels between these processes.
-The machines of a cluster must see the store and the label files under the same paths. Ray is an extra:
-`pip install 'jrdb-avr[ray]'`.
+The other process imports the function by its name, and gets the pickled arguments. So pass functions of modules and
+plain data only. The machines of a cluster must see the store and the label files under the same paths. Ray is an
+optional dependency: `pip install 'jrdb-avr[ray]'`.
 """
 
 from __future__ import annotations
@@ -28,40 +28,41 @@ R = TypeVar("R")
 Executor = int | str
 """Number of local processes, or the address of a Ray cluster: "ray" or "ray://HOST:PORT".
 
-"ray" is the cluster that the environment variable RAY_ADDRESS names. Without it, Ray starts one on this machine.
+"ray" means the cluster that the environment variable RAY_ADDRESS names. If the variable is not set, Ray starts a
+cluster on this machine.
 """
 
 RETRIES: Final = 3
-"""Maximum number of times that a sequence is given to another Ray worker after its worker died."""
+"""Maximum number of times that Ray runs a sequence again after the death of a worker."""
 
 _CONTEXT: Final = multiprocessing.get_context("spawn")
-"""Start method of processes. They are not forked, because the threads of the graph engine do not survive a fork."""
+"""Start method of new processes. They are spawned, because the threads of the graph engine do not survive a fork."""
 
 is_worker = False
-"""True in a process that this module started, which ends after its work."""
+"""True if this process was started by this module, so that it ends after its work."""
 
 
 def map_sequences(
     function: Callable[[A], R], sequences: Sequence[A], executor: Executor, weight: Callable[[A], float]
 ) -> Iterator[tuple[int, R]]:
-    """Call a function for each sequence, and yield (index, result) pairs in order of completion.
+    """Call a function once for each sequence, and yield the results as soon as they are complete.
 
-    If the Ray worker of a sequence dies, the sequence is run again. So the function must write files whole
-    (`write_atomic`), or return its results.
+    If a Ray worker dies, its sequence is run again. So the function must either write its files atomically
+    (`write_atomic`) or only return results.
 
     Args:
-        function: Function of one sequence; the errors it raises are raised here.
-        sequences: Arguments of the calls.
+        function: Function that is called with one item of `sequences`. An exception of the function is raised here.
+        sequences: Items, one for each sequence.
         executor: Number of local processes, or the address of a Ray cluster.
-        weight: Function that returns the scheduling weight of a sequence; heavier sequences start first, because three
-            sequences hold over half of all boxes.
+        weight: Function that returns the amount of work for an item. Items with more work start first, because three
+            sequences have over half of all boxes.
 
     Returns:
-        An iterator with one pair for each sequence.
+        An iterator over pairs: the index of an item in `sequences`, and the result for this item.
 
     Raises:
-        StoreError: A local worker died, or the Ray workers of one sequence died more than `RETRIES` times.
-        InputError: Ray is not installed, or no cluster answers at the address.
+        StoreError: If a local process died, or Ray workers died more than `RETRIES` times on one sequence.
+        InputError: If Ray is not installed, or there is no cluster at the address.
     """
     order = sorted(range(len(sequences)), key=lambda i: (-weight(sequences[i]), i))
     if isinstance(executor, str):
@@ -77,8 +78,8 @@ def _map_in_processes(
     size = min(workers, len(sequences))
     with ProcessPoolExecutor(size, mp_context=_CONTEXT, initializer=end_with_parent) as pool:
         futures = {pool.submit(function, sequences[i]): i for i in order}
-        # ProcessPoolExecutor starts to monitor a worker only at the next submit(). Without this call the last worker
-        # could die unnoticed while it holds the lock of the queue, and the others would wait forever.
+        # ProcessPoolExecutor starts to monitor a worker only at the next submit(). Without this call, the last worker
+        # could die unnoticed while it holds the lock of the queue, so that the other workers would wait forever.
         pool.submit(int)
         try:
             for future in as_completed(futures):
@@ -110,7 +111,7 @@ def _map_on_ray(
 
 
 def _call_in_folder(folder: str, function: Callable[[A], R], sequence: A) -> R:
-    # Paths in the argument may be relative to the folder of the command. Absolute ones do not need it to exist here.
+    # Paths in the argument may be relative to the folder of the command. If it does not exist here, they are absolute.
     with contextlib.suppress(OSError):
         os.chdir(folder)
     return function(sequence)
@@ -118,8 +119,8 @@ def _call_in_folder(folder: str, function: Callable[[A], R], sequence: A) -> R:
 
 @contextlib.contextmanager
 def _connect(address: str) -> Iterator[Any]:
-    """Yield the module `ray`, connected to a cluster. Disconnect afterwards, unless it was connected before."""
-    # Ray reports usage statistics to its makers by default.
+    """Yield the module `ray`, connected to a cluster. Disconnect at the end, unless it was already connected."""
+    # By default, Ray sends usage statistics to its developers.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray
@@ -131,7 +132,7 @@ def _connect(address: str) -> Iterator[Any]:
     try:
         ray.init(address=None if address == "ray" else address, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
-        # Ray starts a cluster with a token if the user has one, but joins such a cluster only if it is told to.
+        # If the user has a token, Ray starts clusters with it. Ray joins such a cluster only in the mode "token".
         reason = str(error).splitlines()[0].rstrip(".")
         raise InputError(
             f"no Ray cluster answers at {address}: {reason}; if the cluster has a token, set RAY_AUTH_MODE=token",
@@ -144,16 +145,16 @@ def _connect(address: str) -> Iterator[Any]:
 
 
 def run_alone(function: Callable[[], R]) -> R:
-    """Call a function in a new process, so that a crash of the graph engine ends only that process.
+    """Call a function in a new process, so that a crash of the graph engine ends only the new process.
 
     Args:
-        function: Function without arguments; the errors it raises are raised here.
+        function: Function without arguments. An exception of the function is raised here.
 
     Returns:
         The result of the function.
 
     Raises:
-        BrokenProcessPool: The process died.
+        BrokenProcessPool: If the process died.
     """
     with ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=_become_quiet_worker) as pool:
         return pool.submit(function).result()
@@ -161,16 +162,16 @@ def run_alone(function: Callable[[], R]) -> R:
 
 def _become_quiet_worker() -> None:
     end_with_parent()
-    # The engine writes to stderr when it crashes; the caller reports that in one line.
+    # When the engine crashes, it writes to stderr. Drop that text, because the caller reports the crash in one line.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 @contextlib.contextmanager
 def without_collector() -> Iterator[None]:
-    """Disable the collector of reference cycles inside a `with` block.
+    """Disable Python's garbage collector inside a `with` block.
 
-    A sequence is millions of small objects without cycles. The collector's searches would take most of the time of
-    `load`, and a quarter of that of `generate`.
+    A sequence has millions of small objects without reference cycles. The search for cycles would take most of the time
+    of `load`, and a quarter of the time of `generate`.
     """
     enabled = gc.isenabled()
     gc.disable()
@@ -182,9 +183,9 @@ def without_collector() -> Iterator[None]:
 
 
 def end_with_parent() -> None:
-    """Make this process a worker that ends when its parent ends, even if the parent is killed.
+    """Mark this process as a worker, and end it when its parent process ends or is killed.
 
-    An orphan would continue to write into the store.
+    Otherwise a worker without a parent would continue to write into the store.
     """
     global is_worker
     parent = multiprocessing.parent_process()

@@ -29,9 +29,6 @@ LOOK: Final = "Look at a frame in a direction: a picture 46 degrees wide; 180 is
 SUBMIT: Final = "Give the final answer, with one box round the person in the newest picture, in thousandths of it."
 """Description of the tool `submit_answer` for a model; `LOOK` describes `observe`."""
 
-_NO_PICTURE: Final = ImageFrame((), CROP, CROP, 0)
-"""Image frame before the first look, in which every box is refused."""
-
 
 def most_moves(budget: int) -> int:
     """Return the maximum of moves.
@@ -55,7 +52,8 @@ class Remaining(NamedTuple):
 class Episode:
     """The game of one question; each move is a look or an answer. Used by one thread at a time.
 
-    turns: one line per move so far. error: the reason why the last move was malformed, or "".
+    question: the public columns. frames: the frames that can be observed, ascending. answered: whether an answer ended
+    the question. turns: one line per move so far. error: the reason why the last move was malformed, or "".
 
         episode = Episode(task)
         seen = episode.observe(150, 180.0)
@@ -75,25 +73,18 @@ class Episode:
             chat: The model of a method that makes its calls through `attempt`.
         """
         self.attempt = Attempt(task, chat, convention)
+        self.question: Question = task.question
+        self.frames: tuple[int, ...] = task.sequence.frames
         self.budget = budget
+        self.answered = False
         self.turns: list[str] = []
         self.error = ""
-        self._ended = False
         self._kept = ParsedReply()
         self._refused: Mapping[str, Any] | None = None
-        self._newest = _NO_PICTURE
+        # In no picture, every box is refused.
+        self._newest = ImageFrame((), CROP, CROP, 0)
 
     # -- texts of the player ------------------------------------------------------------------------------------------
-
-    @property
-    def question(self) -> Question:
-        """The public columns of the question."""
-        return self.attempt.task.question
-
-    @property
-    def frames(self) -> tuple[int, ...]:
-        """The frames that can be observed, ascending."""
-        return self.attempt.task.sequence.frames
 
     @property
     def prompt(self) -> str:
@@ -109,12 +100,11 @@ class Episode:
         Returns:
             The text.
         """
-        task = self.attempt.task
-        text = mode_text(task.question.answer_mode, task.sequence.frame_count)
+        text = mode_text(self.attempt.task)
         return render(
             "episode_rules",
             turns=render(turns, answer_form=text.form),
-            fps=f"{task.sequence.fps:g}",
+            fps=f"{self.attempt.task.sequence.fps:g}",
             answer_rule=text.rule,
             budget=self.budget,
             calls=most_moves(self.budget),
@@ -123,9 +113,8 @@ class Episode:
     @property
     def text(self) -> str:
         """The question with its choices, the legal frames, and a line of advice."""
-        task = self.attempt.task
-        advice = mode_text(task.question.answer_mode, task.sequence.frame_count).advice
-        return render("episode_task", heading=heading(self.question), frames=frame_ranges(self.frames), advice=advice)
+        frames, advice = frame_ranges(self.frames), mode_text(self.attempt.task).advice
+        return render("episode_task", heading=heading(self.question), frames=frames, advice=advice)
 
     @property
     def answer_schema(self) -> dict[str, Any]:
@@ -135,14 +124,9 @@ class Episode:
     @property
     def left(self) -> Remaining:
         """Looks and moves left; none after the end."""
-        if self._ended:
+        if self.answered:
             return Remaining(0, 0)
         return Remaining(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
-
-    @property
-    def answered(self) -> bool:
-        """Whether an answer ended the question."""
-        return self._ended
 
     @property
     def over(self) -> bool:
@@ -266,7 +250,7 @@ class Episode:
         again, self._refused = move == self._refused, move
         parsed = self.attempt.parse_final(move, self._newest)
         self._kept = parsed.over(self._kept)
-        self._ended = again or not parsed.faults
+        self.answered = again or not parsed.faults
         if parsed.faults:
             raise DecodeError("; ".join(parsed.faults) if self.attempt.looks else "the first turn must look")
         self.turns.append("answer")
@@ -279,6 +263,6 @@ class Episode:
         Returns:
             The prediction.
         """
-        refusal = "" if self._ended else f"no answer was taken within {len(self.turns)} turns"
+        refusal = "" if self.answered else f"no answer was taken within {len(self.turns)} turns"
         prediction = self.attempt.prediction(replace(self._kept, refusal=refusal))
         return replace(prediction, n_model_calls=len(self.turns))

@@ -46,8 +46,7 @@ def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, fa
     Returns:
         The prediction.
     """
-    task = attempt.task
-    text = mode_text(task.question.answer_mode, task.sequence.frame_count)
+    text = mode_text(attempt.task)
     stage = render(prompt, answer_form=text.form, answer_rule=text.rule, frames=frame_list(panoramas))
     kept = ParsedReply()
 
@@ -59,7 +58,7 @@ def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, fa
         return kept
 
     try:
-        schema = decode.closed_object(final_parts(task.question))
+        schema = decode.closed_object(final_parts(attempt.task.question))
         return attempt.prediction(attempt.ask_stage((*panorama_parts(panoramas), *facts), stage, schema, read))
     except DecodeError as error:
         return attempt.prediction(replace(kept, faults=(str(error),)))

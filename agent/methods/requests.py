@@ -17,9 +17,6 @@ from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH
 PANORAMAS: Final = 8
 """Number of panoramas for a method that cannot choose its looks."""
 
-UNIFORM: Final = "evenly spaced by position among the legal ones, first and last included"
-"""The selection of `uniform_frames` in a run's manifest."""
-
 
 def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
     """Select frames that are evenly spaced by position.
@@ -86,11 +83,7 @@ def fixed_settings(n: int) -> dict[str, Any]:
     Returns:
         The settings.
     """
-    return {"panoramas": n, "frames": UNIFORM}
-
-
-IMAGE_SIZES: Final = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
-"""Width and height in pixels of a model's pictures."""
+    return {"panoramas": n, "frames": "evenly spaced by position among the legal ones, first and last included"}
 
 
 def heading(question: Question) -> str:
@@ -149,7 +142,8 @@ def shared_settings(convention: Convention) -> dict[str, Any]:
     Returns:
         The settings.
     """
-    return {"convention": convention.settings(), "image_sizes": IMAGE_SIZES}
+    sizes = {"panorama": [WIDTH, HEIGHT], "crop": [CROP, CROP]}
+    return {"convention": convention.settings(), "image_sizes": sizes}
 
 
 def history_settings(history: int | None) -> dict[str, Any]:

@@ -39,14 +39,16 @@ class SearchRecognize(FixedContextMethod):
         """
         attempt = Attempt(task, self.chat, self.convention)
         panoramas = attempt.panoramas(self.n)
+        stage = render("search_recognize_propose", frames=frame_list(panoramas))
         try:
-            proposal = _propose(attempt, panoramas)
+            proposal = _box(attempt, panorama_parts(panoramas), stage, on_panoramas(panoramas))
         except DecodeError:
             return answer_from(attempt, panoramas, "monolithic")
         # Rounded to a hundredth of a column, because the prompt must not show rounding errors.
         crop = attempt.look(proposal.frame, round(center_angle(proposal.box[0], proposal.box[2]), 3))
+        stage = render("search_recognize_refine", frame_id=crop.frame_id)
         try:
-            refined = _refine(attempt, crop)
+            refined = _box(attempt, _crop_parts(crop), stage, on_crop(crop))
         except DecodeError:
             refined = proposal
         panorama = next(panorama for panorama in panoramas if panorama.frame_index == crop.frame_index)
@@ -54,22 +56,9 @@ class SearchRecognize(FixedContextMethod):
         return attempt.prediction(ParsedReply(answer, refined, faults))
 
 
-def _propose(attempt: Attempt, panoramas: tuple[Panorama, ...]) -> Evidence:
-    """Get the coarse box, in one of the panoramas."""
-    stage = render("search_recognize_propose", frames=frame_list(panoramas))
-    return _box(attempt, panorama_parts(panoramas), stage, on_panoramas(panoramas))
-
-
-def _refine(attempt: Attempt, crop: Observation) -> Evidence:
-    """Get the refined box, in the crop."""
-    stage = render("search_recognize_refine", frame_id=crop.frame_id)
-    return _box(attempt, _crop_parts(crop), stage, on_crop(crop))
-
-
 def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Evidence) -> Answer:
     """Get the answer about the person in the refined box."""
-    question, sequence = attempt.task.question, attempt.task.sequence
-    text = mode_text(question.answer_mode, sequence.frame_count)
+    question, text = attempt.task.question, mode_text(attempt.task)
     box = ", ".join(f"{value:.1f}" for value in refined.box)
     parts: tuple[Part, ...] = (
         *panorama_parts((panorama,)),

@@ -7,6 +7,7 @@ explains the replies and no other reading does nearly as well. No question and n
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import statistics
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ import msgspec
 
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT_KEY, Convention, Order, Reading, Scale
-from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, closed_object, finite, place_box, reply_object
+from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, closed_object, finite, place_box, read_each, reply_object
 from jrdb_avr.agent.model.messages import Message, fingerprint
 from jrdb_avr.agent.model.probes import BOX_LINE, DrawnPicture, drawn_rectangles
 from jrdb_avr.agent.model.prompts import render
@@ -44,8 +45,7 @@ _SAME: Final = 0.9
 _IN_FLIGHT: Final = 8
 
 # The simplest first, because it is chosen among readings that give the same boxes.
-_SCALES: Final[tuple[Scale, ...]] = ("thousandths", "pixels", "unit", "resized")
-_READINGS: Final = tuple(Reading(order, scale) for scale in _SCALES for order in get_args(Order))
+_READINGS: Final = tuple(Reading(order, scale) for scale in get_args(Scale) for order in get_args(Order))
 
 
 class Score(msgspec.Struct, frozen=True):
@@ -120,14 +120,11 @@ def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] 
     """
     pictures = drawn_rectangles(n, SEED)
     requests = [request(drawn) for drawn in pictures]
-
-    def complete(messages: Sequence[Message]) -> Reply:
-        reply = client.complete(messages, BOX_REPLY_SCHEMA)
-        advance(1)
-        return reply
-
+    replies = []
     with ThreadPoolExecutor(_IN_FLIGHT) as pool:
-        replies = list(pool.map(complete, requests))
+        for reply in pool.map(lambda messages: client.complete(messages, BOX_REPLY_SCHEMA), requests):
+            replies.append(reply)
+            advance(1)
     boxes = [_written(reply, drawn, client.convention) for reply, drawn in zip(replies, pictures, strict=True)]
     written = [box for box in boxes if box is not None]
     scores, reason = _judge(written, n, client.convention)
@@ -184,7 +181,7 @@ def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Writ
 class _Tried(NamedTuple):
     """A reading of a key's replies: its boxes, None for a refused one, and its score."""
 
-    boxes: list[Box | None]
+    boxes: tuple[Box | None, ...]
     score: Score
 
     def is_same(self, other: _Tried) -> bool:
@@ -224,14 +221,8 @@ def _best(readings: Sequence[_Tried]) -> tuple[_Tried | None, str]:
 
 
 def _try(written: Sequence[_Written], reading: Reading, convention: Convention) -> _Tried:
-    boxes = [_box(numbers, reading, convention) for numbers in written]
+    convert = functools.partial(place_box, reading=reading, convention=convention)
+    boxes, _ = read_each(*(functools.partial(convert, box.numbers, box.drawn.size) for box in written))
     overlaps = [iou(box, numbers.drawn.box) if box else 0.0 for box, numbers in zip(boxes, written, strict=True)]
     share, median = sum(overlap >= 0.5 for overlap in overlaps) / len(overlaps), round(statistics.median(overlaps), 4)
     return _Tried(boxes, Score(written[0].key, reading.order, reading.scale, len(written), median, share))
-
-
-def _box(written: _Written, reading: Reading, convention: Convention) -> Box | None:
-    try:
-        return place_box(written.numbers, written.drawn.size, reading, convention)
-    except DecodeError:
-        return None

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 from urllib.parse import urljoin
 
 import msgspec
@@ -57,17 +57,9 @@ _LONGER_NAME: Final = "max_completion_tokens"
 """The newer name of `max_tokens`; a server that requires it says so."""
 
 
-class _Fault(NamedTuple):
-    """A kind of failure: its remedy if it stays, and whether the server may recover soon, so that the call waits."""
-
-    remedy: str
-    passing: bool = False
-
-
-_UNREACHABLE: Final = _Fault("start the server or correct --base-url, then run again", passing=True)
-_CROWDED: Final = _Fault("run again when it is less busy, or with a smaller --concurrency", passing=True)
-_LATE: Final = _Fault("run again with a smaller --concurrency or a larger --timeout")
-_BROKEN: Final = _Fault("look into the server's log, then run again")
+_UNREACHABLE: Final = "start the server or correct --base-url, then run again"
+_CROWDED: Final = "run again when it is less busy, or with a smaller --concurrency"
+_LATE: Final = "run again with a smaller --concurrency or a larger --timeout"
 
 
 class Chat(Protocol):
@@ -83,8 +75,12 @@ class _BrokenError(Exception):
     """A failed try that may be repeated; `pause` is the server's Retry-After in seconds."""
 
     reason: str
-    fault: _Fault = _BROKEN
+    remedy: str = "look into the server's log, then run again"
     pause: float | None = None
+
+
+class _PassingError(_BrokenError):
+    """A failure of a server that may recover soon, so that the call waits."""
 
 
 class Client:
@@ -161,16 +157,15 @@ class Client:
                 succeeded either; or the calls have cost the maximum.
         """
         request = self.options.request(self.model, self.convention, schema)
-        digest = ""
-        if self._calls is not None:
-            digest = self._calls.digest({**request, "messages": fingerprint(messages)})
-            cached = self._calls.read(digest)
-            if cached is not None and self._cacheable(cached):
-                self._served.setdefault(cached.model)
-                return cached
-        reply = self._send({**request, "messages": wire(messages)})
-        if self._calls is not None and self._cacheable(reply):
-            self._calls.append(digest, reply)
+        if self._calls is None:
+            return self._send({**request, "messages": wire(messages)})
+        digest = self._calls.digest({**request, "messages": fingerprint(messages)})
+        reply = self._calls.read(digest)
+        if reply is None or not self._cacheable(reply):
+            reply = self._send({**request, "messages": wire(messages)})
+            if self._cacheable(reply):
+                self._calls.append(digest, reply)
+        self._served.setdefault(reply.model)
         return reply
 
     def _cacheable(self, reply: Reply) -> bool:
@@ -222,7 +217,7 @@ class Client:
 
     def _repeat(self, body: bytes, probe: bool) -> Reply:
         """Try a request until it gets a reply, is refused, or has failed too often."""
-        from tenacity import Retrying, retry_if_exception, stop_after_attempt
+        from tenacity import Retrying, retry_if_exception, retry_if_exception_type, stop_after_attempt
 
         retries = _PROBE_RETRIES if probe else self.options.retries
         timeout_s = min(self.options.timeout_s, self._bounds.probe_s) if probe else self.options.timeout_s
@@ -230,28 +225,26 @@ class Client:
         patience_s = 0.0 if not retries else _PAUSE_S[0] if probe else _PATIENCE_S
         replies = self._replies
         waiting = Retrying(
-            retry=retry_if_exception(lambda error: isinstance(error, _BrokenError) and error.fault.passing),
+            retry=retry_if_exception_type(_PassingError),
             stop=lambda state: state.idle_for >= patience_s,
             wait=_pause_s,
             sleep=self._pause,
             reraise=True,
         )
         repeating = waiting.copy(
-            retry=retry_if_exception(lambda error: isinstance(error, _BrokenError) and not error.fault.passing),
+            retry=retry_if_exception(lambda error: type(error) is _BrokenError),
             stop=stop_after_attempt(retries + 1),
         )
         try:
             return repeating(lambda: waiting(self._try, body, timeout_s))
         except _BrokenError as broken:
+            passing = isinstance(broken, _PassingError)
             # If no other call got through meanwhile, the next question would fare no better.
-            kind = RunStoppedError if broken.fault.passing and self._replies == replies else EndpointError
-            tries = (waiting if broken.fault.passing else repeating).statistics["attempt_number"]
+            kind = RunStoppedError if passing and self._replies == replies else EndpointError
+            tries = (waiting if passing else repeating).statistics["attempt_number"]
             # A probe belongs to no run that could be resumed.
             resume = "" if probe else " (evaluate with --resume)"
-            raise kind(
-                f"{self.base_url}: {broken.reason} ({tries} {'try' if tries == 1 else 'tries'}): "
-                f"{broken.fault.remedy}{resume}"
-            ) from None
+            raise kind(f"{self.base_url}: {broken.reason} (tries: {tries}): {broken.remedy}{resume}") from None
 
     def _try(self, body: bytes, timeout_s: float) -> Reply:
         import httpx2
@@ -267,7 +260,7 @@ class Client:
                 timeout_s, "POST", url, content=body, headers=self._credentials.headers
             )
         except (httpx2.ConnectTimeout, httpx2.ConnectError, httpx2.ProxyError) as error:
-            raise _BrokenError(f"cannot reach the server ({self._one_line(error)})", _UNREACHABLE) from None
+            raise _PassingError(f"cannot reach the server ({self._one_line(error)})", _UNREACHABLE) from None
         except httpx2.TimeoutException:
             raise _BrokenError(f"no whole reply within {timeout_s:g} s", _LATE) from None
         except httpx2.HTTPError as error:
@@ -294,7 +287,7 @@ class Client:
         busy = error.status in _BUSY and error.code != _NO_CREDIT
         if busy or error.status >= 500:
             pause = float(retry_after) if _SECONDS.fullmatch(retry_after) else None
-            return _BrokenError(reason, _CROWDED if busy else _BROKEN, pause)
+            return _PassingError(reason, _CROWDED, pause) if busy else _BrokenError(reason, pause=pause)
         remedy = _REMEDIES.get(error.status, "").format(key=self.options.api_key_env)
         if self.options.temperature is not None and "temperature" in error.reason:
             remedy = "; if the model takes none, give --temperature none"
@@ -312,8 +305,7 @@ def _pause_s(state: RetryCallState) -> float:
     broken = state.outcome and state.outcome.exception()
     assert isinstance(broken, _BrokenError), "only these are repeated"
     least, most = _PAUSE_S
-    wait = broken.pause
-    if wait is None:
-        wait = min(least * 2.0 ** (state.attempt_number - 1), _BUSY_PAUSE_S if broken.fault.passing else most)
+    longest = _BUSY_PAUSE_S if isinstance(broken, _PassingError) else most
+    wait = min(least * 2.0 ** (state.attempt_number - 1), longest) if broken.pause is None else broken.pause
     # The random share spreads calls that were refused together.
     return min(max(wait, least), most) * random.uniform(1, 1.5)  # noqa: S311

@@ -13,8 +13,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 Order = Literal["xyxy", "yxyx"]
-Scale = Literal["thousandths", "unit", "pixels", "resized"]
-"""The unit of a box: the full width is 1000, 1, the image's width, or its width after the model's own resizing."""
+Scale = Literal["thousandths", "pixels", "unit", "resized"]
+"""The unit of a box, the simplest first.
+
+The full width is 1000, the image's width, 1, or the image's width after the model's own resizing.
+"""
 
 SCALE: Final = 1000
 TOLERANCE: Final = 0.02

@@ -86,13 +86,12 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
     width, height = size
     units = {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": size, "resized": convention.resized(*size)}
     across, down = units[reading.scale]
-    sides = (across, down) * 2 if reading.order == "xyxy" else (down, across) * 2
-    pairs = list(zip(numbers, sides, strict=True))
+    order = (0, 1, 2, 3) if reading.order == "xyxy" else (1, 0, 3, 2)
+    pairs = [(numbers[index], side) for index, side in zip(order, (across, down) * 2, strict=True)]
     if any(not -TOLERANCE * side <= number <= (1 + TOLERANCE) * side for number, side in pairs):
         other = f" or 0..{down:g}" if down != across else ""
         raise DecodeError(f"{what} has a coordinate outside 0..{across:g}{other}")
-    a, b, c, d = (min(max(number, 0), side) for number, side in pairs)
-    left, top, right, bottom = (a, b, c, d) if reading.order == "xyxy" else (b, a, d, c)
+    left, top, right, bottom = (min(max(number, 0), side) for number, side in pairs)
     if left >= right or top >= bottom:
         raise DecodeError(f"{what} has no area or reversed corners: the first corner is the upper left one")
     return Box(
@@ -395,8 +394,7 @@ def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
     Returns:
         The schema.
     """
-    names = list(properties)
-    return {"type": "object", "properties": properties, "required": names, "additionalProperties": False}
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
 
 
 FRAME_ID_SCHEMA: Final[dict[str, Any]] = {"type": "string", "pattern": "^[0-9]{6}$"}

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import random
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -99,29 +98,29 @@ def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
 def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPicture:
     image = _plain(width, height)
     color, *others = rng.sample(sorted(_COLORS), len(_COLORS))
-    taken: list[Box] = []
-    for _ in range(1 + _DISTRACTORS * (1 if width == height else 3)):
-        if (box := _free_box(rng, width, height, taken)) is None:
-            break
-        taken.append(box)
-    for box in taken[1:]:
+    marked, *plain = _free_boxes(rng, width, height, 1 + _DISTRACTORS * (1 if width == height else 3))
+    for box in plain:
         _shape(image, box, rng.choice(others), rng.random() < 0.5)
-    _marked(image, taken[0], color, rng.randrange(4096))
-    return DrawnPicture(jpeg_picture(f"drawn {number:03d} {width}x{height}", image), (width, height), taken[0], color)
+    _marked(image, marked, color, rng.randrange(4096))
+    return DrawnPicture(jpeg_picture(f"drawn {number:03d} {width}x{height}", image), (width, height), marked, color)
 
 
-def _free_box(rng: random.Random, width: int, height: int, taken: Sequence[Box]) -> Box | None:
-    """Return a random box apart from all others. Return None if the tries find none."""
-    for _ in range(_TRIES):
+def _free_boxes(rng: random.Random, width: int, height: int, n: int) -> list[Box]:
+    """Return up to `n` random boxes, each apart from the others; fewer if the tries find no further one."""
+    boxes: list[Box] = []
+    tries = 0
+    while len(boxes) < n and tries < _TRIES:
         w, h = rng.randint(*_SIDE_PX), rng.randint(*_HEIGHT_PX)
         x, y = rng.randint(0, width - w), rng.randint(0, height - h)
+        tries += 1
         if not any(
             abs(x + w / 2 - b.x - b.w / 2) < (w + b.w) / 2 + _APART_PX
             and abs(y + h / 2 - b.y - b.h / 2) < (h + b.h) / 2 + _APART_PX
-            for b in taken
+            for b in boxes
         ):
-            return Box(x, y, w, h)
-    return None
+            boxes.append(Box(x, y, w, h))
+            tries = 0
+    return boxes
 
 
 def _plain(width: int, height: int) -> MarkImage:

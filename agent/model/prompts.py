@@ -10,8 +10,7 @@ from importlib.resources import files
 from string import Template
 from typing import NamedTuple
 
-from jrdb_avr.schema.answer_modes import MODES
-from jrdb_avr.schema.answers import AnswerMode
+from jrdb_avr.schema.method import Task
 
 
 def render(name: str, **slots: object) -> str:
@@ -40,19 +39,17 @@ class ModeText(NamedTuple):
     advice: str
 
 
-def mode_text(mode: AnswerMode, frame_count: int) -> ModeText:
-    """Return the prompt lines of an answer mode, the three lines of `prompts/answer_<mode>.md`.
+def mode_text(task: Task) -> ModeText:
+    """Return the prompt lines of a task's answer mode, the three lines of `prompts/answer_<mode>.md`.
 
     Args:
-        mode: The answer mode.
-        frame_count: The number of frames of the sequence.
+        task: The question to answer, with its sequence.
 
     Returns:
         The lines.
     """
-    has_frames = any(part.kind == "frame" for part in MODES[mode].parts)
-    slots = {"last_frame": f"{frame_count - 1:06d}"} if has_frames else {}
-    return ModeText(*render(f"answer_{mode}", **slots).split("\n"))
+    last_frame = f"{task.sequence.frame_count - 1:06d}"
+    return ModeText(*render(f"answer_{task.question.answer_mode}", last_frame=last_frame).split("\n"))
 
 
 def choice_lines(choices: Sequence[str]) -> str:

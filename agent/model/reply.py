@@ -142,11 +142,9 @@ def _reason(body: object) -> tuple[str | None, object]:
 
 def _parts(content: str | list[Any] | None) -> tuple[str, str]:
     """Return the text and the thinking of a reply, which some servers send as a list of parts."""
-    if not isinstance(content, list):
-        return content or "", ""
     texts: list[str] = []
     thoughts: list[str] = []
-    for part in content:
+    for part in content if isinstance(content, list) else [content]:
         match part:
             case str():
                 texts.append(part)

@@ -7,7 +7,6 @@ exchange a deadline.
 from __future__ import annotations
 
 import functools
-import ipaddress
 import os
 import re
 import threading
@@ -71,9 +70,7 @@ class Connections:
                 limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
             )
         except (httpx2.InvalidURL, ValueError, ImportError):
-            raise EndpointError(
-                "the environment names a proxy that cannot be used: correct HTTP_PROXY, HTTPS_PROXY or ALL_PROXY"
-            ) from None
+            raise EndpointError("no usable proxy: correct HTTP_PROXY, HTTPS_PROXY or ALL_PROXY") from None
 
     def exchange(self, timeout_s: float, method: str, url: str, **request: Any) -> tuple[httpx2.Response, bytes]:
         """Send a request and read the whole reply.
@@ -99,14 +96,9 @@ class Connections:
         hooks = {"trace": self._bound_reads}
         with self._http.stream(method, url, timeout=timeout, extensions=hooks, **request) as response:
             if response.has_redirect_location:
-                raise EndpointError(
-                    f"the server redirects to another address (HTTP {response.status_code}): "
-                    "give that one as --base-url"
-                )
+                raise EndpointError(f"the server redirects (HTTP {response.status_code}): give the new --base-url")
             if response.headers.get("content-encoding", "").strip().lower() not in ("", "identity"):
-                raise EndpointError(
-                    "the reply is compressed, but the request accepts no compression: switch it off there"
-                )
+                raise EndpointError("the reply is compressed against the request: switch this off at the server")
             data = bytearray()
             for chunk in response.iter_raw():
                 data += chunk
@@ -182,10 +174,7 @@ class Credentials:
 def _read_variable(variable: str, form: str) -> str:
     value = os.environ.get(variable, "").strip()
     if not re.fullmatch(form, value):
-        raise EndpointError(
-            f"${variable} holds no value that a header can have: set it without line ends and letters beyond ASCII, "
-            "and a key without spaces"
-        )
+        raise EndpointError(f"${variable} holds no value of printable ASCII characters (a key: without spaces)")
     return value
 
 
@@ -219,8 +208,7 @@ def checked_url(base_url: str) -> str:
     if _SECRETIVE.search(base_url):
         # The address is printed and stored with the run.
         raise EndpointError(
-            "--base-url must hold no password, key or fragment: put the key into an environment variable, and give its "
-            "name by --api-key-env or --header"
+            "--base-url must hold no password, key or fragment: name a key's variable by --api-key-env or --header"
         )
     try:
         parts = urlsplit(base_url)
@@ -249,8 +237,4 @@ def address_of(base_url: str, path: str) -> str:
 
 
 def _is_loopback(base_url: str) -> bool:
-    host = urlsplit(base_url).hostname or ""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    return re.fullmatch(r"localhost|127\.[0-9.]+|::1", urlsplit(base_url).hostname or "") is not None

@@ -119,7 +119,7 @@ class ReferenceAgent:
 
 def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool) -> str:
     """The system message of a variant's tool turns."""
-    text = mode_text(task.question.answer_mode, task.sequence.frame_count)
+    text = mode_text(task)
     shared = {
         "looking": render("agent_look")
         if looks
@@ -148,7 +148,7 @@ def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool) -> s
 def task_heading(task: Task, limits: Limits, looks: bool) -> str:
     """The lines that open every task. Legal frames are those that can be looked at, or have been."""
     frames = task.sequence.frames
-    text = mode_text(task.question.answer_mode, task.sequence.frame_count)
+    text = mode_text(task)
     return render(
         "agent_task",
         heading=heading(task.question),

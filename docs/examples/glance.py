@@ -28,7 +28,7 @@ class Glance:
         attempt = Attempt(task, self.chat, CONTRACT)
         frames = task.sequence.frames
         seen = attempt.look(frames[len(frames) // 2], 180.0)
-        text = mode_text(task.question.answer_mode, task.sequence.frame_count)
+        text = mode_text(task)
         messages = [
             Message("system", (RULES % (text.form, text.rule),)),
             Message("user", (heading(task.question), f"Crop: {metadata_line(seen)}", picture_of(seen))),

@@ -24,7 +24,7 @@ def next_steps(folder: Path) -> list[str]:
     if not stores:
         where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."
         load = f"jrdb-avr load ROOT --store {shlex.quote(named or 'store')}"
-        steps = (("jrdb-avr demo", "every step on a synthetic world, in a minute"), (load, "your copy of JRDB"))
+        steps = (("jrdb-avr demo", "every step on synthetic data, in twenty seconds"), (load, "your copy of JRDB"))
         return [
             where,
             *(f"  {command:<{len(load)}}  {what}" for command, what in steps),
@@ -45,7 +45,7 @@ def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:
         steps = [f"validate{option}", f"inspect --sample 20{option}", f"evaluate{option} {model}"]
     elif open_runs:
         state = f"has {len(runs)} runs, of which {len(open_runs)} are unfinished"
-        steps = [f"runs show {open_runs[0]}{option}", f"evaluate{option} --resume ... (as the run was begun)"]
+        steps = [f"runs show {open_runs[0]}{option}", f"evaluate{option} --resume ... (with its first options)"]
     else:
         state = f"has {len(runs)} run{'s' if len(runs) > 1 else ''}"
         steps = [f"score{option}", f"report{option}", f"evaluate{option} {model}"]

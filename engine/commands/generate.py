@@ -42,7 +42,7 @@ _blind_option = click.option(
     help="With --profile train: do not use a person while a question of STORE needs that person.",
 )
 @executor_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of choices between equal questions.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of choices among equal questions.")
 @click.option("--candidates", type=FILE, help="Parquet file to write: all proven candidates before selection.")
 @click.option("--require-occlusion", is_flag=True, help="Skip sequences that have no occlusion labels.")
 @click.option("--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see 'inspect').")
@@ -82,7 +82,7 @@ def generate(
             print_rows(families, title="Questions aimed at and reached, and which template fills for which")
         _print_table(made.blind, "Answering without looking: shares of right answers")
     for fault in made.faults[:10]:
-        note(f"fault: the second program disagrees: {fault}")
+        note(f"fault: the second program derives another result: {fault}")
     if made.faults:
         note(f"{len(made.faults)} candidates were refused by the second program: this is a fault of the software")
         sys.exit(1)

@@ -94,7 +94,7 @@ def _run(
         print_rows(rows, form=form)
         return
     if query is None:
-        raise click.UsageError("give a QUERY or the NAME of one (--list shows them)")
+        raise click.UsageError("give a QUERY, or the name of a saved query (see --list)")
     query = _statement(language, query)
     try:
         "".join((query, *(text for pair in params for text in pair))).encode()

@@ -155,7 +155,7 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     rows = [{name: row[name] for name in row if name != "interval"} for row in with_intervals(compared.scores())]
     print_rows(rows, title=f"first: {first}, second: {second}" + (f"; {TOO_FEW}" if few else ""))
     if questions:
-        # The columns of right scores already show which run alone is right.
+        # Other columns already show which of the two runs is right.
         columns = [name for name in questions[0] if name != "only"]
         title = f"{len(questions)} questions that only one of the runs scores: {score}"
         print_rows(questions, title, columns)

@@ -65,13 +65,13 @@ class Observer:
 
     @classmethod
     def of(cls, store: Store | str | Path) -> Observer:
-        """Make an observer of a store's loaded sequences.
+        """Make an observer of all sequences that were loaded into a store.
 
         Args:
             store: The store, or its folder.
 
         Returns:
-            The observer.
+            The observer. It reads the panoramas from the folder that the store names.
         """
         store = Store.of(store)
         manifest = store.manifest()

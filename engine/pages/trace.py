@@ -243,7 +243,7 @@ _STRIDE: Final = 190.0
 _ARC: Final = 32.0
 _LETTER: Final = 6.4
 _MAP_WIDTH: Final = 934.0
-"""Width of the map in the template."""
+"""Width of the map in `trace.html`, in units of its view box."""
 _WORDS: Final = 60
 _MOST_NODES: Final = 40
 """Maximum number of entities in the drawing of relations. With more entities, the page lists the relations as text."""

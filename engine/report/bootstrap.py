@@ -90,7 +90,7 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
     values = [float(statistic(total)[0]) if len(sums) else math.nan for statistic in statistics]
     if len(sums) < 2:
         return [Interval(None if math.isnan(value) else value, None, None) for value in values]
-    # Column-major layout, because statistics read whole columns.
+    # The product is transposed so that each column is contiguous, because statistics read whole columns.
     drawn = (sums.T @ draws(len(sums), n, seed).T).T
     values_drawn = np.stack([statistic(drawn) for statistic in statistics])
     bounds = np.quantile(values_drawn, _TAILS, axis=1)

@@ -43,7 +43,7 @@ def _rows(name: str, epochs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
     shared: Ints = reduce(np.intersect1d, [run.rows for run in epochs])
     n, total = len(shared), len(epochs)
     indexes = [np.argsort(run.rows)[np.searchsorted(run.rows, shared, sorter=np.argsort(run.rows))] for run in epochs]
-    # Axes: epoch, question, score.
+    # The axes of `scores` are epoch, question and score.
     scores = np.stack([run.scores[index] for run, index in zip(epochs, indexes, strict=True)])
     answers = [[run.answers[row] for row in index] for run, index in zip(epochs, indexes, strict=True)]
     right = scores.sum(axis=0)

@@ -29,7 +29,7 @@ DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time
 """Names of the properties that group questions. `time_gap_s` and `separation_deg` are grouped into bins."""
 
 _TEXTS: Final = ("family", "template", "answer_mode", "sequence")
-"""Dimensions that are columns of `questions`."""
+"""Names of the dimensions that are a column of the table `questions`."""
 
 _GROUP_OF: Final = {family: group for group, own in GROUPS.items() for family in own.families}
 

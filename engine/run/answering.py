@@ -39,7 +39,7 @@ _SWITCH_S: Final = 0.05
 
 _PACKAGE: Final = f"{__name__.partition('.')[0]}."
 _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-"""Folders of code that belongs neither to this package nor to a method."""
+"""Folders of the standard library and of installed packages. A traceback line in them is not a line of a method."""
 
 
 class Entries(Protocol):

@@ -94,7 +94,7 @@ class Bench:
         return cls(store, chosen, image_root, opaque)
 
     def question(self, question_id: str) -> Question:
-        """Return a question by its id. Raise InputError if the id is unknown."""
+        """Return the question that has an id. Raise InputError if the bench has no question with this id."""
         if question_id not in self._by_id:
             raise InputError(f"no question {question_id[:40]!r} among the {len(self.questions)}", field="question_id")
         return self._by_id[question_id]

@@ -175,7 +175,7 @@ def evaluate(
         see = bench.observer
         answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance)
         if world is not None:
-            # Before the tables, because a run with predictions is complete.
+            # Written before the tables, because a run that has the table `predictions` counts as complete.
             add_world_counts(store, run_id, world.graph.counts)
         predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):
@@ -234,7 +234,7 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
     run_id = options.run.run_id
     if run_id is None:
         run_id = default_run_id(name_player(_name(method), options.method.policy), model)
-    # Before the suffixes, because they would make an empty id valid.
+    # Checked before the suffixes are added, because an empty id would be valid with a suffix.
     store.run_path(run_id)
     shard, epoch = options.selection.shard, options.run.epoch
     run_id += "" if shard is None else f"-{shard[0]}of{shard[1]}"

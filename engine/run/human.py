@@ -105,7 +105,7 @@ class HumanDesk:
         if self._play is not None:
             episode = self._play.episode
             question, info = episode.question, episode.attempt.task.sequence
-            text = mode_text(question.answer_mode, info.frame_count)
+            text = mode_text(episode.attempt.task)
             state["play"] = {
                 "question_id": question.question_id,
                 "question": question.question,

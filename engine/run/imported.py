@@ -65,7 +65,7 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     )
     if not begun:
         write_run_manifest(store, manifest)
-    # Predictions come last, because a run with predictions is complete.
+    # The predictions are written last, because a run that has predictions counts as complete.
     store.write_run(run_id, "predictions", _in_order(predictions, questions))
     return run_id
 

@@ -59,7 +59,7 @@ def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
 
 def key_fingerprint(store: Store) -> str:
     """Return a text that identifies the store's key without revealing it. Raise StoreError as `opaque_names` does."""
-    # The empty name belongs to no sequence.
+    # The opaque name of "" identifies the key. It is not in use, because no sequence has an empty name.
     return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 

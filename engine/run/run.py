@@ -192,7 +192,7 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
     """Return the settings that must be equal when a run is resumed, by the names that error messages use."""
     settings = dict(manifest.settings)
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
-    # Preflight results belong to the server that the run began with.
+    # The results of the preflight may differ, because a resumed run may use another server.
     settings.pop("preflight", None)
     return {
         "method": manifest.method,

@@ -1,4 +1,4 @@
-// Differences of two runs' last beliefs on a question: attributes of the plan's nodes that one of the runs lacks.
+// Attributes of the people in the plan that only one of two runs believes at the end of a question.
 // param run: text
 // param other: text
 // param question: text

@@ -1,4 +1,4 @@
-// Hypotheses about the plan's people in one question, likeliest first: log-odds, answer, and box of the target.
+// Hypotheses of one question about who the people in the plan are, likeliest first: log-odds, answer and target's box.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Ranks]->(h:Hypothesis)

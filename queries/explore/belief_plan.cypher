@@ -1,5 +1,6 @@
-// Current beliefs of one question that bear on each part of its plan: the entity, and the votes for and against.
-// A relation is listed as it is believed, also if it is mutual. A belief without a frame (null) holds at every frame.
+// Current beliefs of one question about each part of its plan: the entity, and the votes for and against the belief.
+// A mutual relation is listed only in the direction that the agent wrote. If the frame of a belief is null, the belief
+// holds at every frame.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Asks]->(s:Slot), (e)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Observation:Entity)

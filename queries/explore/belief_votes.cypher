@@ -1,4 +1,4 @@
-// All readings of one entity in one question, each with its votes and whether it is the current result.
+// All readings of one entity's attributes in one question, with votes. The column current marks the result.
 // param run: text
 // param question: text
 // param entity: text

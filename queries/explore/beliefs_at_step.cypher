@@ -1,4 +1,4 @@
-// Beliefs of an agent in one question after one of its steps: attributes and relations, with first and last frame.
+// Attributes and relations that an agent believed in one question after a given step, each with its frame.
 // param run: text
 // param question: text
 // param step: integer

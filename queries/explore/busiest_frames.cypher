@@ -1,4 +1,4 @@
-// The keyframes with most people in view, over all sequences, with the number of people in clear view.
+// The keyframes with the most people in view, over all sequences, and how many of the people are in clear view.
 // param count: integer = 20
 MATCH (:Person)-[seen:SeenIn]->(f:Frame)
 WHERE f.keyframe

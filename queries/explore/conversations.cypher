@@ -1,4 +1,4 @@
-// Conversations of each pair with their total time, longest first. Hard labels do not count.
+// Pairs of people who have conversations, with the total time, longest first. Labels marked as hard do not count.
 // param sequence: text
 MATCH (a:Person)-[r:Interacts]->(b:Person)
 WHERE r.sequence = $sequence AND r.label = 'conversation' AND r.certain AND a.track < b.track

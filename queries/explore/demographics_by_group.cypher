@@ -1,4 +1,4 @@
-// Gender and age of all certain members of each group.
+// Number of people in each group by gender and age. Only certain members count.
 // param sequence: text
 MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
 WHERE m.sequence = $sequence AND m.certain

@@ -1,4 +1,4 @@
-// The description of each person at each keyframe. The numbers are those of the generators' column `name`.
+// The description chosen for each person at each keyframe. The generators' queries refer to it by the column `name`.
 // param sequence: text
 MATCH (p:Description)<-[:Of]-(n:Name)-[d:Describes]->(m:Moment)
 WHERE p.id >= $low AND p.id < $high

@@ -1,5 +1,6 @@
-// Changes of groups in order of time: people who join or leave, also because they come into view or leave it.
-// A closed gap between two labels of one group is no change.
+// People who join or leave a group, in order of time.
+// Coming into view counts as joining, and going out of view counts as leaving.
+// A short gap between two labels of the same group does not count as a change.
 // param sequence: text
 MATCH (s:Sequence)
 WHERE s.sequence = $sequence

@@ -1,4 +1,4 @@
-// The groups at one frame with their certain members.
+// The groups at one frame, each with its certain members.
 // param sequence: text
 // param frame: integer
 MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)

@@ -1,4 +1,4 @@
-// The chains at a keyframe in the robot's view: from each person to the first person on its right, and so on.
+// For each person at a keyframe: the first person to the right in the robot's view, and the first to the right of that.
 // param sequence: text
 // param frame: integer
 MATCH (a:Person)-[r:Beside]->(b:Person)

@@ -1,4 +1,4 @@
-// The longest single conversations of all sequences. A hard label or a frame without a label ends a conversation.
+// The longest conversations of all sequences. A frame without a label, or with a hard label, ends a conversation.
 // param count: integer = 20
 MATCH (a:Person)-[r:Interacts]->(b:Person)
 WHERE r.label = 'conversation' AND r.certain AND a.track < b.track

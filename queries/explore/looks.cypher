@@ -1,4 +1,4 @@
-// Looks of an agent in one question, and the people it saw in each look.
+// Looks of an agent in one question, each with the entities that the agent saw.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Made]->(o:Observation)

@@ -1,4 +1,4 @@
-// People who look at the robot, with the total time, longest first. Hard labels do not count.
+// People who look at the robot, with the total time, longest first. Labels marked as hard do not count.
 // param sequence: text
 MATCH (p:Person)-[r:Performs]->(a:Action)
 WHERE r.sequence = $sequence AND a.name = 'looking at robot' AND r.certain

@@ -1,4 +1,4 @@
-// People round one person, in that person's own directions, and the first person to its left and right.
+// People near one person at a frame: their place from that person's point of view, or first to a side for the robot.
 // param sequence: text
 // param track: integer
 // param frame: integer

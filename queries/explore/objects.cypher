@@ -1,4 +1,4 @@
-// Things of a sequence by category: how many have a certain label of handling, and how many have only hard labels.
+// Number of things of each category, how many are certainly handled, and how many have only labels marked as hard.
 // param sequence: text
 MATCH (o:Object)
 WHERE o.sequence = $sequence

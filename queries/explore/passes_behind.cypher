@@ -1,4 +1,4 @@
-// People who pass behind the robot: certain sightings in its back sector, with first and last frame and distance.
+// People who pass behind the robot, with the first and last frame there and the smallest distance.
 // param sequence: text
 MATCH (p:Person)-[seen:SeenIn]->(:Frame)
 WHERE seen.sequence = $sequence AND seen.sector = 'behind'

@@ -1,4 +1,4 @@
-// Times at which one person is present or absent (certain: in clear view, or no box within a second).
+// Intervals with and without a box of one person. Present is certain in clear view, absent without a box for a second.
 // param sequence: text
 // param track: integer
 MATCH (p:Person)-[r:Present|:Absent]->(:Sequence)

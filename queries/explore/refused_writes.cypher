@@ -1,4 +1,4 @@
-// Refused calls of a run's agent by tool and reason: number of calls and of questions.
+// Refused calls of the agent's tools in a run, by tool and reason: number of calls, and of questions with such calls.
 // param run: text
 MATCH (e:Episode)-[:Wrote]->(w:Write)
 WHERE e.run = $run AND NOT w.accepted

@@ -1,4 +1,4 @@
-// Pairs of people by the number of keyframes in which both are clearly seen.
+// Pairs of people, with the number of keyframes that show both in clear view, largest number first.
 // param sequence: text
 // param count: integer = 20
 MATCH (f:Frame)<-[one:SeenIn]-(a:Person)

@@ -1,4 +1,4 @@
-// All sightings of an agent in one question with frame and box, including those it later saw better.
+// All boxes that an agent gave for its entities in one question, including boxes that it later corrected.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Holds]->(n:Entity)-[s:Sighted]->(o:Observation)

@@ -1,4 +1,4 @@
-// All loaded sequences with their frames, people, groups and layers.
+// All loaded sequences, with the numbers of frames, people and groups, and with the annotation layers.
 MATCH (s:Sequence)
 OPTIONAL MATCH (p:Person)
 WHERE p.sequence = s.sequence

@@ -1,4 +1,4 @@
-// Things that people handle, with the verb and the total time. Hard labels do not count.
+// Things that each person handles, with the verb and the total time. Labels marked as hard do not count.
 // param sequence: text
 MATCH (p:Person)-[r:Handles]->(o:Object)
 WHERE r.sequence = $sequence AND r.certain

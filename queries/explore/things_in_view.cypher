@@ -1,4 +1,4 @@
-// Things in the picture at a frame of the panoptic layer (one per second), clockwise from behind the robot, with boxes.
+// Things with their boxes at one frame of the panoptic layer (one frame per second), clockwise from behind the robot.
 // param sequence: text
 // param frame: integer
 MATCH (o:Object)-[seen:SeenIn]->(:Frame)

@@ -1,4 +1,4 @@
-// Actions with labels that are not certain, with the number of intervals, frames and people.
+// Actions with labels that are not certain: number of such intervals, of their frames, and of people.
 // param sequence: text
 MATCH (p:Person)-[r:Performs]->(a:Action)
 WHERE r.sequence = $sequence AND NOT r.certain

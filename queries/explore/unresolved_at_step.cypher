@@ -1,7 +1,7 @@
-// Parts of its plan that an agent had not resolved in one question at a step.
-// These are nodes without a person, and conditions and edges without a belief that supports them.
-// Mutual relations hold in both directions, but a direction seen from one person does not.
-// The person of a node is the one at the end of the episode.
+// Parts of the plan that an agent had not resolved after a given step of one question.
+// A part is unresolved if it is a node without a person, or a condition or edge without a belief that supports it.
+// A belief in a mutual relation supports both directions. A place seen from one person supports only one direction.
+// The person of a node is the person that the agent had assigned at the end of the episode.
 // param run: text
 // param question: text
 // param step: integer

@@ -1,4 +1,4 @@
-// All people at one frame: direction in the robot's view, distance and actions, clockwise from behind the robot.
+// All people at one frame, clockwise from behind the robot: gender, pose, direction, distance and size of the group.
 // param sequence: text
 // param frame: integer
 MATCH (p:Person)-[seen:SeenIn]->(:Frame)

@@ -1,4 +1,4 @@
-// All calls of an agent's tools in one question, in order, accepted or refused with the reason.
+// All calls of an agent's tools in one question, in order. A refused call has the reason of the refusal.
 // param run: text
 // param question: text
 MATCH (e:Episode)-[:Wrote]->(w:Write)

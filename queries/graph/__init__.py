@@ -1,1 +1,1 @@
-"""Sessions on the graph engine, and the guards against its faults."""
+"""Sessions on the graph engine Kùzu, and protection against its faults."""

@@ -1,8 +1,8 @@
-"""Databases of the graph engine that this process has open: one per path, shared by all sessions.
+"""Open databases of the graph engine: one per graph file, shared by all sessions of this process.
 
-The engine holds a POSIX lock, which the kernel drops if the process opens and closes the file a second time. So each
-database is opened once and shared, an `flock` on `<path>.lock` excludes other processes, and no other code opens the
-database file while it is in use.
+The engine holds a POSIX lock on the file. The kernel drops this lock if the process opens and closes the file a second
+time. So each database is opened only once, and no other code opens the file while the database is open. An `flock` on
+`<path>.lock` excludes other processes.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from jrdb_avr.schema.catalog import graph_tables
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError, did_you_mean
 
 _MEMORY_BYTES: Final = 1 << 30
-"""Address space of an in-memory database, in bytes. The engine's default of 8 TiB allows only a few per process."""
+"""Address space of an in-memory database, in bytes. The engine's default of 8 TiB allows only a few databases."""
 
 _registry: dict[Path | None, SharedDatabase] = {}
 _registry_lock = threading.Lock()
 
 
 def engine() -> Any:
-    """Import and return the module of the engine. Raises StoreError if it is not installed."""
+    """Import the Python module of the graph engine, and return it. Raises StoreError if it is not installed."""
     if ENGINE not in ENGINES.values():
         raise StoreError(f"JRDB_AVR_ENGINE is {ENGINE}: give {' or '.join(ENGINES.values())}")
     try:
@@ -47,7 +47,17 @@ def engine() -> Any:
 
 @dataclass
 class SharedDatabase:
-    """Database with its number of users, its writer lock, the lock of its file if any, and its plans of statements."""
+    """Open database of the graph engine, which several sessions share.
+
+    Attributes:
+        database: Database object of the engine.
+        path: Graph file; None if the database is in memory.
+        read_only: Whether the database is open for reading only.
+        lock: Open lock file; None if the database is in memory.
+        users: Number of open sessions.
+        writer: Lock that a session holds while it writes.
+        plans: Plans of statements that were already checked, by statement.
+    """
 
     database: Any
     path: Path | None = None
@@ -58,7 +68,7 @@ class SharedDatabase:
     plans: dict[str, Any] = field(default_factory=dict)
 
     def release(self) -> None:
-        """Release one user, and close the database after the last one."""
+        """End the use by one session. The last session closes the database."""
         with _registry_lock:
             self.users -= 1
             if self.users == 0:
@@ -69,16 +79,19 @@ class SharedDatabase:
 
 
 def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
-    """Return the database of a graph file, and open it for its first user.
+    """Return the database of a graph file for a new session. Open it if no other session has it open.
 
     Args:
         path: Resolved path of the graph file.
-        read_only: Whether the database is only read.
-        buffer_bytes: Maximum size of the engine's page cache.
+        read_only: Whether the session only reads.
+        buffer_bytes: Maximum size of the engine's page cache, in bytes. Only the first session decides it.
+
+    Returns:
+        The database. Each session must call `release` once.
 
     Raises:
-        StoreError: The file is missing, damaged or of another version.
-        LockedError: The file is locked by another process, or open for reading in this process.
+        StoreError: If the file is missing or damaged, or has another version.
+        LockedError: If another process locks the file, or this process has it open for reading and the session writes.
     """
     with _registry_lock:
         shared = _registry.get(path)
@@ -92,7 +105,7 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
 
 
 def create_memory_database(buffer_bytes: int) -> SharedDatabase:
-    """Create an empty database in memory with one thread."""
+    """Create an empty database in memory, with a page cache of at most `buffer_bytes`. The engine uses one thread."""
     return SharedDatabase(
         engine().Database(":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=1)
     )
@@ -107,7 +120,8 @@ def check_unused(path: Path) -> None:
 
 def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
     if read_only and path.with_name(path.name + ".shadow").exists():
-        # A killed writer left an unfinished checkpoint. Only a database that is open for writing can finish it.
+        # A writer was killed during a checkpoint. Open the database for writing once, because only then does the engine
+        # finish the checkpoint.
         with contextlib.suppress(StoreError), lock_graph(path, shared=False):
             _open_file(path, False, buffer_bytes).close()
     if not read_only:
@@ -121,17 +135,17 @@ def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedData
 
 
 def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
-    # This must precede the opening of the database, because closing the file would drop the engine's lock.
+    # Check the file before the database is opened, because the check closes the file, which drops the engine's lock.
     check_fingerprint(path)
     end = time.monotonic() + ENDING_S
     while True:
         try:
-            # One thread only: with several threads, ORDER BY sometimes returns sorted parts one after another.
+            # Use one thread, because with several threads ORDER BY sometimes returns sorted parts one after another.
             return engine().Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
                 raise StoreError(f"cannot open {path} ({shorten(str(error))}): {describe_rebuild(path)}") from None
-        # A killed process releases the lock of the side file shortly before the lock of the engine.
+        # If a process was killed, the lock of the side file is released shortly before the lock of the engine.
         if time.monotonic() > end:
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process")
         time.sleep(0.02)
@@ -140,13 +154,16 @@ def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
 def translate_error(
     error: RuntimeError, text: str, timeout_s: float | None, path: Path | None
 ) -> QueryError | StoreError:
-    """Return the error of this program for an error of the engine.
+    """Return the exception of this package that replaces an exception of the engine.
 
     Args:
-        error: Error that the engine raised.
+        error: Exception of the engine.
         text: Statement that failed.
-        timeout_s: Timeout of the statement, in seconds.
-        path: Graph file, or None in memory.
+        timeout_s: Maximum time of the statement in seconds; None for no limit.
+        path: Graph file; None if the database is in memory.
+
+    Returns:
+        A StoreError if the file or the disk is at fault, otherwise a QueryError. The message says what the user can do.
     """
     message = " ".join(str(error).split())
     if "Interrupted" in message:
@@ -165,11 +182,11 @@ def translate_error(
     if unknown := re.search(r"Cannot find property (\w+) for (\w+)", message):
         columns = {name for table in graph_tables() for name in table.columns}
         return QueryError(f"{unknown[2]} has no property {unknown[1]!r}{did_you_mean(unknown[1], columns)}")
-    # The parser lists all tokens that it expected, and repeats the statement.
+    # Cut the end of a message of the parser, which lists all expected tokens and repeats the statement.
     return QueryError(shorten(re.sub(r" expecting \{.*", "", message), 300))
 
 
 def shorten(text: str, limit: int = 120) -> str:
-    """Return a text as one line of at most `limit` characters."""
+    """Return a text in one line of at most `limit` characters. A longer text is cut and ends with "..."."""
     plain = " ".join(text.split())
     return plain if len(plain) <= limit else plain[: limit - 3] + "..."

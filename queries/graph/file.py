@@ -1,11 +1,12 @@
-"""The graph file with its side files: the fingerprint and the lock.
+"""The graph file and its side files: the fingerprint and the lock.
 
-The engine has no page checksums, and opens a truncated or replaced file without an error. The fingerprint
-`<graph>.json` is written when the file is built. It shows whether the file is complete and has this program's tables.
-`load --verify` compares its hash with the file. The hash is not in the manifest, because two builds of the same scene
-differ in their bytes, and manifests of equal stores are equal.
+The engine does not use checksums, and opens a truncated or replaced file without an error. So the fingerprint
+`<graph>.json` is written when the file is built. It shows whether the file is complete, and whether its tables have the
+version of this program. `load --verify` also compares the hash in the fingerprint with the file. The hash is not in the
+manifest of the store, because two builds of the same scene have different bytes, but equal stores must have equal
+manifests.
 
-The lock is on a side file, `<graph>.lock`, and admits one writer or any number of readers.
+The lock on the side file `<graph>.lock` admits either one writer or any number of readers.
 """
 
 from __future__ import annotations
@@ -26,28 +27,35 @@ from jrdb_avr.schema.errors import LockedError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
 
 ENGINES: Final = {b"KUZU": "kuzu", b"LBUG": "ladybug"}
-"""Module names of the engines by the first four bytes of their files."""
+"""Names of the engines' Python modules, by the first four bytes of the files that the engine writes."""
 
 ENGINE: Final = os.environ.get("JRDB_AVR_ENGINE") or "kuzu"
-"""Module name of this process's engine. `ladybug`, a fork of `kuzu`, is for tests of its releases (docs/graph.md)."""
+"""Name of the Python module of the engine in use. `ladybug` is a fork of `kuzu`; tests use it (docs/graph.md)."""
 
 STORE_GRAPH: Final = "graph.kuzu"
-"""Name of a store's graph file."""
+"""Name of the graph file in a store."""
 
 PAGE: Final = 4096
 """Size of the engine's pages, in bytes."""
 
 ENDING_S: Final = 5.0
-"""Maximum time to wait for the lock of a process that was just killed, in seconds."""
+"""Maximum time to wait for the lock of a process that is about to end, in seconds."""
 
 _LEAST_FREE: Final = 32 << 20
-"""Minimum free space before a graph is written, in bytes. The engine may abort the process if the disk is full."""
+"""Minimum free space on the disk, in bytes, to write a graph. The engine may abort the process if the disk is full."""
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
 
 class Fingerprint(msgspec.Struct, frozen=True):
-    """Properties of a graph file when it was built: version of its tables, size in bytes, sha256 and rows per table."""
+    """Properties of a graph file at the time when it was built.
+
+    Attributes:
+        storage_version: Version of the tables.
+        size: Size of the file in bytes.
+        sha256: Hash of the file, in hex.
+        rows: Number of rows of each table, by name.
+    """
 
     storage_version: int
     size: int
@@ -61,28 +69,55 @@ def fingerprint_path(graph: Path) -> Path:
 
 
 def building_path(graph: Path) -> Path:
-    """Return the path of the temporary file in which a graph is built."""
+    """Return the path of the temporary file that becomes the graph file when it is complete."""
     return graph.with_name(f".{graph.name}.building")
 
 
 def compute_fingerprint(file: Path, rows: Mapping[str, int]) -> Fingerprint:
-    """Return the fingerprint of a finished graph file with its rows per table. Raises OSError."""
+    """Return the fingerprint of a finished graph file.
+
+    Args:
+        file: Graph file.
+        rows: Number of rows of each table, by name.
+
+    Returns:
+        The fingerprint.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
     return Fingerprint(STORAGE_VERSION, file.stat().st_size, file_hash(file), dict(rows))
 
 
 def is_as_built(graph: Path) -> bool:
-    """Return whether a graph file has the hash in its fingerprint. Raises as `check_fingerprint`."""
+    """Return whether a graph file still has the hash that it had when it was built.
+
+    Args:
+        graph: Graph file.
+
+    Returns:
+        Whether the hash is equal. It differs if a run has since written its world models into the file.
+
+    Raises:
+        StoreError: If the graph or its fingerprint is missing or damaged, or has another version.
+    """
     return check_fingerprint(graph).sha256 == file_hash(graph)
 
 
 def check_fingerprint(graph: Path) -> Fingerprint:
-    """Return the stored fingerprint of a graph file after a check of the file's first bytes and size.
+    """Check the version, the first bytes and the size of a graph file, and return its stored fingerprint.
 
-    Do not call this while this process has the database open, because closing the file drops the engine's lock.
+    Do not call this function while the process has the database open. Closing the file would drop the engine's lock.
+
+    Args:
+        graph: Graph file.
+
+    Returns:
+        The fingerprint from the time when the file was built.
 
     Raises:
-        StoreError: The graph or its fingerprint is missing, cut short or of another version; the message gives the
-            command to rebuild.
+        StoreError: If the graph or its fingerprint is missing or damaged, or has another version. The message says how
+            to build the file again.
     """
     rebuild = describe_rebuild(graph)
     with contextlib.suppress(OSError):
@@ -101,7 +136,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
         raise StoreError(f"{graph} has no readable {fingerprint_path(graph).name} beside it: {rebuild}") from None
     if built.storage_version != STORAGE_VERSION:
         raise StoreError(
-            f"{graph} was built for version {built.storage_version} of the tables, this is {STORAGE_VERSION}: {rebuild}"
+            f"{graph} has version {built.storage_version} of the tables, this program has {STORAGE_VERSION}: {rebuild}"
         )
     if engine not in (None, ENGINE):
         raise StoreError(f"{graph} is a file of {engine}, not of {ENGINE}: set JRDB_AVR_ENGINE={engine}, or {rebuild}")
@@ -111,7 +146,10 @@ def check_fingerprint(graph: Path) -> Fingerprint:
 
 
 def describe_rebuild(graph: Path) -> str:
-    """Return how to rebuild a graph file: by a command in a store, or by the next run for a file of world models."""
+    """Return advice for error messages on how to build a graph file again.
+
+    A command builds the graph of a store. The next run makes a new file for world models (`evaluate --world-db`).
+    """
     if graph.name != STORE_GRAPH:
         return "give another file, or remove this one: the next run makes a new one"
     return f"run 'jrdb-avr load --rebuild --store {graph.parent}'"
@@ -120,18 +158,18 @@ def describe_rebuild(graph: Path) -> str:
 def lock_graph(path: Path, *, shared: bool) -> IO[str]:
     """Lock a graph until the returned file is closed.
 
-    Reading needs no lock in a folder that cannot be written.
+    If the folder cannot be written, a reader gets no lock, because other processes cannot write there either.
 
     Args:
         path: Graph file.
-        shared: True to read, False to write.
+        shared: True for a reader, False for a writer.
 
     Returns:
         The open lock file.
 
     Raises:
-        LockedError: Another process holds the lock; the message names it.
-        StoreError: The lock file cannot be opened.
+        LockedError: If another process holds the lock. The message names that process.
+        StoreError: If the lock file cannot be opened.
     """
     lock = path.with_name(path.name + ".lock")
     try:
@@ -162,10 +200,10 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
 
 
 def _holder(file: IO[str]) -> tuple[str, bool]:
-    """Return the holder of the lock, and whether that process is about to end.
+    """Return a description of the process that holds a lock, and whether that process is about to end.
 
-    The holder is taken from the kernel's table of locks, or from the file if there is no table. If the table does not
-    list a holder, it has released the lock meanwhile.
+    The process is looked up in the kernel's table of locks. If the table does not list it, it has just released the
+    lock. If the system lacks the table, the description comes from the lock file.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -183,7 +221,7 @@ def _holder(file: IO[str]) -> tuple[str, bool]:
 
 
 def make_parent(graph: Path) -> None:
-    """Make the folder of a graph file. Raises StoreError if the disk refuses."""
+    """Create the folder of a graph file. Raises StoreError if the folder cannot be created."""
     try:
         graph.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -201,14 +239,20 @@ def check_room(graph: Path) -> None:
 
 
 def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
-    """Rename a finished graph file with these rows per table, and write its fingerprint.
+    """Write the fingerprint of a finished temporary graph file, and rename both to their final names.
 
-    Raises StoreError if the disk refuses.
+    Args:
+        temporary: Finished graph file under its temporary name.
+        graph: Final path of the graph file.
+        rows: Number of rows of each table, by name.
+
+    Raises:
+        StoreError: If a file cannot be written or renamed.
     """
     try:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
-        # Remove the old log first, because the engine would replay it into the new file.
+        # Remove the log of the old file first, because the engine would apply it to the new file.
         for suffix in _SIDE_FILES:
             graph.with_name(graph.name + suffix).unlink(missing_ok=True)
         fingerprint_path(temporary).write_bytes(msgspec.json.encode(compute_fingerprint(temporary, rows)))
@@ -219,7 +263,7 @@ def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
 
 
 def _rename_fingerprint(graph: Path) -> None:
-    """Rename the fingerprint of a graph that was renamed, also after a process was killed between the two."""
+    """Rename the fingerprint if its graph was already renamed, maybe by a process that was killed between the two."""
     temporary = building_path(graph)
     if not temporary.exists():
         with contextlib.suppress(FileNotFoundError):
@@ -227,7 +271,7 @@ def _rename_fingerprint(graph: Path) -> None:
 
 
 def copy_files(graph: Path, copy: Path) -> None:
-    """Copy a graph file with its log. Raises StoreError if the file is damaged or the disk refuses."""
+    """Copy a graph file and its log. Raises StoreError if the file is damaged or the copy cannot be written."""
     check_fingerprint(graph)
     try:
         for suffix in ("", *_SIDE_FILES):
@@ -238,8 +282,8 @@ def copy_files(graph: Path, copy: Path) -> None:
 
 
 def remove_files(graph: Path) -> None:
-    """Remove a graph file and its side files except the lock."""
-    # Remove the fingerprint first, because one without a graph looks like one that is still to be renamed.
+    """Remove a graph file and all its side files except the lock file."""
+    # Remove the fingerprint first. Without its graph, it would look like a fingerprint that must still be renamed.
     for path in (fingerprint_path(graph), graph, *(graph.with_name(graph.name + suffix) for suffix in _SIDE_FILES)):
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)

@@ -1,13 +1,14 @@
-"""Ad-hoc Cypher statements that only read, in a child process.
+"""Cypher statements of users, which may only read and run in a child process.
 
-A read-only database still reads and writes files on request (LOAD FROM, COPY TO, EXPORT, ATTACH), and the engine does
-not report the kind of a statement. So a statement passes three checks:
+The engine reads and writes files at the request of a statement (LOAD FROM, COPY TO, EXPORT, ATTACH), even if the
+database is open for reading only. It does not report whether a statement does so. So there are three safeguards:
 
-- Keywords: no clause that writes, loads, attaches, installs, calls or controls transactions, and no second statement.
-- Plan: no table function, no write, no INTERSECT.
-- Database: open for reading only.
+- The keywords of the statement are checked. Clauses that write, load, attach, install, call or control transactions are
+  refused, and so is a second statement.
+- The plan of the statement is checked. Table functions, writes and INTERSECT are refused.
+- The database is opened for reading only.
 
-The child process is necessary because some statements crash the engine and others ignore its timeout.
+The child process is necessary because some statements crash the engine, and others ignore its timeout.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ from jrdb_avr.schema.errors import QueryError, StoreError
 _TIMEOUT_S: Final = 60.0
 _BUFFER_BYTES: Final = 256 << 20
 MEMORY_BYTES: Final = 2 << 30
-"""Maximum memory of the child process, in bytes. The engine's buffer does not include lists and results."""
+"""Maximum memory of the child process, in bytes. The limit of the engine's buffer does not cover lists and results."""
 
 _ROWS: Final = "DELETE|DETACH|SET"
-"""Keywords that change only rows. CREATE changes rows if a pattern follows, and otherwise makes tables."""
+"""Keywords of clauses that change rows. CREATE is not here, because it creates a table unless a pattern follows."""
 
 _REFUSED: Final = (
     "ALTER|ANALYZE|ATTACH|BEGIN|CALL|CHECKPOINT|COMMENT|COMMIT|COPY|DROP|EXPLAIN|EXPORT|EXTENSION|FORCE|FOREACH|IMPORT"
@@ -46,7 +47,7 @@ _REFUSED: Final = (
 
 
 def _match_keywords(keywords: str) -> re.Pattern[str]:
-    # A digit may directly precede a keyword ("= 1SET n.x = 2"); a letter or an underscore may not.
+    # The engine accepts a keyword directly after a digit ("= 1SET n.x = 2"), but not after a letter or an underscore.
     return re.compile(rf"(?<![A-Za-z_$])(?:{keywords})(?![A-Za-z0-9_])", re.IGNORECASE | re.ASCII)
 
 
@@ -56,20 +57,21 @@ _QUANTIFIER = re.compile(r"(?<![A-Za-z_])(?:all|any|none|single)\s*\(", re.IGNOR
 
 
 def check_cypher(cypher: str, *, writes: bool = False) -> None:
-    """Check the keywords of a statement.
+    """Check that the text of a statement has only allowed keywords.
 
     Args:
         cypher: Statement.
-        writes: Whether the statement may make, change and delete nodes and edges.
+        writes: Whether the statement may create, change and delete nodes and edges.
 
     Raises:
-        QueryError: The statement is refused.
+        QueryError: If the statement has a refused keyword, a second statement, or a text that may hide either.
     """
-    # If this function and the engine parse a quoted text differently, a keyword could hide in it. So refuse escapes.
+    # A keyword could hide in a quoted text if this function and the engine parse the text differently. So refuse
+    # escapes.
     if "\\" in cypher or "\0" in cypher or "\r" in cypher.replace("\r\n", "\n"):
         raise QueryError("a backslash or a bare carriage return is not allowed: pass the text as a parameter ($name)")
     if ";" in cypher.strip().removesuffix(";"):
-        raise QueryError("one statement, without ';' inside: pass texts that hold one as a parameter ($name)")
+        raise QueryError("one statement only, without ';' inside: pass a text with ';' as a parameter ($name)")
     bare = strip_literals(cypher)
     if any(quote in bare for quote in "'\"`") or "/*" in bare:
         raise QueryError("a quote or comment is not closed")
@@ -84,27 +86,27 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
 def query_graph(
     path: Path, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = _TIMEOUT_S
 ) -> pa.Table:
-    """Run one reading statement on a graph file in a child process.
+    """Run one statement that only reads on a graph file, in a child process.
 
     Args:
         path: Graph file.
         cypher: Statement.
-        params: Values of parameters.
-        timeout_s: Seconds after which the statement is stopped.
+        params: Values of the parameters, by name.
+        timeout_s: Maximum time in seconds, after which the statement is stopped.
 
     Returns:
-        The rows, sorted by all columns if the statement has no ORDER BY.
+        The rows that the statement returns. If it does not order them, they are sorted by all columns.
 
     Raises:
-        QueryError: The statement is refused, fails, takes too long or crashes the engine.
-        StoreError: The graph is missing or damaged.
-        LockedError: Another process writes the graph.
+        QueryError: If the statement is refused, fails, takes longer than `timeout_s` or crashes the engine.
+        StoreError: If the graph is missing or damaged.
+        LockedError: If another process writes the graph.
     """
     check_cypher(cypher)
     values = bind(cypher, params or {})[1]
     request = {"path": str(path.resolve()), "cypher": cypher, "params": values, "timeout_s": timeout_s}
     try:
-        # Unlike msgspec, json writes and reads NaN and infinity.
+        # Use json, because msgspec cannot write and read NaN and infinity.
         payload = json.dumps(request, ensure_ascii=False).encode()
     except (TypeError, UnicodeEncodeError):
         raise QueryError("parameters are numbers, UTF-8 text, and lists and dicts of these") from None
@@ -117,7 +119,7 @@ def query_graph(
             with pa.ipc.open_stream(done.stdout) as reader:
                 return reader.read_all()
         except pa.ArrowException:
-            # The engine gives the keys of maps a type that Arrow cannot read back.
+            # Arrow cannot read the type that the engine gives to the keys of maps.
             raise QueryError("the result holds a map: return map_keys(...) and map_values(...) of it") from None
     try:
         kind, message = msgspec.json.decode(done.stderr.splitlines()[-1], type=tuple[str, str])
@@ -130,14 +132,28 @@ def query_graph(
 
 
 def run_child(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[bytes]:
-    """Run `serve` on a request in a new process. Raises TimeoutExpired after `timeout_s` seconds."""
-    # -P: modules in the current folder are not imported.
+    """Run `serve` in a new process.
+
+    Args:
+        request: JSON of the arguments of `_read`.
+        timeout_s: Maximum time in seconds, after which the process is killed.
+
+    Returns:
+        The ended process with its exit status, stdout (an Arrow stream) and stderr (an error as JSON in the last line).
+
+    Raises:
+        subprocess.TimeoutExpired: If the process takes longer than `timeout_s`.
+    """
+    # The option -P prevents the import of modules from the current folder.
     program = [sys.executable, "-P", "-c", "from jrdb_avr.queries.graph.guard import serve; serve()"]
     return subprocess.run(program, input=request, capture_output=True, timeout=timeout_s, check=False)
 
 
 def serve() -> None:
-    """Serve one request in the child: read it from stdin, write an Arrow stream to stdout or an error to stderr."""
+    """Handle one request in the child process.
+
+    Read the request from stdin. Write the rows to stdout as an Arrow stream, or an error to stderr.
+    """
     request = json.loads(sys.stdin.buffer.read())
     threading.Thread(target=end_beyond_memory, args=(_report_memory,), daemon=True).start()
     try:
@@ -155,7 +171,11 @@ def _report(error: Exception) -> None:
 
 
 def end_beyond_memory(report: Callable[[], None]) -> None:
-    """End this process after a call of `report` if it exceeds the limit of memory (on Linux only)."""
+    """Watch the memory of this process without end, and end the process if it exceeds `MEMORY_BYTES` (on Linux only).
+
+    Args:
+        report: Function without arguments that is called just before the process ends.
+    """
     statm = Path("/proc/self/statm")
     while statm.exists():
         if int(statm.read_text().split()[1]) * resource.getpagesize() > MEMORY_BYTES:
@@ -169,7 +189,7 @@ def _report_memory() -> None:
 
 
 def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> pa.Table:
-    """Check the plan of a statement and run it."""
+    """Check the plan of a statement, run the statement, and return its rows."""
     from jrdb_avr.queries.graph.handle import Graph
 
     with Graph.open(path, read_only=True, buffer_bytes=_BUFFER_BYTES) as graph:
@@ -181,7 +201,7 @@ def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> p
 
 
 def _sort(table: pa.Table) -> pa.Table:
-    """Sort rows by all columns that can be compared, because the engine's order is not repeatable."""
+    """Sort rows by all columns that can be compared, because the engine returns rows in a different order each time."""
     keys = [
         (name, "ascending")
         for name, kind in zip(table.column_names, table.schema.types, strict=True)

@@ -1,16 +1,18 @@
-"""Sessions on the graph, the only access to the engine for other rooms.
+"""Sessions on the graph. All other code uses the engine only through a session.
 
-A `Graph` handles these properties of Kùzu for all callers:
+A `Graph` deals with these properties of the engine Kùzu for all callers:
 
-- *One database per path and process, and one writing process or many reading ones* (`database.py`).
-- *Some statements are answered wrongly without an error* (`wrong_answers.py`). The plan of each distinct statement with
-  a pattern is checked once, and such statements are refused.
-- *The order of rows differs between runs*. A read must have an ORDER BY, return a single row, or pass `ordered=False`.
-- *Parameters get wrong types*: small integers INT8, lists the type of their first items, empty lists none, and a
-  missing parameter is NULL. They are bound with 64-bit types here, and their names must be those of the statement.
-- *One write transaction at a time*. Writers of one database wait for each other.
+- *A process can open a graph file only once, and either one process writes or several processes read it*. Sessions
+  share one database per file (`database.py`).
+- *The engine answers some statements wrongly without an error* (`wrong_answers.py`). The session checks each distinct
+  statement once, and refuses such statements.
+- *The order of rows differs between runs*. A statement that reads must have an ORDER BY or return a single row. Callers
+  who accept any order pass `ordered=False`.
+- *Parameters get wrong types*. Small integers become INT8, lists take the type of their first items, empty lists have
+  none, and missing parameters become NULL. The session binds 64-bit types, and refuses missing and unknown parameters.
+- *Only one write transaction can be open*. Sessions that write to one database wait for each other.
 
-Threads that share a `Graph` wait for each other; open several for parallel reads.
+Threads that share a `Graph` wait for each other. To read in parallel, open one session per thread.
 """
 
 from __future__ import annotations
@@ -49,25 +51,29 @@ from jrdb_avr.queries.workers import Executor
 from jrdb_avr.schema.errors import QueryError, StoreError
 
 BUFFER_BYTES: Final = 512 << 20
-"""Maximum size of the engine's page cache, in bytes. 256 MB sufficed for every query measured on all of JRDB."""
+"""Maximum size of the engine's page cache, in bytes. On all of JRDB, no measured query needed more than 256 MB."""
 
 _BUILD_BYTES: Final = 800 << 20
-"""Maximum size of the page cache while a graph is built: COPY holds a batch of edges twice, once per direction."""
+"""Maximum size of the page cache while a graph is built, in bytes. COPY needs each batch of edges twice in memory."""
 
 _ONE_CHUNK: Final = 100_000
-"""Maximum number of rows that are fetched as one chunk. The engine allocates ten million cells per chunk by default."""
+"""Maximum number of rows in a result that is fetched as one chunk.
+
+Without a chunk size, the engine allocates memory for ten million cells.
+"""
 
 _PREPARED: Final = 256
-"""Maximum number of a session's prepared statements, and of statements with parameters on one connection.
+"""Maximum number of statements with parameters that run on one connection before it is replaced.
 
-The engine keeps every statement with parameters, half a megabyte or more, until its connection ends."""
+The engine keeps half a megabyte or more for each such statement until the connection ends.
+"""
 
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
 _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
 
 
 class Graph:
-    """Session on a graph, made by `Graph.open` or `Graph.memory`; a context manager."""
+    """Session on a graph file (`Graph.open`) or on a new graph in memory (`Graph.memory`). A context manager."""
 
     def __init__(self, shared: SharedDatabase, read_only: bool = False, prepares: bool = False) -> None:
         self.path = shared.path
@@ -88,34 +94,35 @@ class Graph:
     def open(
         cls, path: str | Path, *, read_only: bool = False, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False
     ) -> Graph:
-        """Open a graph file.
+        """Open a session on a graph file.
 
         Args:
-            path: Graph file, made by `build_graph`.
+            path: Graph file, which `build_graph` made.
             read_only: Whether the session only reads.
-            buffer_bytes: Maximum size of the page cache.
-            prepares: Whether statements with parameters are parsed once for many uses, which saves a third of the time
-                of small ones.
+            buffer_bytes: Maximum size of the engine's page cache, in bytes.
+            prepares: Whether the session parses a statement with parameters only at its first use. This saves a third
+                of the time of small statements.
 
         Raises:
-            StoreError: The file is missing, damaged or of another version.
-            LockedError: Another process writes the file, or reads it if this session writes.
+            StoreError: If the file is missing or damaged, or has another version.
+            LockedError: If another process writes the file, or another process reads it and this session writes.
         """
         shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes)
         return cls(shared, read_only, prepares)
 
     @classmethod
     def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False) -> Graph:
-        """Make an empty graph in memory; the arguments are those of `open`."""
+        """Open a session on a new, empty graph in memory. `open` describes the arguments."""
         return cls(create_memory_database(buffer_bytes), prepares=prepares)
 
     def close(self) -> None:
-        """Close the session; the last session of this process closes the file. A second call does nothing."""
+        """Close the session. The last session of the process also closes the file. A second call has no effect."""
         with self._lock:
             if self._closed:
                 return
             if self._failed:
-                # On a full disk the engine may hang in its checkpoint. Its log has all data.
+                # A write failed, maybe because the disk is full. A checkpoint could then hang, so skip the checkpoint.
+                # No data is lost, because the log of the engine has all changes.
                 with contextlib.suppress(RuntimeError):
                     self._connection.execute("CALL force_checkpoint_on_close=false")
             self._closed = True
@@ -139,16 +146,20 @@ class Graph:
         ordered: bool = True,
         timeout_s: float | None = None,
     ) -> pa.Table:
-        """Run one reading statement.
+        """Run one statement that only reads.
 
         Args:
-            cypher: Statement; `$name` is the value of `name` in `params`.
-            params: Values of parameters. Pass many rows as one Arrow table: `LOAD FROM $rows WITH ...`.
-            ordered: Whether a result of several rows needs an ORDER BY.
-            timeout_s: Seconds after which the statement is stopped.
+            cypher: Statement. `$name` stands for the value of the parameter `name`.
+            params: Values of the parameters, by name. Pass many rows as an Arrow table: `LOAD FROM $rows WITH ...`.
+            ordered: Whether to refuse the statement if it returns several rows without an ORDER BY.
+            timeout_s: Maximum time in seconds, after which the statement is stopped; None for no limit.
+
+        Returns:
+            The rows that the statement returns.
 
         Raises:
-            QueryError: The statement is refused (it would lose rows, writes, or has no order), fails or takes too long.
+            QueryError: If the statement is refused, fails, or takes longer than `timeout_s`. A statement is refused if
+                it writes, lacks an order, or would be answered wrongly by the engine.
         """
         text, values = bind(cypher, params or {})
         with self._lock:
@@ -156,7 +167,7 @@ class Graph:
             return self._run(text, values, timeout_s)
 
     def prepare(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> None:
-        """Check and parse a reading statement before its first use. Raises QueryError if it is refused."""
+        """Check and parse a statement for `query` before its first run. Raises QueryError if it is refused."""
         text, values = bind(cypher, params)
         with self._lock:
             self._check_read(text, values, ordered)
@@ -171,11 +182,21 @@ class Graph:
             raise QueryError(f"add an ORDER BY, or pass ordered=False, to: {shorten(text)}")
 
     def tables(self) -> set[str]:
-        """Return the names of the graph's tables."""
+        """Return the names of all tables of the graph."""
         return set(self.query("CALL show_tables() RETURN name AS name", ordered=False)["name"].to_pylist())
 
     def count_rows(self, timeout_s: float | None = None) -> dict[str, int]:
-        """Return the rows of each table. Raises QueryError if the count of a table takes longer than `timeout_s`."""
+        """Return the number of rows of each table.
+
+        Args:
+            timeout_s: Maximum time in seconds to count the rows of one table; None for no limit.
+
+        Returns:
+            Number of rows by the name of the table.
+
+        Raises:
+            QueryError: If a count takes longer than `timeout_s`.
+        """
         counts = {}
         tables = self.query("CALL show_tables() RETURN name, type", ordered=False).to_pylist()
         for name, kind in sorted((table["name"], table["type"]) for table in tables):
@@ -185,7 +206,7 @@ class Graph:
         return counts
 
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
-        """Return the engine's plan of a statement. Raises QueryError if it cannot be planned."""
+        """Return the engine's plan of a statement, without a run. Raises QueryError if the statement is not valid."""
         text, values = bind(cypher, params or {})
         with self._lock:
             return self._plan(text, values)
@@ -193,38 +214,48 @@ class Graph:
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
-        """Run a statement that may write, also inside `transaction()`. Raises QueryError or StoreError if it fails."""
+        """Run one statement that may write, and return its rows. Outside `transaction()`, it is its own transaction.
+
+        Raises:
+            QueryError: If the statement is refused or fails, or the session only reads.
+            StoreError: If the disk is full or the graph file is damaged.
+        """
         text, values = bind(cypher, params or {})
         with self._writing():
             bare = strip_literals(text)
             if _MATCH.search(bare):
                 refuse_wrong_answers(self._plan(text, values), text, lambda probe: self._complaint(probe, values))
             elif not _ROW.match(bare):
-                # A change of tables may change every plan.
+                # If the statement changes tables, stored plans may be wrong.
                 self._shared.plans.clear()
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
-        """Append rows to a table of the graph. Edges begin with their two keys; columns have the order of the table."""
-        # The engine uses importlib.util without an import of it.
+        """Append rows to a table of the graph, with the columns in the order of the table.
+
+        The first two columns of an edge are the keys of the nodes at its start and at its end.
+        """
+        # The engine uses importlib.util, but does not import it.
         import importlib.util  # noqa: F401
 
-        # The engine silently loses rows of columns with small chunks.
+        # The engine silently loses rows if the chunks of a column are small.
         self._copy(table, "$rows", {"rows": rows.combine_chunks()})
 
     def copy_files(self, table: str, folder: Path, names: Sequence[str], ends: Sequence[str] = ()) -> None:
-        """Append rows of Parquet files to a table of the graph.
+        """Append the rows of Parquet files to a table of the graph.
 
-        The engine reads a path as a pattern. So names must be plain, and the process changes to the folder meanwhile.
+        The engine takes a path for a pattern with wildcards. So file names must be plain, and this process changes its
+        current folder to `folder` during the call.
 
         Args:
-            table: Table of the graph.
+            table: Name of the table.
             folder: Folder of the files.
-            names: Names of the files.
-            ends: Node tables at the start and the end of edges, for a table with several pairs.
+            names: Names of the files: letters, digits, '.', '_' and '-'.
+            ends: Node tables at the start and at the end of the edges. Needed only if the relationship table has
+                several pairs of node tables.
 
         Raises:
-            QueryError: A name is not plain, or the rows do not fit the table.
+            QueryError: If a file name is not plain, or the rows do not fit the table.
         """
         if any(not re.fullmatch(r"[A-Za-z0-9._-]+", name) for name in names):
             raise QueryError("a file to copy from needs a plain name")
@@ -242,7 +273,7 @@ class Graph:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
-        """Run the statements of a `with` block in one write transaction, which an error rolls back."""
+        """Run the statements of a `with` block in one write transaction. An exception in the block undoes them all."""
         with self._writing():
             self._run("BEGIN TRANSACTION", {}, None)
             self._in_transaction = True
@@ -277,7 +308,8 @@ class Graph:
         return plan
 
     def _complaint(self, text: str, values: Mapping[str, Any]) -> str:
-        """Return the engine's error message for a statement. An error ends a transaction, so use a new connection."""
+        """Return the engine's error message for a statement, or "" if it is valid."""
+        # Use a new connection, because an error ends the transaction of its connection.
         with engine().Connection(self._shared.database) as connection:
             try:
                 connection.execute(f"EXPLAIN {text}", dict(values))
@@ -286,7 +318,7 @@ class Graph:
         return ""
 
     def _renew(self) -> None:
-        """Replace a connection that keeps many statements, except inside a transaction."""
+        """Replace the connection if the engine keeps too many statements for it, except inside a transaction."""
         if self._planned >= _PREPARED and not self._in_transaction:
             self._prepared.clear()
             self._connection.close()
@@ -294,9 +326,9 @@ class Graph:
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
-        """Return the prepared statement, or the text.
+        """Return the prepared statement for a text, or the text if it must not be prepared.
 
-        A statement with rows as a parameter is not prepared, because the engine would reuse the rows of its first use.
+        The engine would use an Arrow table of the first call again in later calls. So such statements stay texts.
         """
         rows = any(isinstance(value, pa.Table) for value in values.values())
         if not (self._prepares and values) or rows or text.startswith("EXPLAIN"):
@@ -319,7 +351,7 @@ class Graph:
             self._connection.set_query_timeout(0 if timeout_s is None else max(1, round(timeout_s * 1000)))
             result = self._connection.execute(self._statement(text, values), dict(values))
             if isinstance(result, list):
-                # Close all results, because the engine crashes if only the last result remains.
+                # Close all results, because the engine crashes if only the last result is left.
                 for part in result:
                     part.close()
                 raise QueryError(f"one statement at a time: {shorten(text)}")
@@ -339,9 +371,10 @@ class Graph:
 
 @contextlib.contextmanager
 def open_worker_graph(path: Path) -> Iterator[Graph]:
-    """Yield a session for reading with prepared statements, which a worker process keeps open for its next sequence.
+    """Yield a session for reading that prepares statements.
 
-    Opening a graph and planning take longer than most statements. Raises StoreError or LockedError as `Graph.open`.
+    A worker process keeps the session open for its next sequence, because opening a graph and planning statements take
+    longer than most statements. Other processes close it when the `with` block ends. Raises the errors of `Graph.open`.
     """
     with contextlib.ExitStack() as closing:
         graph = _left_open.get(path)
@@ -358,27 +391,28 @@ _left_open: dict[Path, Graph] = {}
 
 
 def hold_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
-    """Return a context that keeps a graph open if `workers` is 1, so that it is opened once for all sequences.
+    """Return a context manager that keeps a graph open in this process if the process handles all sequences itself.
 
-    With several workers the context is empty, because an open graph takes 150 MB. Raises StoreError or LockedError as
-    `Graph.open`.
+    Then the file is opened only once. With several workers, the context manager does nothing, because an open graph
+    takes 150 MB of memory. Raises the errors of `Graph.open`.
     """
     return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()
 
 
 @contextlib.contextmanager
 def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
-    """Yield a session on a new graph file, and rename the file to `path` when the block ends.
+    """Yield a session on a temporary graph file, and rename the file to `path` when the `with` block ends.
 
-    If the block raises, the old file stays. The lock of the graph is held meanwhile.
+    The graph is locked until then. If the block raises an exception, the temporary file is removed, and the file at
+    `path` does not change.
 
     Args:
-        path: Graph file to make or replace.
-        extend: Whether the new file begins as a copy of the old one.
+        path: Graph file to create or replace.
+        extend: Whether the temporary file begins as a copy of the file at `path`, instead of empty.
 
     Raises:
-        LockedError: A session has the graph open, here or in another process.
-        StoreError: The disk refuses.
+        LockedError: If the file at `path` is open in this process, or another process uses it.
+        StoreError: If the file cannot be written.
     """
     target = Path(path).resolve()
     check_unused(target)
@@ -386,7 +420,7 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     check_room(target)
     with lock_graph(target, shared=False), contextlib.ExitStack() as cleanup:
         temporary = building_path(target)
-        # Remove the files of a killed process, which no longer holds the lock.
+        # Remove temporary files of a process that was killed. It no longer runs, because this process has the lock.
         remove_files(temporary)
         cleanup.callback(remove_files, temporary)
         if extend:
@@ -403,7 +437,7 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
 
 
 def remove_graph(path: str | Path) -> None:
-    """Remove a graph if it exists. Raises LockedError if a session has it open."""
+    """Remove a graph file and its side files. Raises LockedError if another process uses the graph."""
     target = Path(path).resolve()
     with lock_graph(target, shared=False):
         remove_files(target)

@@ -1,8 +1,8 @@
-"""Typed parameters of Cypher statements.
+"""Types for the parameters of Cypher statements.
 
-The engine infers the type of a parameter from its value: 5 becomes INT8, a list takes the type of its items, and an
-empty list has no type. So `$name` is rewritten to `CAST($name AS INT64)` or another type of the Python value. Quoted
-texts, quoted names and comments stay as they are.
+The engine derives the type of a parameter from its value. 5 becomes INT8, a list takes the type of its items, and an
+empty list gets no type. So this module writes `CAST($name AS INT64)` in place of `$name`, with the type that belongs to
+the Python value. Quoted texts, quoted names and comments stay unchanged.
 """
 
 from __future__ import annotations
@@ -27,25 +27,29 @@ _FIELD: Final = re.compile("[A-Za-z_][A-Za-z0-9_]*")
 
 
 def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return a statement with typed parameters, and the values to bind.
+    """Write the types of its parameters into a statement.
 
     Args:
-        cypher: Statement; a final semicolon is removed.
-        params: Values by name: None, bool, int (64 bits), float, str, lists and dicts of these, numpy scalars, and
-            Arrow tables (for `LOAD FROM $name`).
+        cypher: Statement. A semicolon at the end is removed.
+        params: Values of the parameters, by name. A value is None, bool, int (64 bits), float, str, a numpy scalar, a
+            list or dict of these, or an Arrow table (for `LOAD FROM $name`).
+
+    Returns:
+        The statement with typed parameters, and the values to pass to the engine.
 
     Raises:
-        QueryError: There are two statements, the names are not those of the statement, or a value cannot be bound.
+        QueryError: If there is a second statement, a parameter lacks its value, a value lacks its parameter, or the
+            engine cannot take a value.
     """
     values = {name: _plain(name, value) for name, value in params.items()}
     kinds = [(n, _type(n, value) if isinstance(value, int | list | dict) else None) for n, value in values.items()]
     return _typed(cypher, tuple(kinds)), values
 
 
-# Without the cache this takes 0.1 to 1 ms per statement, up to half the time of a small query.
+# Without the cache, each call takes 0.1 to 1 ms, which is up to half the time of a small query.
 @lru_cache(1024)
 def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
-    """Return the statement with a CAST round each parameter that has a type in `kinds`."""
+    """Return the statement with a CAST round each parameter that has a type in `kinds` (pairs of name and type)."""
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):
         raise QueryError("one statement at a time: there is a ';' inside")
@@ -57,7 +61,7 @@ def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
         if name is None:
             return match[0]
         used.add(name)
-        # LIMIT and SKIP accept only a bare parameter, and convert it themselves.
+        # LIMIT and SKIP convert their parameter themselves, and do not accept a CAST.
         kind = None if match["count"] else types.get(name)
         return f"CAST(${name} AS {kind})" if kind else match[0]
 
@@ -70,19 +74,19 @@ def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
 
 
 def parameters(cypher: str) -> list[str]:
-    """Return the names of a statement's parameters, sorted."""
+    """Return the names of the parameters in a statement, in alphabetical order."""
     return sorted({match["name"] for match in _TOKEN.finditer(cypher) if match["name"]})
 
 
-# Without the cache this takes as long as `_typed`.
+# Without the cache, each call takes as long as `_typed`.
 @lru_cache(1024)
 def strip_literals(cypher: str) -> str:
-    """Return the statement with each quoted text, quoted name and comment replaced by spaces of the same length."""
+    """Replace each quoted text, quoted name and comment of a statement by as many spaces, and return the result."""
     return _TOKEN.sub(lambda match: match[0] if match["name"] else " " * len(match[0]), cypher)
 
 
 def unwrap_scalar(value: Any) -> Any:
-    """Convert a numpy scalar, such as a cell of a data frame, to a Python value; return any other value as it is."""
+    """Convert a numpy scalar, such as a cell of a data frame, to a Python value. Return other values unchanged."""
     return value.item() if hasattr(value, "dtype") and getattr(value, "ndim", 1) == 0 else value
 
 
@@ -103,7 +107,7 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def _type(name: str, value: Any) -> str | None:
-    """Return the engine's type of a plain value, or None if it is unknown (None, or the items of an empty list)."""
+    """Return the name of the engine's type for a Python value. Return None for None and for an empty dictionary."""
     if kind := next((kind for scalars, kind in _SCALARS.items() if isinstance(value, scalars)), None):
         return kind
     match value:

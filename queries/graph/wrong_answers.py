@@ -1,14 +1,15 @@
-"""Checks for statements that the engine is known to answer wrongly, by their plan and their keywords.
+"""Checks that refuse statements which the engine is known to answer wrongly.
 
-Each fault was detected by comparison with brute force. A test fails if a later engine answers correctly.
+The checks look at the plan and at the keywords of a statement. Each fault was found by a comparison with brute force. A
+test fails if a later version of the engine answers correctly, so that the check can be removed.
 
-- *Cyclic patterns lose parallel edges* if the plan has INTERSECT: 2 rows for a true 4.
-- *A bare boolean after WHEN takes the wrong branch*: `CASE WHEN x.flag THEN`, also if the condition is an alias, a cast
-  to BOOL or another CASE. `x.flag = true` and the simple form `CASE x.flag WHEN true` are correct.
-- *Aggregates after a DISTINCT aggregate are empty* in a grouped RETURN or WITH: the second value of
-  `count(DISTINCT a), count(*)` is 0, and `collect` crashes. The other order is correct, and so are ungrouped results.
-- *A text before a number in ORDER BY* misplaces rows if there are more than about 5,000. Numbers before texts are
-  correct.
+- *Cyclic patterns lose parallel edges*. If the plan has INTERSECT, the engine may return 2 rows instead of 4.
+- *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. The condition may also be an alias,
+  a cast to BOOL or another CASE. `WHEN x.flag = true` and `CASE x.flag WHEN true` are answered correctly.
+- *Aggregates after a DISTINCT aggregate are empty* if RETURN or WITH groups rows. In `count(DISTINCT a), count(*)`, the
+  second value is 0, and `collect` instead of `count(*)` crashes. The other order of the two is answered correctly.
+- *Rows are in the wrong place if ORDER BY has a text before a number* and there are more than about 5,000 rows. Numbers
+  before texts are ordered correctly.
 """
 
 from __future__ import annotations
@@ -43,20 +44,26 @@ _AFTER_DISTINCT = re.compile(
 
 
 class QueryPlan:
-    """Plan of a statement, made by the engine."""
+    """Plan that the engine made for a statement.
+
+    Attributes:
+        text: Text of the plan in one line.
+        operators: Names of the plan's operators, from the last to the first that runs.
+        functions: Names of the table functions that the statement calls.
+        sound: Whether `refuse_wrong_answers` has accepted the statement.
+    """
 
     def __init__(self, text: str) -> None:
-        # A plan is drawn as a tree of boxes. For a long statement, megabytes of it are blanks and lines.
+        # The engine draws the plan as a tree of boxes, which has megabytes of blanks and lines for a long statement.
         self.text = " ".join(text.replace("─", "").split())
         self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(self.text))
-        # Exclude the table function of UNWIND and of RETURN without MATCH, because it reads no data.
+        # READ_FTABLE belongs to UNWIND and to RETURN without MATCH. Exclude it, because it does not read outside data.
         self.functions = set(re.findall(r"Function: (\w+)", self.text)) - {"READ_FTABLE"}
-        # True after `refuse_wrong_answers` has accepted the statement.
         self.sound = False
 
     @property
     def writes(self) -> bool:
-        """Whether the statement changes nodes, edges or tables, or imports or exports data."""
+        """Whether the statement changes nodes, edges or tables, imports data, or exports data."""
         return any(
             name in ("SET_PROPERTY", "DELETE", "INSERT", "MERGE", "CREATE_TABLE", "DROP", "ALTER")
             or name.startswith(("COPY", "INDEX_", "EXPORT", "IMPORT", "BATCH_INSERT"))
@@ -65,14 +72,14 @@ class QueryPlan:
 
     @property
     def ordered(self) -> bool:
-        """Whether the statement orders its rows, or returns a single row."""
+        """Whether the statement orders its rows or returns only one row."""
         for name in self.operators:
             if name in _KEEP_ORDER:
                 continue
             if name == "AGGREGATE_SCAN":
                 box = self.text.split("AGGREGATE_SCAN[", 1)[1].split("└", 1)[0]
                 return "Group By:" not in box
-            # COUNT_REL_TABLE is an operator of ladybug, which reads the number of edges from the table.
+            # COUNT_REL_TABLE, an operator of the engine ladybug, returns one row: the number of edges of a table.
             return name in ("ORDER_BY_SCAN", "TOP_K_SCAN", "COUNT_REL_TABLE")
         return False
 
@@ -83,21 +90,22 @@ class QueryPlan:
 
 
 def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], str]) -> None:
-    """Check a statement once for faults of the engine.
+    """Refuse a statement that the engine is known to answer wrongly.
 
     Args:
-        plan: Plan of the statement; its `sound` is set if the statement passes.
+        plan: Plan of the statement. Its attribute `sound` becomes true if the statement is accepted, so that a second
+            check of the same plan returns at once.
         text: Statement.
-        complaint: Function that returns the engine's error message for a statement.
+        complaint: Function that is called with an invalid statement and returns the engine's error message for it.
 
     Raises:
-        QueryError: The engine is known to answer the statement wrongly; the message gives the form to write instead.
+        QueryError: If the engine would answer wrongly. The message gives an equivalent form that it answers correctly.
     """
     if plan.sound:
         return
     if "INTERSECT" in plan.operators:
         raise QueryError(
-            "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
+            "the engine would lose rows of this cyclic pattern (the plan has INTERSECT): split the pattern by WITH, or "
             f"test one side by EXISTS {{ MATCH ... }}: {' '.join(text.split())[:120]}"
         )
     bare = " ".join(strip_literals(text).split())
@@ -110,14 +118,17 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
     for probe in _order_probes(text):
         kinds = [kind.strip() for types in _KINDS.findall(complaint(probe)) for kind in types.split(",")]
         if not kinds:
-            raise QueryError("the types of the keys of ORDER BY are not clear: order by columns that are returned")
+            raise QueryError("the types of the columns in ORDER BY are not known: order by columns that are returned")
         if "STRING" in kinds and any(kind != "STRING" for kind in kinds[kinds.index("STRING") :]):
             raise QueryError("the engine misplaces rows by ORDER BY with a text before a number: put the numbers first")
     plan.sound = True
 
 
 def _conditions(text: str) -> Iterator[str]:
-    """Yield the conditions of each searched CASE, without parentheses, from a text without quoted names."""
+    """Yield each condition between WHEN and THEN of a CASE without an operand, in a statement without quoted texts.
+
+    The conditions are yielded without parentheses.
+    """
     searched: list[bool] = []
     begun: list[int] = []
     for match in _CASE.finditer(text):
@@ -137,9 +148,9 @@ def _conditions(text: str) -> Iterator[str]:
 
 
 def _order_probes(text: str) -> Iterator[str]:
-    """Yield the statement once per ORDER BY of several keys, with a call of an undefined overload on these keys.
+    """Yield an invalid variant of the statement for each ORDER BY with several keys, to find out the types of the keys.
 
-    The engine's error message names the types of the keys.
+    The variant calls `lower` with all keys. The engine's error message about this call names the type of each key.
     """
     for order in _ORDER.finditer(strip_literals(text)):
         if "," in order[1]:
@@ -148,7 +159,7 @@ def _order_probes(text: str) -> Iterator[str]:
 
 
 def _projections(text: str) -> list[str]:
-    """Return the text after each RETURN and WITH, without subqueries, because their aggregates are separate."""
+    """Return the texts after each RETURN and WITH. Subqueries are cut out, because they have groups of their own."""
     before = ""
     while before != text:
         before = text

@@ -1,4 +1,4 @@
-// Number of stored writes of each of a run's episodes; 0 if its first write was interrupted.
+// Number of stored writes in each episode of a run. It is 0 if the first write was interrupted.
 MATCH (e:Episode)
 WHERE e.run = $run
 OPTIONAL MATCH (e)-[:Wrote]->(w:Write)

@@ -1,4 +1,4 @@
--- Effect of looking, the world model and the policy: variants of the reference agent, in percent of the n questions.
+-- Scores of the reference agent with and without looks of its own choice, a world model and a policy, in percent.
 WITH cells (method, active, world_model) AS (
     VALUES ('agent-passive-no-world', 'off', 'off'), ('agent-passive', 'off', 'on'),
            ('agent-no-world', 'on', 'off'), ('agent', 'on', 'on')

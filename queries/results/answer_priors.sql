@@ -1,4 +1,4 @@
--- Frequency of each text among the right answers of a multiple-choice template: the score of a guesser with the priors.
+-- Frequency of each true choice in a multiple-choice template, which is the score of a guess that is always this text.
 WITH truth AS (
     SELECT q.template, list_extract(q.choices, CAST(json_extract(a.answer, '$.choice') AS INT)) AS says
     FROM answers a

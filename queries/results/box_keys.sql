@@ -1,4 +1,4 @@
--- Keys under which each run's model wrote its boxes. The contract's key is bbox (box in the agent's tools).
+-- JSON keys that the models used for their boxes. The prompts ask for bbox, and the tools of the agent for box.
 WITH solved AS (
     SELECT run_id, question_id,
            CASE WHEN json_valid(response) THEN json_extract_string(response, '$.box_key') END AS box_key

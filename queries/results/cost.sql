@@ -1,4 +1,4 @@
--- Cost of a question in each run: looks, calls, tokens and seconds, and tokens per question that scores combined.
+-- Mean cost of a question in each run: looks, model calls, tokens, seconds, and tokens per combined score of 1.
 SELECT run_id, method, model, if(synthetic, 'synthetic', '') AS label, count(*) AS n,
        round_even(coalesce(sum(n_observations), 0) / n, 3) AS observations,
        round_even(coalesce(sum(n_model_calls), 0) / n, 3) AS model_calls,

@@ -1,4 +1,4 @@
--- Cost of a question with right answer and box in each run: looks, calls, tokens and seconds.
+-- Cost of a run divided by the number of questions with right answer and box: looks, model calls, tokens and seconds.
 SELECT p.run_id, sum(s.combined_score)::INT AS correct,
        round(sum(p.n_observations) / nullif(sum(s.combined_score), 0), 2) AS looks,
        round(sum(p.n_model_calls) / nullif(sum(s.combined_score), 0), 2) AS calls,

@@ -1,4 +1,4 @@
--- Difficulty of each sequence over all runs: people, boxes in clear view, and shares of right answers.
+-- Difficulty of each sequence: people per frame, share of clear views, and scores over all runs, in percent.
 WITH crowd AS (
     SELECT sequence, round(count(*) / count(DISTINCT frame), 1) AS people_per_frame,
            round(100 * avg(clear::INT), 1) AS clear_views

@@ -1,4 +1,4 @@
--- Causes of boxes that do not score: the first cause that fits each box, in percent of the questions of its run.
+-- Causes of wrong evidence boxes. Each box counts for the first cause that applies, in percent of the run's questions.
 WITH boxes AS (
     SELECT s.run_id, s.question_id, q.sequence, p.evidence_frame AS frame,
            p.evidence_x AS x, p.evidence_y AS y, p.evidence_w AS w, p.evidence_h AS h,
@@ -21,7 +21,7 @@ WITH boxes AS (
     JOIN answers a USING (question_id)
     JOIN evidence e ON e.sequence = q.sequence AND e.track = a.target_track
 ), reached AS (
-    -- Columns of the target, counted from the look's left edge; a box may begin before it, also over the seam.
+    -- Columns of the target's box, counted from the left edge of the look. A box may cross the seam or that edge.
     SELECT l.run_id, l.question_id, l.width, e.w,
            e.x - l.start - 3760 * floor((e.x - l.start) / 3760) AS first, first + e.w AS last
     FROM looks l

@@ -1,4 +1,4 @@
--- Questions that the fewest runs answer with the right box, hardest first.
+-- Questions by the number of runs that give both the right answer and the right box, fewest runs first.
 -- param count: integer = 20
 SELECT q.question_id, q.template, q.sequence, count(*) AS runs,
        sum(s.answer_score)::INT AS answered, sum(s.evidence_score)::INT AS boxed, sum(s.combined_score)::INT AS combined,

@@ -1,4 +1,4 @@
--- Reasons of invalid answers in each run, most frequent first; # replaces the numbers in them.
+-- Reasons of invalid and failed answers in each run, most frequent first. # replaces the numbers in a reason.
 SELECT run_id, status, regexp_replace(reason, '[0-9]+', '#', 'g') AS reason, count(*) AS times
 FROM predictions
 WHERE status <> 'answered'

@@ -1,4 +1,4 @@
--- Shares of right answers and boxes by the number of looks that a question took, for each run.
+-- Scores of each run by the number of looks at a question, in percent of the n questions with that number.
 SELECT p.run_id, p.n_observations AS looks, count(*) AS n,
        round(100 * avg(s.answer_score), 2) AS answer,
        round(100 * avg(s.evidence_score), 2) AS evidence,

@@ -1,4 +1,4 @@
--- Positions in the list of choices that each run selects, beside the positions of the true choices.
+-- How often each run selects each position in the list of choices, and how often the true choice is there.
 WITH given AS (
     SELECT p.run_id, CAST(json_extract(p.answer, '$.choice') AS INT) AS place, 1 AS chosen, 0 AS right_one
     FROM predictions p

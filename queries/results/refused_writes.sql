@@ -1,4 +1,4 @@
--- Refused writes of agents into their world models by reason; # replaces the numbers in it.
+-- Refused writes of agents into their world models, by tool and reason. # replaces the numbers in a reason.
 SELECT run_id, tool, regexp_replace(reason, '[0-9]+', '#', 'g') AS reason, count(*) AS times,
        count(DISTINCT question_id) AS questions
 FROM world

@@ -1,4 +1,4 @@
--- Questions that every run answered right and no run with the right box, which suggests that they can be guessed.
+-- Questions with a right answer but a wrong box in every run, which suggests that the answer can be guessed.
 SELECT q.question_id, q.template, q.sequence, count(*) AS runs, q.question
 FROM scores s
 JOIN questions q USING (question_id)

@@ -1,4 +1,4 @@
--- Questions that one run of a pair scores combined and the other does not, for each pair of runs.
+-- For each pair of runs: number and examples of questions that only the first run has fully right (answer and box).
 SELECT a.run_id AS scores_it, b.run_id AS misses_it, q.template, count(*) AS questions,
        list_sort(list(q.question_id))[1:3] AS examples
 FROM scores a

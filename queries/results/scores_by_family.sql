@@ -1,4 +1,4 @@
--- Scores of every run per family, in percent of the n questions.
+-- Scores of each run in each family, in percent of the n questions.
 SELECT run_id, family, count(*) AS n,
        round_even(100 * sum(answer_score) / n, 2) AS answer,
        round_even(100 * sum(evidence_score) / n, 2) AS evidence,

@@ -1,4 +1,5 @@
--- Scores of every run per group of the paper: its chain holds 2-hop, 3-hop and fork-join, its hybrid the chain hybrid.
+-- Scores of each run in the paper's groups of families, in percent of the n questions.
+-- The group chain has the families chain_2hop, chain_3hop and chain_fork_join. The group hybrid has chain_hybrid.
 SELECT run_id,
        CASE WHEN family = 'chain_hybrid' THEN 'hybrid' WHEN starts_with(family, 'chain_') THEN 'chain'
             ELSE replace(family, '_', ' ') END AS "group",

@@ -1,4 +1,4 @@
--- Scores of every run per template, in percent of the n questions.
+-- Scores of each run in each template, in percent of the n questions.
 SELECT run_id, template, count(*) AS n,
        round_even(100 * sum(answer_score) / n, 2) AS answer,
        round_even(100 * sum(evidence_score) / n, 2) AS evidence,

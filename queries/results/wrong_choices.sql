@@ -1,4 +1,4 @@
--- Failures at multiple choice: the perturbation that yields a wrong choice, in percent of a run's wrong choices.
+-- Wrong choices of each run, by the change of the plan that gives the chosen answer, in percent of all wrong choices.
 WITH chosen AS (
     SELECT run_id, question_id, TRY_CAST(TRY_CAST(answer AS JSON) ->> 'choice' AS INT) AS choice
     FROM predictions

@@ -1,5 +1,5 @@
--- Pairs of reviewers who decided the same questions, with Cohen's kappa, the agreement beyond chance. Kappa is null if
--- both always give the same decision.
+-- Agreement of each pair of reviewers on the questions that both decided. Cohen's kappa is the agreement beyond chance.
+-- It is null if both reviewers gave one and the same decision to all questions.
 WITH pairs AS (
     SELECT a.reviewer AS first, b.reviewer AS second, count(*) AS n, count_if(a.decision = b.decision) AS agree,
            (count_if(a.decision = 'accept') * count_if(b.decision = 'accept')

@@ -1,4 +1,4 @@
--- Answers of each template by kind of answer: texts of choices by name, bins of times in their order.
+-- Frequency of each answer in each template. Choices are in alphabetical order, and bins of times in order of time.
 SELECT template, asks, answer, count(*) AS n, n / sum(count(*)) OVER (PARTITION BY template, asks) AS share
 FROM measured
 GROUP BY template, asks, answer

@@ -1,4 +1,5 @@
--- All bins of every measure, including empty bins: "3" or "6-7" for counts, else "[20, 40)"; the last is "12+".
+-- Number of questions in each bin of each measure, including empty bins.
+-- A bin of counts is written "3" or "6-7", another bin "[20, 40)", and the last bin of a measure "12+".
 WITH edges (place, what, lows) AS (
     VALUES (1, 'time_gap_s', [0, 0.001, 5, 10, 20, 40, 80]),
            (2, 'separation_deg', [0, 10, 20, 45, 90, 135]),

@@ -1,4 +1,4 @@
--- Positions of the true choice.
+-- How often the true choice is at each position of the list, in each template.
 SELECT template, position, count(*) AS n, n / sum(count(*)) OVER (PARTITION BY template) AS share
 FROM measured
 WHERE position IS NOT NULL

@@ -1,4 +1,4 @@
--- The measures of each template's questions: smallest, median, mean and largest.
+-- Minimum, median, mean and maximum of each measure over the questions of each template.
 SELECT template, what, count(*) AS n, min(amount) AS min,
        (list_sort(list(amount))[(n + 1) // 2] + list_sort(list(amount))[n // 2 + 1]) / 2 AS median,
        sum(amount) / n AS mean, max(amount) AS max

@@ -1,3 +1,3 @@
-// Set the plan of an episode and the verdict on its answer.
+// Set the plan of an episode, and the verdict on its answer.
 MATCH (e:Episode {id: $id})
 SET e.plan = $plan, e.verdict = $verdict

@@ -1,4 +1,5 @@
-// Create attributes of entities in observations. (The engine does not look up a key by a row's value.)
+// Create the attribute edges that link entities to observations. Match nodes by the hash of the episode and filter
+// them by number, because the engine does not look up the key of a node by the value of a row.
 MATCH (n:Entity {episode_hash: UUID($hash)})
 UNWIND $rows AS r
 WITH r, n

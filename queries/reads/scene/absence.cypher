@@ -1,5 +1,6 @@
-// seconds_between: a person's first absence after a frame, between the last box before it and the first box after it.
-// The person is in clear view at every keyframe until then, and every frame of the absence is annotated.
+// For the read seconds_between: a person's first absence after a frame. The person must be in clear view at every
+// keyframe until the absence, and all frames of the absence must be annotated. `leaves` is the frame of the last box before the
+// absence, and `returns` the frame of the first box after it.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.after AS after, q.step AS step, q.box_step AS box_step
 MATCH (f:Frame)

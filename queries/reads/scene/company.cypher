@@ -1,4 +1,4 @@
-// count: whether a person is seen at every keyframe from one frame to another.
+// For the read count: the plans with a person who has a box at every keyframe from frame t1 to frame t2.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.t1 AS t1, q.t2 AS t2, q.step AS step
 MATCH (f:Frame)

@@ -1,5 +1,5 @@
-// Frames with action labels per sequence: the first and last frame with a list of actions and the step between them;
-// also the step between frames with boxes.
+// The first and the last frame with a list of actions in each sequence (`low`, `high`), the number of frames from one
+// list to the next (`step`), and the number of frames from one frame with boxes to the next (`box_step`).
 MATCH (f:Frame)
 WHERE f.annotated
 WITH f.sequence AS scope, min(f.frame) AS origin

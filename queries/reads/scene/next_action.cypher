@@ -1,5 +1,6 @@
-// next_action: the posture after the one held at a frame, and the keyframe `until` at which it is first seen.
-// The first posture is seen at every keyframe until then. (Without IS NOT NULL the engine loses rows of OPTIONAL MATCH.)
+// For the read next_action: the pose that follows the pose of a person at a frame. `until` is the first keyframe with
+// the next pose. The person has the first pose at every keyframe before `until`.
+// The condition IS NOT NULL is needed, because without it the engine loses rows of OPTIONAL MATCH.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.after AS after
 MATCH (p:Person)-[s:SeenIn]->(:Frame)

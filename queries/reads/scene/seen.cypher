@@ -1,5 +1,6 @@
-// presence, distance_change: the view of a person at a frame. `clear` is 1 in clear view. A person without a box is
-// absent if the frame and both neighbouring keyframes are annotated (3). `distance` is in metres, null if unknown.
+// For the reads presence and distance_change: how a person is seen at frame t. `annotated` and `boxes` count the
+// annotated frames, and the person's boxes, among t and the keyframes before and after it. The person is absent if
+// `annotated` is 3 and `boxes` is 0. `clear` is 1 if the person is in clear view at t. `distance` is in metres.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.t AS t
 UNWIND [t - 15, t, t + 15] AS near

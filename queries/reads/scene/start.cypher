@@ -1,7 +1,7 @@
-// start, span, start_view, seconds_between: the first time after a frame that a person starts an action.
-// This is the first stable segment of the action, from `first` to `last`, that is false at all frames since `after`;
-// `start` and `end` are the requested values. `closed`: its end is known. `angle` is the direction at `first`.
-// Frames with action labels are low, low + step, ..., high; no others exist.
+// For the reads start, span, start_view and seconds_between: the first start of an action by a person after a frame.
+// The start begins a stable segment of the action, from `first` to `last`. Before it, the action is false at all frames
+// since `after`. `start` and `end` are the values that a question expects. `closed` is true if the end is known.
+// `angle` is the panorama angle of the person at `first`. The frames with action labels are low, low + step, ..., high.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.action AS action, q.posture AS posture, q.after AS after,
      q.low AS low, q.high AS high, q.step AS step
@@ -10,7 +10,7 @@ MATCH (p:Person)-[r:Performs|MayPerform]->(x:Action)
 WHERE p.sequence = scope AND p.track = who AND x.name = action AND r.last >= after
 WITH id, action, posture, after, low, high, step, p, min(r.first) AS first
 WHERE first > after
-// Of intervals that follow each other without a gap, the last is the first one without a successor.
+// The intervals from `first` on follow each other without a gap. The first interval without a successor ends them.
 MATCH (p)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = action AND r.first >= first
   AND NOT EXISTS { MATCH (p)-[n:Performs|MayPerform]->(y:Action) WHERE y.name = action AND n.first = r.last + step }
@@ -28,13 +28,13 @@ WITH id, action, posture, after, low, high, step, p, first, last,
 WHERE unsure = 0 AND first - edge >= low
   AND (before IS NULL OR (before < first - edge AND before < first - quiet))
   AND (next IS NULL OR next > last + quiet)
-// The person is in clear view at all frames of the action.
+// Require a clear view of the person at all frames of the segment.
 MATCH (x:Action)<-[r:Performs]-(p)-[s:SeenIn]->(:Frame)
 WHERE x.name = action AND r.certain AND r.first >= first AND r.last <= last
   AND s.frame >= r.first AND s.frame <= r.last AND (s.frame - low) % step = 0 AND s.clear
 WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, count(*) AS clear
 WHERE clear = named
-// Frames with action labels before and after the segment: the action is false there.
+// Count the frames with action labels before and after the segment. At these frames, the action is false.
 MATCH (p)-[s:SeenIn]->(:Frame)
 WHERE (s.frame - low) % step = 0
 WITH id, after, low, high, step, first, last, next, edge, quiet, s.frame AS t, s.angle AS angle, s.clear AS clear,

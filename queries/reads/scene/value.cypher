@@ -1,4 +1,4 @@
-// action, attribute: the labels of a person at a frame at which it is seen; null if they are unknown.
+// For the reads action and attribute: the labels of a person at a frame that shows the person. Unknown labels are null.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.t AS t
 MATCH (p:Person)-[s:SeenIn]->(:Frame)

@@ -159,7 +159,7 @@ def test_over_stdio_a_store_with_answers_or_labels_is_refused(public_store, held
     (store.path / held).mkdir(parents=True)
     result = CliRunner().invoke(group, ["mcp", "--store", str(store.path), "--images", images])
     assert isinstance(result.exception, InputError)
-    assert f"holds {held}" in str(result.exception) and "--i-trust-the-agent" in str(result.exception)
+    assert f"has {held}" in str(result.exception) and "--i-trust-the-agent" in str(result.exception)
     assert "\n" not in str(result.exception) and not (store.path / "runs" / "mcp-agent").exists()
 
 
