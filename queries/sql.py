@@ -135,7 +135,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
             try:
                 statements = connection.extract_statements(sql)
                 if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
-                    raise QueryError("only one SELECT statement is allowed, which cannot write, load or attach")
+                    raise QueryError("only one SELECT is allowed: statements that write, load or attach are refused")
                 # A relation converts its rows to Arrow without a second copy.
                 values = {name: unwrap_scalar(value) for name, value in (params or {}).items()}
                 return connection.sql(sql, params=values or None).to_arrow_table()

@@ -154,7 +154,7 @@ def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
 def translate_error(
     error: RuntimeError, text: str, timeout_s: float | None, path: Path | None
 ) -> QueryError | StoreError:
-    """Return the exception to raise in place of an exception of the engine.
+    """Return the exception of this package that replaces an exception of the engine.
 
     Args:
         error: Exception of the engine.

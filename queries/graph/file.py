@@ -136,7 +136,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
         raise StoreError(f"{graph} has no readable {fingerprint_path(graph).name} beside it: {rebuild}") from None
     if built.storage_version != STORAGE_VERSION:
         raise StoreError(
-            f"{graph} was built for version {built.storage_version} of the tables, this is {STORAGE_VERSION}: {rebuild}"
+            f"{graph} has version {built.storage_version} of the tables, this program has {STORAGE_VERSION}: {rebuild}"
         )
     if engine not in (None, ENGINE):
         raise StoreError(f"{graph} is a file of {engine}, not of {ENGINE}: set JRDB_AVR_ENGINE={engine}, or {rebuild}")
@@ -146,9 +146,9 @@ def check_fingerprint(graph: Path) -> Fingerprint:
 
 
 def describe_rebuild(graph: Path) -> str:
-    """Return the advice of error messages how to build a graph file again.
+    """Return advice for error messages on how to build a graph file again.
 
-    A command builds the graph of a store. A run makes a new file for its world models (`evaluate --world-db`).
+    A command builds the graph of a store. The next run makes a new file for world models (`evaluate --world-db`).
     """
     if graph.name != STORE_GRAPH:
         return "give another file, or remove this one: the next run makes a new one"
@@ -263,7 +263,7 @@ def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
 
 
 def _rename_fingerprint(graph: Path) -> None:
-    """Rename the fingerprint if its graph was already renamed. This also repairs a kill between the two renames."""
+    """Rename the fingerprint if its graph was already renamed, maybe by a process that was killed between the two."""
     temporary = building_path(graph)
     if not temporary.exists():
         with contextlib.suppress(FileNotFoundError):

@@ -71,7 +71,7 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
     if "\\" in cypher or "\0" in cypher or "\r" in cypher.replace("\r\n", "\n"):
         raise QueryError("a backslash or a bare carriage return is not allowed: pass the text as a parameter ($name)")
     if ";" in cypher.strip().removesuffix(";"):
-        raise QueryError("one statement, without ';' inside: pass texts that hold one as a parameter ($name)")
+        raise QueryError("one statement only, without ';' inside: pass a text with ';' as a parameter ($name)")
     bare = strip_literals(cypher)
     if any(quote in bare for quote in "'\"`") or "/*" in bare:
         raise QueryError("a quote or comment is not closed")

@@ -105,7 +105,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
         return
     if "INTERSECT" in plan.operators:
         raise QueryError(
-            "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
+            "the engine would lose rows of this cyclic pattern (the plan has INTERSECT): split the pattern by WITH, or "
             f"test one side by EXISTS {{ MATCH ... }}: {' '.join(text.split())[:120]}"
         )
     bare = " ".join(strip_literals(text).split())
@@ -118,7 +118,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
     for probe in _order_probes(text):
         kinds = [kind.strip() for types in _KINDS.findall(complaint(probe)) for kind in types.split(",")]
         if not kinds:
-            raise QueryError("the types of the keys of ORDER BY are not clear: order by columns that are returned")
+            raise QueryError("the types of the columns in ORDER BY are not known: order by columns that are returned")
         if "STRING" in kinds and any(kind != "STRING" for kind in kinds[kinds.index("STRING") :]):
             raise QueryError("the engine misplaces rows by ORDER BY with a text before a number: put the numbers first")
     plan.sound = True

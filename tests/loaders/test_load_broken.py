@@ -115,14 +115,6 @@ def test_whoever_may_be_a_person_proves_nobodys_absence(tmp_path, label):
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, False]
 
 
-def test_the_first_of_a_repeated_person_is_kept(tmp_path):
-    store, found = loaded(tmp_path, raw_2d(variant(box=[1, 2, 3, 4]), variant(box=[5, 6, 7, 8])))
-    assert [tuple(row[k] for k in "xywh") for row in store.annotation("boxes_2d", NAME).to_pylist()][1] == (1, 2, 3, 4)
-    assert problems_of(found) == [
-        ("record", "same person twice in a frame", 1, f"{NAME}.json", "000015.jpg", "label_id")
-    ]
-
-
 @pytest.mark.parametrize("record", ["3", "null", '"pedestrian:1"', "[]", "true"])
 def test_a_record_that_is_no_object_is_refused(tmp_path, record):
     store, found = loaded(tmp_path, raw_2d(record, json.dumps(GOOD)))
@@ -191,16 +183,6 @@ def test_no_usable_actions_is_no_list_and_no_problem(tmp_path, value):
     store, found = loaded(tmp_path, raw_2d(variant(action_label=value)))
     assert store.annotation("boxes_2d", NAME)["has_actions"].to_pylist() == [True, False]
     assert found.problems == []
-
-
-def test_labels_outside_the_vocabulary_are_kept_and_reported(tmp_path):
-    store, found = loaded(tmp_path, raw_2d(variant(action_label={"Juggling_Balls": 1, "Opening-the-door": 2})))
-    names = store.annotation("actions", NAME).to_pylist()[1:]
-    assert [(row["action"], row["raw"]) for row in names] == [
-        ("interaction with door", "Opening-the-door"),
-        ("juggling balls", "Juggling_Balls"),
-    ]
-    assert [(u.field, u.label, u.count) for u in found.unknown] == [("action_label", "juggling balls", 1)]
 
 
 @pytest.mark.parametrize("name", ["", "\u0000", "x" * 101])
