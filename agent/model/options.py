@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, get_args
 from jrdb_avr.agent.model.conventions import Convention
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.option import option
+from jrdb_avr.schema.option import Options, option
 
 ResponseFormat = Literal["json_schema", "json_object", "none"]
 Thinking = Literal["off", "on", "template"]
@@ -29,7 +29,7 @@ _OWN_HEADERS: Final = ("content-type", "content-length", "host", "accept-encodin
 
 
 @dataclass(frozen=True)
-class EndpointOptions:
+class EndpointOptions(Options):
     """Options of a model's server and of its requests.
 
     The manifest of a run stores the options. A resumed run must have the same options, except for the address, the keys
@@ -81,6 +81,7 @@ class EndpointOptions:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.temperature is not None and not 0 <= self.temperature < math.inf:
             raise InputError("--temperature is a number from 0, or none", field="temperature")
         for key in _OWNED & self.extra_body.keys():
@@ -88,8 +89,6 @@ class EndpointOptions:
         for name in self.headers:
             if not _HEADER.fullmatch(name) or name.lower() in _OWN_HEADERS:
                 raise InputError(f"--header {name!a}: no header of this name can be set", field="headers")
-        if math.isnan(self.timeout_s):
-            raise InputError("--timeout is a number of seconds", field="timeout_s")
         if self.max_cost is not None and (self.price is None or not self.max_cost > 0):
             raise InputError("--max-cost is a number above 0, and needs the price: --prices FILE", field="max_cost")
 

@@ -111,8 +111,11 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
         sys.exit(1)
     if not form:
         names = " ".join(run.run_id for run in results)
+        sharded = len(results) > 1 and all(evaluation.options.selection.shard for evaluation, _ in epochs)
         scored = f"score --store {store.path} {names} && jrdb-avr report --store {store.path}"
-        note(f"next: jrdb-avr {f'runs diff {names} --store {store.path}' if len(results) == 2 else scored}")
+        compared = f"runs diff {names} --store {store.path}" if len(results) == 2 else scored
+        merged = f"runs merge {names} --run-id RUN --store {store.path}"
+        note(f"next: jrdb-avr {merged if sharded else compared}")
 
 
 def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
