@@ -79,8 +79,9 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
       jrdb-avr evaluate --store S --method agent --model marker --resume
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
-    A public store ('export --public' writes it) holds no answers and no labels, for machines that must not have the
-    answers. It takes no --family, --template and --per-template. Methods with a world model need --world-db:
+    A public store (see 'export --public') holds no answers and no labels. It is for machines that must not have the
+    answers. On a public store, --family, --template and --per-template do not work, and methods with a world model need
+    --world-db:
 
       jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
@@ -111,11 +112,13 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
     if len(results) < len(epochs) or any(row["error"] for row in rows):
         sys.exit(1)
     if not form:
-        names = [run.run_id for run in results]
-        steps = scoring_steps(store, *names)
-        if not is_public(store.path):
+        ids = [run.run_id for run in results]
+        names, steps = " ".join(ids), scoring_steps(store, *ids)
+        if len(results) > 1 and all(evaluation.options.selection.shard for evaluation, _ in epochs):
+            steps = f"jrdb-avr runs merge {names} --run-id RUN --store {store.path}"
+        elif not is_public(store.path):
             report = f"{steps} && jrdb-avr report --store {store.path}"
-            steps = f"jrdb-avr runs diff {' '.join(names)} --store {store.path}" if len(names) == 2 else report
+            steps = f"jrdb-avr runs diff {names} --store {store.path}" if len(results) == 2 else report
         note(f"next: {steps}")
 
 
