@@ -98,7 +98,7 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
 
 
 def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
-    """Return the median of frames per second between successive stamps, or None if there are fewer than two."""
+    """Return the median of frames per second between successive stamps, or None for fewer than two stamps."""
     if len(frame) < 2:
         return None
     return float(np.median(np.diff(frame) / np.diff(np.asarray(seconds, np.float64))))
