@@ -110,8 +110,8 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
             table is called `scores`, the views of runs have only the runs in this table.
 
     Yields:
-        A function that runs one statement. Its arguments `sql`, `params` and `timeout_s`, its result and its QueryError
-        are those of `query_tables`.
+        A function that runs one statement. It takes `sql`, `params` and `timeout_s`, returns rows, and raises
+        QueryError, as `query_tables` does.
 
     Raises:
         StoreError: If the folder does not exist, or its manifest is broken.
@@ -156,7 +156,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
-    """Create all views. Return the reason for each view that cannot be created, by name; all other views are usable."""
+    """Create all views. Return the reasons why views could not be created, by name of the view."""
     import duckdb
 
     broken: dict[str, str] = {}

@@ -74,8 +74,8 @@ class EndpointOptions(Options):
     )
     max_cost: float | None = option(
         None,
-        "Stop the run when its calls have cost this much at --prices. Requests that are already sent may add to it. "
-        "--resume with a higher maximum continues the run, and ignores earlier replies that were cut off or refused.",
+        "Stop the run when its calls have cost this much at --prices. Requests in progress may add to the cost. "
+        "--resume and a higher maximum continue the run. The cost of replies that were cut off or refused then lapses.",
         minimum=0,
         metavar="DOLLARS",
     )
@@ -93,13 +93,13 @@ class EndpointOptions(Options):
             raise InputError("--max-cost is a number above 0, and needs the price: --prices FILE", field="max_cost")
 
     def settings(self, convention: Convention) -> dict[str, Any]:
-        """Return the options without the address, as plain JSON for the manifest of a run.
+        """Return the options as plain JSON for the manifest of a run. The address of the server is left out.
 
         Args:
             convention: The convention of the model.
 
         Returns:
-            The options by name, and the `chat_template_kwargs` of the requests under this key.
+            The options by name. The key `chat_template_kwargs` holds the arguments of the chat template.
         """
         settings = {name: value for name, value in asdict(self).items() if name != "base_url"}
         return settings | {"chat_template_kwargs": self.template(convention)}
@@ -150,8 +150,8 @@ class EndpointOptions(Options):
             convention: The convention of the model.
 
         Returns:
-            The arguments by name. They are empty if the chat template thinks as declared without them, or if it has no
-            switch for thinking.
+            The arguments by name, empty if the chat template already turns thinking on or off as the option `thinking`
+            asks, or has no switch for thinking.
         """
         thinks = self.thinking == "on"
         changes = convention.switches and self.thinking != "template" and convention.thinks != thinks

@@ -77,8 +77,9 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
       jrdb-avr evaluate --store S --method agent --model marker --resume
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
-    A public store ('export --public' writes it) holds no answers and no labels, for machines that must not have the
-    answers. It takes no --family, --template and --per-template. Methods with a world model need --world-db:
+    A public store (see 'export --public') holds no answers and no labels. It is for machines that must not have the
+    answers. On a public store, --family, --template and --per-template do not work, and methods with a world model need
+    --world-db:
 
       jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """

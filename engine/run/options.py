@@ -42,8 +42,8 @@ class QuestionSelection(Options):
     seed: int | None = option(None, "Take questions in the random order of this seed. Default: the order of the store.")
     shard: tuple[int, int] | None = option(
         None,
-        "Answer shard I of N: the selected questions of every Nth sequence, from the Ith on in the order of names. "
-        "The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
+        "Answer shard I of N: sort the sequences by name, start at the Ith, take every Nth, and answer the selected "
+        "questions of these. The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
         metavar="I/N",
     )
 

@@ -90,6 +90,16 @@ def test_a_graph_that_a_run_has_written_into_is_compared_by_its_rows(copy):
     assert faults(copy) == {"graph": f"graph.kuzu has {left} rows of Beside instead of {left + 1}"}
 
 
+@pytest.mark.parametrize("runs", [0, 1])
+@pytest.mark.parametrize("extra", [1, 4096])
+def test_a_graph_that_has_grown_without_a_run_is_not_what_was_built(copy, runs, extra):
+    if runs:
+        write_episode(copy)
+    with copy.graph_path.open("ab") as file:
+        file.write(b"\0" * extra)
+    assert list(faults(copy)) == ([] if runs and extra == 4096 else ["graph"])
+
+
 @pytest.mark.slow
 def test_a_graph_that_crashes_the_engine_is_a_line(copy):
     data = bytearray(copy.graph_path.read_bytes())
