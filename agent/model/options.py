@@ -75,7 +75,7 @@ class EndpointOptions(Options):
     max_cost: float | None = option(
         None,
         "Stop the run when its calls have cost this much at --prices. Requests in progress may add to the cost. "
-        "--resume and a higher maximum continue the run. The cost of replies that were cut off or refused then lapses.",
+        "--resume with a higher maximum continues the run, without the cost of replies that were cut off or refused.",
         minimum=0,
         metavar="DOLLARS",
     )

@@ -378,7 +378,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
 
 def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
-    """Yield groups of at most `_GROUP` questions. A group joins whole parts; only a part above the limit is cut."""
+    """Yield groups of at most `_GROUP` questions. Only a part that is larger than a group is divided."""
     group: list[str] = []
     for part in parts:
         if len(group) + len(part) > _GROUP and group:
