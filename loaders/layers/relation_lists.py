@@ -4,10 +4,11 @@ An entry of a list is `{"pair": ..., "inter_labels": {label: difficulty}}`. Furt
 of a partner may be from an earlier frame. Entries differ between frames, but their pairs and labels repeat. Therefore
 each distinct pair and each distinct object of labels gets a code and is decoded once.
 
-A list is *whole* if no part of it was refused. Then every relation that it lacks is known to be false. An entry is
-refused if its pair cannot be read or is the person itself, or if its labels are not an object. A label "impossible"
-gives no fact, and its list is not whole. A list with a label outside the vocabulary is not whole either, because the
-label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as an unknown fact.
+A list is *whole* if no part of the list was refused. Every relation that a whole list lacks is known to be false. An
+entry is refused if its pair cannot be read or is the person itself, or if its labels are not an object. A label
+"impossible" gives no fact, and its list is not whole. A list with a label outside the vocabulary is not whole either,
+because the label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as an unknown
+fact.
 """
 
 from __future__ import annotations
