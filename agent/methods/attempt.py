@@ -234,7 +234,7 @@ class Attempt:
             The frame, and the angle in degrees.
 
         Raises:
-            DecodeError: If a part cannot be read, or the frame is not legal.
+            DecodeError: If a part cannot be read, or if the frame is not a legal frame.
         """
         frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
         if frame not in self.task.sequence.frames:

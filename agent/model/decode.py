@@ -60,7 +60,7 @@ def read_box(
         what: The name of the box in errors.
 
     Returns:
-        The box in pixels of the image. Corners that are up to 2 % of a side outside the image are moved to its edge.
+        The box in pixels of the image. A corner outside the image by at most 2 % of a side is moved to the edge.
 
     Raises:
         DecodeError: If the value is not four numbers, or the box is outside, reversed or empty.

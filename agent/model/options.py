@@ -110,7 +110,7 @@ class EndpointOptions(Options):
         Args:
             model: The id of the model.
             convention: The convention of the model.
-            schema: The JSON schema of the reply, or None if the reply is free text.
+            schema: The JSON schema of the reply. None if the reply is free text.
 
         Returns:
             The values by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.
