@@ -106,7 +106,7 @@ def _graph_fault(path: Path) -> str:
         return f"{path.name} cannot be read: {error.strerror}"
     try:
         counts = workers.run_alone(partial(_count_rows, path))
-    except (AvrError, RuntimeError, ValueError):
+    except (AvrError, RuntimeError, ValueError, MemoryError):
         return f"{path.name} is not the file that was built: the engine cannot read it"
     differ = [table for table in sorted({*built.rows, *counts}) if built.rows.get(table) != counts.get(table)]
     if wrong := [table for table in differ if table in _BUILT]:
