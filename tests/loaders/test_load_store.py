@@ -225,9 +225,12 @@ def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
     store = Store(tmp_path / "store")
     with store.writing("load"):
         result = run_program(COMMAND, "load", root, "--store", store.path)
-    assert result.returncode == 1
+        with pytest.raises(LockedError):
+            store.writing("generate").__enter__()
     said = result.stderr.decode()
-    assert f"process {os.getpid()}" in said and len(said.strip().splitlines()) == 1
+    assert result.returncode == 1 and f"'load', process {os.getpid()}" in said and len(said.strip().splitlines()) == 1
+    with store.writing("generate"):
+        pass
 
 
 def test_an_open_graph_is_not_replaced_under_its_reader(tmp_path, loaded_one):
@@ -249,8 +252,7 @@ def test_a_store_that_cannot_be_written_is_one_line(tmp_path, place):
             pytest.skip("the superuser may write everywhere")
         store.mkdir(mode=0o500)
     code, _, err = run("load", root, "--store", store)
-    assert code in (1, 2)
-    assert "Traceback" not in err and err.strip()
+    assert code == 2 if place == "a file" else (code == 1 and "choose another --store" in err and err.count("\n") == 1)
     assert (tmp_path / "file").read_text() == "x"
 
 
@@ -332,11 +334,6 @@ def test_missing_and_empty_roots_are_one_line(tmp_path):
         assert code == 1
         assert len(err.strip().splitlines()) == 1
     assert not (tmp_path / "store").exists()
-
-
-def test_rebuild_of_nothing_is_an_error(tmp_path):
-    with pytest.raises(AvrError, match="is not a store"):
-        loading.rebuild(Store(tmp_path / "store"), LoadRules())
 
 
 @pytest.mark.usefixtures("graphless")

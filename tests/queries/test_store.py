@@ -15,7 +15,7 @@ from worlds import person, write_root
 
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_table
-from jrdb_avr.schema.errors import InputError, LockedError, StoreError
+from jrdb_avr.schema.errors import InputError, StoreError
 
 SCHEMA = pa.schema([pa.field("a", pa.int32(), nullable=False), pa.field("b", pa.string())])
 TABLE = pa.table({"a": [2, 1], "b": ["x", None]})
@@ -70,29 +70,6 @@ def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_second_writer_is_refused_and_told_who_writes(tmp_path):
-    store = Store(tmp_path)
-    code = (
-        "import sys\nfrom jrdb_avr.queries.store import Store\nfrom jrdb_avr.schema.errors import LockedError\n"
-        f"store = Store({str(tmp_path)!r})\n"
-        "try:\n    with store.writing('generate'): pass\nexcept LockedError as error:\n    print(error); sys.exit(7)\n"
-    )
-    with store.writing("load"):
-        held = run_program(code)
-        with pytest.raises(LockedError):
-            store.writing("generate").__enter__()
-    assert held.returncode == 7
-    assert f"'load', process {os.getpid()}" in held.stdout.decode()
-    free = run_program(code)
-    assert free.returncode == 0
-
-
-def test_a_file_where_the_folder_should_be_is_one_error(tmp_path):
-    (tmp_path / "store").write_text("")
-    with pytest.raises(StoreError, match="choose another --store"), Store(tmp_path / "store").writing("load"):
-        pass
-
-
 @given(st.text(max_size=20))
 def test_a_sequence_name_never_leaves_its_folder(name):
     try:
@@ -123,11 +100,6 @@ def test_a_store_of_a_newer_version_is_refused_in_one_line_and_stays(tmp_path, c
     code, out, err = run(*command.format(root=root).split(), "--store", tmp_path / "store")
     assert (code, out, err.count("\n")) == (1, "", 1) and "by a newer jrdb-avr" in err
     assert (tmp_path / "store/store.json").read_text() == text
-
-
-def test_no_manifest_says_what_to_run(tmp_path):
-    with pytest.raises(StoreError, match="jrdb-avr load"):
-        Store(tmp_path).manifest()
 
 
 def test_questions_of_no_store_at_all_are_not_called_missing(tmp_path):

@@ -156,11 +156,6 @@ def test_json_is_one_array_and_nothing_else(store):
         assert all(isinstance(row, dict) for row in rows)
 
 
-def test_sums_are_numbers(store):
-    code, out, _ = run("sql", "SELECT sum(x) AS s FROM range(3) t(x)", "--store", store.path, "--json")
-    assert (code, json.loads(out)) == (0, [{"s": 3}])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["--json", "--csv", None])
 @pytest.mark.parametrize("value", ["'infinity'::DATE", "'infinity'::TIMESTAMP", "['200000-01-01'::TIMESTAMP]"])
@@ -206,8 +201,9 @@ def test_rows_are_the_same_in_every_form(store, tmp_path):
 
 
 def test_parameters_and_names(store):
-    ask = ("sql", "SELECT $a + 1 AS x, $b AS y", "--store", store.path, "--json")
-    assert json.loads(run(*ask, "--param", "a=5", "--param", "b=some=text")[1]) == [{"x": 6, "y": "some=text"}]
+    # The sum of a range is an integer beyond 64 bits in DuckDB, and a number in JSON.
+    ask = ("sql", "SELECT $a + sum(x) AS x, $b AS y FROM range(3) t(x)", "--store", store.path, "--json")
+    assert json.loads(run(*ask, "--param", "a=3", "--param", "b=some=text")[1]) == [{"x": 6, "y": "some=text"}]
     assert run(*ask, "--param", "a")[0] == 2
     found = run(
         "cypher", "who_is_where", "--store", store.path, "--param", "sequence=s", "--param", "frame=3", "--json"
