@@ -114,7 +114,7 @@ def bundle_submission(store: Store, bundle: Bundle) -> Submission:
         The run's manifest and predictions.
 
     Raises:
-        StoreError: If the run answered the questions of another questions file than the store's.
+        StoreError: If the run answered the questions of another question set than the store's.
     """
     if bundle.run.questions_sha256 != questions_hash(store):
         raise StoreError(f"{bundle.folder} belongs to another questions file: score it in its own store")

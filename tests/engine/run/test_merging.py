@@ -2,20 +2,26 @@
 
 import json
 import shutil
+from operator import attrgetter
 
+import msgspec
 import pyarrow.parquet as pq
 import pytest
 from painted import FRAMES, SEQUENCE, question, write_answers, write_public, write_store
 from processes import run
 
+from jrdb_avr.engine.run.merging import merge_runs
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph
-from jrdb_avr.queries.runs import read_run_manifest
+from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
 NAMES = (SEQUENCE, "second", "third")
-ASKED = [question(t0, t1, name) for name in NAMES for t0, t1 in ((0, 90), (15, 105))]
+ASKED = sorted(
+    (question(t0, t1, name) for name in NAMES for t0, t1 in ((0, 90), (15, 105))), key=attrgetter("question_id")
+)
+"""Questions in the order in which `generate` writes them."""
 
 
 @pytest.fixture
@@ -104,16 +110,16 @@ def test_shards_that_do_not_fit_are_refused_in_a_line(stores):
         assert code == 1 and err.count("\n") == 1 and not whole.run_path("m").exists()
         return err
 
-    assert "another request settings than 'r-1of2'" in refusal("--max-tokens", "99")
-    assert "another settings than" in refusal("--history", "3")
-    assert "another marker than" in refusal("--marker", "seed=3", "--marker", "wrong_box=0.1")
-    assert "another model than" in refusal("--model", "simulated:noisy")
-    assert "another method than" in refusal("--method", "monolithic")
-    assert "another selection than" in refusal("--limit", "3")
+    assert "differ in the request settings" in refusal("--max-tokens", "99")
+    assert "differ in the method settings" in refusal("--history", "3")
+    assert "differ in the marker" in refusal("--marker", "seed=3", "--marker", "wrong_box=0.1")
+    assert "differ in the model" in refusal("--model", "simulated:noisy")
+    assert "differ in the method" in refusal("--method", "monolithic")
+    assert "differ in the selection" in refusal("--limit", "3")
     evaluate(whole, "--method", "react", "--run-id", "r", "--shard", "2/3")
     evaluate(whole, "--method", "react", "--run-id", "plain")
     for others, why in (
-        (["r-2of3"], "another number of shards"),
+        (["r-2of3"], "differ in the number of shards"),
         (["plain"], "'plain' is not a shard"),
         ([], "the runs are the shards 1 of 2: give each shard once"),
     ):
@@ -123,6 +129,65 @@ def test_shards_that_do_not_fit_are_refused_in_a_line(stores):
     assert "other questions" in run("runs", "merge", "r-1of2", "--run-id", "m", "--store", whole.path)[2]
 
 
+@pytest.mark.parametrize("opaque", [(), ("--opaque",)])
+def test_shards_and_bundles_of_a_public_store_fit_the_full_store(stores, tmp_path, opaque):
+    whole = stores["whole"]
+    assert run("export", "--store", whole.path, "--public", tmp_path / "public", *opaque)[0] == 0
+    public = Store(tmp_path / "public")
+    for number in "12":
+        evaluate(public, "--method", "react", "--run-id", "r", "--limit", "5", "--shard", f"{number}/2")
+        shutil.copytree(public.run_path(f"r-{number}of2"), whole.run_path(f"r-{number}of2"))
+    code, _, err = run("runs", "merge", "r-1of2", "r-2of2", "--run-id", "r", "--store", whole.path)
+    assert code == 0 and "5 predictions (" in err, err
+    evaluate(public, "--method", "react", "--run-id", "all", "--limit", "5")
+    assert run("submit", "--store", public.path, "all", tmp_path / "bundle")[0] == 0
+    scored = [["--bundle", tmp_path / "bundle"], ["r"]]
+    (one,), (other,) = (json.loads(run("score", "--store", whole.path, "--json", *which)[1]) for which in scored)
+    assert one["n"] == 5 and [one[name] for name in ("answer", "evidence")] == [
+        other[name] for name in ("answer", "evidence")
+    ]
+
+
+def test_shards_that_are_not_the_selection_of_the_store_are_refused(stores):
+    whole = stores["whole"]
+    for number in "12":
+        evaluate(whole, "--method", "react", "--run-id", "r", "--shard", f"{number}/2")
+    manifest = read_run_manifest(whole, "r-1of2")
+    write_run_manifest(whole, msgspec.structs.replace(manifest, question_ids=manifest.question_ids[1:]))
+    with pytest.raises(StoreError, match="other questions than their selection"):
+        merge_runs(whole, ["r-1of2", "r-2of2"], "m")
+
+
+@pytest.mark.parametrize("shard", [[3], None, 3, {"3": 3}, [3.0, 3], [3, 10**15], "3/3", [True, 1], {}])
+def test_a_hostile_shard_is_refused_in_a_line(stores, shard):
+    whole = stores["whole"]
+    evaluate(whole, "--method", "react", "--run-id", "r", "--shard", "1/2")
+    path = whole.run_path("r-1of2") / "run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"selection": {"shard": shard}}))
+    code, _, err = run("runs", "merge", "r-1of2", "--run-id", "m", "--store", whole.path)
+    assert code == 1 and err.count("\n") == 1 and "Traceback" not in err
+
+
+def test_shards_of_another_key_are_refused_with_the_remedy(stores):
+    whole = stores["whole"]
+    for number in "12":
+        store = stores[number]
+        evaluate(store, "--method", "react", "--opaque", "--run-id", "r", "--shard", f"{number}/2")
+        shutil.copytree(store.run_path(f"r-{number}of2"), whole.run_path(f"r-{number}of2"))
+    with pytest.raises(StoreError, match=r"differ in the opaque\.key: copy opaque\.key of one store to each store"):
+        merge_runs(whole, ["r-1of2", "r-2of2"], "m")
+
+
+def test_a_run_that_exists_is_not_merged_into(stores):
+    whole = stores["whole"]
+    for number in "12":
+        evaluate(whole, "--method", "react", "--run-id", "r", "--shard", f"{number}/2")
+    evaluate(whole, "--method", "react", "--run-id", "r", "--limit", "2")
+    (whole.run_path("r") / "predictions.parquet").unlink()
+    with pytest.raises(StoreError, match="run 'r' exists"):
+        merge_runs(whole, ["r-1of2", "r-2of2"], "r")
+
+
 def test_an_unfinished_shard_is_refused(stores):
     whole = stores["whole"]
     for number in "12":
@@ -130,6 +195,4 @@ def test_an_unfinished_shard_is_refused(stores):
     for path in (whole.run_path("r-1of2") / "journal").glob("*.jsonl"):
         path.write_bytes(b"")
     with pytest.raises(StoreError, match="'r-1of2' lacks 4 answers: finish it with --resume"):
-        from jrdb_avr.engine.run.merging import merge_runs
-
         merge_runs(whole, ["r-1of2", "r-2of2"], "m")

@@ -112,6 +112,17 @@ def test_what_cannot_be_asked_is_counted(images):
         select_questions(WORDS[:9], QuestionSelection(sequences=("a",), questions=(WORDS[5].question_id,)), images)
 
 
+def test_a_shard_needs_all_its_panoramas_and_no_others(images):
+    def shard(number, **options):
+        return select_questions(WORDS, QuestionSelection(shard=(number, 3), **options), images)
+
+    limited = {row.question_id for row in WORDS[:9]}
+    assert {row.question_id for number in (1, 2) for row in shard(number, limit=9)} < limited
+    assert [row.sequence for row in shard(2, limit=9)] == ["b"] * 3
+    with pytest.raises(StoreError, match="sequence c of this shard has no panoramas"):
+        shard(3, limit=9)
+
+
 METHOD = """
 from jrdb_avr.schema.method import Prediction
 class Mine:
