@@ -6,14 +6,16 @@
     avr.evaluate("store", "react", "marker", avr.EvaluateOptions(selection=avr.QuestionSelection(limit=20)))
     avr.report("store")
 
-In a script, put these lines under `if __name__ == "__main__":`, because parts of the work run in processes that import
-the script. A name loads its module on first use. `__init__.pyi` lists all names. The packages, from the bottom up:
+In a script, put these lines under `if __name__ == "__main__":`, because worker processes import the script. A public
+name imports its module only when the name is first used. `__init__.pyi` lists the public names.
 
-schema   the data model: plans, answers, tables, rules, errors
-queries  the store, SQL, and Cypher over its graph
-loaders  JRDB files to annotation tables, intervals and the scene graph; the sample world
-engine   generation, proofs, observation, scoring, runs, reports and the command line
-agent    methods that answer the questions (imports schema and queries only)
+Each package imports only packages above it in this list, except that `agent` imports only `schema` and `queries`:
+
+schema   the data model: plans, answers, tables, rules and errors
+queries  the store, its graph, and queries of both in SQL and Cypher
+loaders  readers of JRDB files, which write annotation tables, intervals and the graph; the synthetic sample world
+engine   generation of questions, proofs, observation, scoring, runs, reports and the command line
+agent    methods that answer the questions
 """
 
 import re
@@ -27,7 +29,7 @@ _STUB: Final = Path(__file__).with_suffix(".pyi")
 _MODULES: Final[dict[str, str]] = {
     name: module for module, name in re.findall(r"^from (\S+) import (\w+) ", _STUB.read_text("utf-8"), flags=re.M)
 }
-"""Module of each public name."""
+"""Name of the module that defines each public name."""
 
 __all__ = list(_MODULES)
 

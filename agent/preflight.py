@@ -1,4 +1,4 @@
-"""Check a model's server before a run with a series of small requests and the largest ones.
+"""Check a model's server before a run, by small requests and by the largest requests that methods send.
 
     text      the model replies with text, and the reply ends by itself
     system    the server takes a system message, which every method sends
@@ -12,8 +12,8 @@
     tokens    the server counts tokens (a warning: the run's counts would be 0)
     model     replies name the requested model (a warning: the run records the name)
 
-A failed check is a warning that the run records, because a weak model is scored as well. `require` refuses a run for a
-failed check only if the run's method needs it.
+A failed check is only a warning, which the run records, because weak models shall be scored too. `require` refuses a
+run only if the method of the run needs a check that failed.
 """
 
 from __future__ import annotations
@@ -51,31 +51,31 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 
 CROPS: Final = max(BUDGET, LIMITS.looks)
-"""Maximum number of crops in one request."""
+"""Number of crops in the request that checks crops, which is the maximum that a method sends."""
 
 SENDERS: Final = {
     "panoramas": ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world"),
     "crops": ("react", "agent-model", "agent-no-world-model"),
     "plan": ("agent-model", "agent-passive", "agent", "agent-no-world", "agent-guided", "agent-no-world-guided"),
 }
-"""The methods that need each of the largest requests. A policy other than the method's own is part of the name."""
+"""The methods that need a check, by name of the check. A policy other than the default is part of a method's name."""
 
 _LONGER_REMEDY: Final = "give a larger --max-tokens"
 _KEY: Final = "sea_state_q7"
 _VALUES: Final = ["amber-41", "cobalt-17"]
-"""Values of a key that no model would write by itself: such a reply shows that the schema was followed."""
+"""Values that no model would write by itself. A reply with such a value shows that the server enforces the schema."""
 
 _KEY_SCHEMA: Final = closed_object({_KEY: {"type": "string", "enum": _VALUES}})
 _CORNER_SCHEMA: Final = closed_object({"corner": {"type": "string", "enum": list(CORNERS)}})
 _SEEN_CORNERS: Final = 3
-"""Minimum of corners to name right. A server that drops pictures gets four equal requests, so one reply is right."""
+"""Minimum number of right corners. If the server drops pictures, all four replies are equal, and one is right."""
 
 
 @dataclass(frozen=True)
 class Check:
     """The result of one check.
 
-    needed: whether a run suffers if the check fails. methods: the methods that need it, empty for all.
+    needed: whether a run suffers if the check fails. methods: the methods that need the check. Empty if all need it.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Check:
 
     @property
     def line(self) -> str:
-        """The check in one line."""
+        """The result of the check in one line."""
         return f"{self.name}: {self.seen}" + ("" if self.passed else f": {self.remedy}")
 
 
@@ -101,7 +101,7 @@ def preflight(client: Client) -> list[Check]:
         The checks, in the order of their requests.
 
     Raises:
-        EndpointError: The server does not reply at all.
+        EndpointError: If the server sends no reply.
     """
     return list(_checks(client))
 
@@ -111,13 +111,13 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
 
     Args:
         checks: The checks of the server.
-        method: The run's method; None stands for any.
+        method: The method of the run. None stands for any method.
 
     Returns:
         The lines of the failed checks.
 
     Raises:
-        EndpointError: The method needs a check that failed.
+        EndpointError: If a check failed that the method needs.
     """
     for check in checks:
         if check.needed and not check.passed and (method is None or not check.methods or method in check.methods):
@@ -129,7 +129,7 @@ class _Probe(NamedTuple):
     """The result of a request.
 
     reply: None if the server refuses the request. value: the JSON object of the reply, empty if it cannot be read.
-    fault: the reason for no object. remedy: the remedy, if only one can help.
+    fault: why the object cannot be read. remedy: what the user can do, if only one thing can help.
     """
 
     reply: Reply | None
@@ -139,7 +139,7 @@ class _Probe(NamedTuple):
 
 
 def _send(client: Client, system: bool, *parts: Part, schema: Mapping[str, Any] | None = None) -> _Probe:
-    """Send one user message, after a system message if the server takes one."""
+    """Send one user message, and before it a system message if `system` is true. Return the result."""
     before = [Message("system", (render("preflight_system"),))] if system else []
     try:
         reply = client.probe([*before, Message("user", parts)], schema)
@@ -169,13 +169,13 @@ def _checks(client: Client) -> Iterator[Check]:
     shaped = send(render("preflight_schema" if strict else "preflight_object"), schema=_KEY_SCHEMA)
     yield _schema(client, shaped)
     if strict and shaped.reply is None:
-        # Each picture would be refused for the same reason.
+        # The server would refuse each further picture for the same reason.
         return
     picture = _picture(send)
     yield picture
     if picture.passed:
         yield from _many_pictures(send)
-    # A schema is refused only if it is sent.
+    # A server can refuse a schema only if requests have one.
     if strict:
         content, keys = "the schema of a plan ($ref at the root)", set(Plan.__struct_fields__)
         probe = send(render("preflight_plan"), schema=plan_form())
@@ -217,7 +217,7 @@ def _schema(client: Client, shaped: _Probe) -> Check:
     others = " or ".join(form for form in get_args(ResponseFormat) if form != declared)
     remedy = f"use a model and a server that keep to {declared}, or declare --response-format {others}"
     if shaped.reply is None and declared != "none" and client.options.thinks(client.convention):
-        # llama.cpp refuses a schema if it cannot separate the template's thinking from the reply.
+        # llama.cpp refuses a schema if it cannot separate thinking, which the template turns on, from the reply.
         remedy = f"declare --thinking off; else {remedy}"
     ignored = declared == "json_schema" and (list(shaped.value) != [_KEY] or shaped.value[_KEY] not in _VALUES)
     fault = shaped.fault or ("ignored: another object came" if ignored else "")
@@ -238,9 +238,9 @@ def _picture(send: Callable[..., _Probe]) -> Check:
 
 
 def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
-    """Yield the checks of the most pictures in one request.
+    """Send the largest number of pictures in one request, and yield the checks.
 
-    The marked picture is neither the first nor the last, because a server may pass only one of them on.
+    The marked picture is neither the first nor the last, because a server may pass on only the first or only the last.
     """
     question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
     panoramas = [
@@ -260,7 +260,7 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
         box = CORNERS["upper left"] if n == 14 else None
         parts += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]
     probe = send(*parts, CROP_LINE, schema=react_turn_schema(question))
-    # A model that loses count among many crops can still answer: most questions need a few.
+    # A model that loses count among many crops can still answer, because most questions need only a few crops.
     yield _largest_request("crops", content, probe, probe.value.get("frame_id") == "000014", needed=bool(probe.fault))
 
 
@@ -276,7 +276,7 @@ def _largest_request(name: str, content: str, probe: _Probe, right: bool, needed
 def _thinking(client: Client, text: Reply, shaped: Reply | None) -> Check:
     declared = client.options.thinks(client.convention)
     free = bool(thinking_text(text, client.convention))
-    # The run's replies have a response format, which may keep a model from thinking.
+    # The response format of a run's requests may keep a model from thinking.
     thinks = free if shaped is None else bool(thinking_text(shaped, client.convention))
     if declared is None:
         return Check("thinking", True, "nothing is declared", "")

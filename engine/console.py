@@ -48,7 +48,7 @@ def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> 
     An apostrophe is put before a text that a spreadsheet would run as a formula, because texts may come from models.
 
     Args:
-        rows: The rows. None becomes an empty cell; lists and dictionaries become JSON.
+        rows: The rows. None becomes an empty cell. Lists and dictionaries become JSON.
         columns: Names of the columns; if empty, all keys of the rows.
 
     Returns:
@@ -89,8 +89,8 @@ def print_rows(
 
     Args:
         rows: The rows. A table on a terminal shows at most 100 rows.
-        title: A line above the table; it is not printed for JSON and CSV.
-        columns: Names of the columns; if empty, all keys of the rows. A table without rows shows only these names.
+        title: A line above the table. It is not printed if the rows are printed as JSON or CSV.
+        columns: Names of the columns. If empty, all keys of the rows. A table without rows shows only these names.
         form: "json", "csv", or "" for a text table.
     """
     if form:
@@ -136,8 +136,8 @@ def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[s
     Args:
         beside: Function that returns the text beside the bars. It is called several times per second.
 
-    Yields:
-        A function that is called with the name of a step, the finished count and the total count, and moves a bar.
+    Yields: A function that moves the bar of a step. Its arguments are the step's name, the finished count and the total
+    count.
     """
     from rich.console import Console
     from rich.progress import (

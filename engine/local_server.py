@@ -60,7 +60,7 @@ def listen(port: int) -> socket.socket:
     """Return a socket that listens on 127.0.0.1.
 
     Args:
-        port: The port; 0 chooses a free port.
+        port: The port. 0 chooses a free port.
 
     Returns:
         The socket.
@@ -106,7 +106,7 @@ class LocalServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, respond: Callable[[Request], Response], port: int = 0) -> None:
-        """Listen on a port; 0 chooses a free port. Raise InputError if the port cannot be used."""
+        """Listen on a port, or on a free port if it is 0. Raise InputError if the port cannot be used."""
         listener = listen(port)
         super().__init__(listener.getsockname(), _Handler, bind_and_activate=False)
         self.socket.close()

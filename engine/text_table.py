@@ -26,7 +26,7 @@ _MAX_KEYS: Final = 3
 """Maximum number of key columns, which each part of a divided table repeats."""
 
 _ENGINE_FIELDS: Final = ("_ID", "_SRC", "_DST", "_LABEL")
-"""Fields that the graph engine adds to nodes and relations; they are not printed."""
+"""Fields that the graph engine adds to nodes and relations. They are not printed."""
 
 
 def clean(value: object) -> str:
@@ -90,7 +90,7 @@ def make_tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width
 
     Args:
         rows: The rows.
-        columns: Names of the columns; if empty, all keys of the rows.
+        columns: Names of the columns. If empty, all keys of the rows.
         width: Maximum characters per line. A line is longer only if a single word does not fit.
 
     Returns:

@@ -1,16 +1,17 @@
 """Construction of the graph's scene tables from the interval tables of a store.
 
-The graph is only an index. It holds the content of `intervals/` with keys for traversal, and can be built again at any
-time. It is built in two steps:
+The graph is only an index. It holds the content of the folder `intervals/` with keys for traversal, so it can be built
+again at any time. It is built in two steps:
 
 1. The process that derives the interval tables of a sequence writes their rows to Parquet files, one per table of the
    graph. This is called staging.
 2. One process copies the staged rows of all sequences into the graph with COPY statements. It then counts the rows of
    each table.
 
-A table of edges is copied with as few statements as possible, because every further COPY rewrites the table: four
-statements for 950,000 sightings took twice as long as one. Rows are passed in files, because Arrow tables in memory
-took half a gigabyte more. Key points of poses are left out, because they would be the largest part of the graph.
+A table of edges is copied with as few statements as possible, because every further COPY statement
+rewrites the table. For example, four statements for 950,000 sightings took twice as long as one statement. The rows
+are passed to the engine in files, because passing Arrow tables took half a gigabyte more memory. Key points of poses
+are left out, because they would be the largest part of the graph.
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ RELS: Final = SCENE_RELS | KEYFRAME_RELS
 R = TypeVar("R")
 
 BATCH_ROWS: Final = 1_200_000
-"""Maximum rows per COPY, unless a single file has more. A row takes about 700 bytes of the engine's memory."""
+"""Maximum rows per COPY statement. A larger file is copied alone. The engine needs about 700 bytes per row."""
 
 
 def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[str, int | str]:
-    """Fill an empty graph with the scenes of sequences.
+    """Fill an empty graph with the scenes of the given sequences.
 
     The function changes the working folder of the process while it runs.
 
@@ -59,10 +60,10 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         sequences: names of sequences. If a sequence is not staged yet, the function stages it.
 
     Returns:
-        The number of rows by table of the graph, and `storage_version`.
+        The number of rows by table of the graph. The key `storage_version` holds the version of the storage format.
 
     Raises:
-        StoreError: If a table of the graph has another number of rows than was copied into it.
+        StoreError: If the number of rows of a table of the graph differs from the number of copied rows.
     """
     stage = store.path / STAGE
     try:
@@ -87,7 +88,7 @@ def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) 
     """Stage the rows of one sequence for every table of the graph except `Action`.
 
     Args:
-        store: store that has the stage.
+        store: store that has the folder of staged rows.
         sequence: name of the sequence.
         intervals: interval tables of the sequence by name.
 
@@ -104,7 +105,8 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
 
     Args:
         stage: folder of the staged rows.
-        source: table of the graph, such as "Person". For edges, the table of their start comes first: "Person SeenIn".
+        source: name of a table of the graph, such as "Person". A table of edges is preceded by the table of nodes
+            from which the edges start: "Person SeenIn".
         sequence: name of the sequence.
         rows: rows with the columns of the table.
 
@@ -115,7 +117,7 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
     try:
         if rows.num_rows:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # The engine scans a whole row group for every null, so groups of 256 rows take a third of the time.
+            # The engine scans a whole row group for every null, so groups of 256 rows cut the time to a third.
             at_once = 256 if source == "Object SeenIn" else None
             pq.write_table(rows, path, compression="snappy", row_group_size=at_once)
     except OSError as error:
@@ -123,19 +125,19 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
 
 
 def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
-    """Copy staged rows into the graph, and compare the number of rows afterwards.
+    """Copy staged rows into the graph. Check afterwards that each table has as many rows as were copied.
 
     Args:
         graph: graph with empty tables.
         stage: folder of the staged rows.
-        sources: sources as in `stage_rows`, in the order of copying. Nodes must come before their edges.
+        sources: sources as in `stage_rows`, in the order of copying. Tables of nodes must come before tables of edges.
         sequences: names of the sequences to copy.
 
     Returns:
         The number of copied rows by table of the graph.
 
     Raises:
-        StoreError: If a table of the graph has another number of rows than was copied into it.
+        StoreError: If the number of rows of a table of the graph differs from the number of copied rows.
     """
     copied: Counter[str] = Counter()
     for source in sources:
@@ -144,7 +146,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         copied[table] += 0
         for files, rows in batches(((path.name, pq.read_metadata(path).num_rows) for path in paths), BATCH_ROWS):
             if table in NODES:
-                # The engine reads files in parallel and numbers nodes as it reads them. One table keeps their order.
+                # The engine reads files in parallel, which changes the order of nodes. One table keeps the order.
                 graph.copy(table, pa.concat_tables(pq.read_table(stage / source / name) for name in files))
             else:
                 graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())
@@ -159,17 +161,17 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
 
 
 def write_graph(store: Store, write: Callable[[], R]) -> R:
-    """Run a function that writes a graph in a separate process, because the engine may abort the process.
+    """Run a function that writes a graph. It runs in a separate process, because the engine may abort its process.
 
     Args:
-        store: store of the graph. If the process dies, its unfinished graph files are deleted.
+        store: store of the graph. If the separate process dies, its unfinished graph files are deleted.
         write: function without arguments, which must be importable in another process.
 
     Returns:
         The result of the function.
 
     Raises:
-        StoreError: If the process died.
+        StoreError: If the separate process died.
     """
     try:
         return processes.run_alone(write)
@@ -190,7 +192,7 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
         most: maximum rows of a batch. A file with more rows is a batch alone.
 
     Yields:
-        The names of a batch, and its number of rows.
+        The names of the files of a batch, and the total number of rows of these files.
     """
     batch: list[str] = []
     rows = 0
@@ -205,7 +207,7 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 
 
 def column_names(table: str) -> list[str]:
-    """Return the columns of a table of the graph. Nodes begin with their key, edges with `from` and `to`."""
+    """Return the column names of a table. Tables of nodes begin with the key, tables of edges with `from` and `to`."""
     if table in RELS:
         return ["from", "to", *(column.split()[0] for column in RELS[table][2])]
     return [column.split()[0] for column in NODES[table].split(", ")]
@@ -274,15 +276,15 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Person MayHandle": ("possible_handles", _HANDLES),
     "Person Beside": ("beside", _PAIR),
 }
-"""Interval table of each source, and functions for the columns that the interval table lacks. Nodes come first.
+"""By source: its interval table, and functions that make the columns that the interval table lacks.
 
-A source of nodes is the name of their table. A source of edges is two names: the table of nodes from which they start,
-and their own table. `Action` is missing, because its rows come from all sequences together.
+A source is a text, as in `stage_rows`. Sources of nodes come before sources of edges. `Action` is missing, because its
+rows come from all sequences together.
 """
 
 
 def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
-    """Return the rows of a source for one sequence. In sightings of things, the columns of people are null."""
+    """Return the rows of a source for one sequence. In sightings of things, the columns about people are null."""
     kind, made = _SOURCES[source]
     rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if source == "SocialGroup" else intervals[kind]
     if source == "Object SeenIn":
@@ -298,7 +300,7 @@ def _actions(names: set[str]) -> pa.Table:
 
 
 def _groups(memberships: pa.Table, group_info: pa.Table) -> pa.Table:
-    """Return one row per group with a member. An attribute is null if no value was chosen for the group."""
+    """Return one row per group that has a member. An attribute is null if no value was chosen for the group."""
     clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
     chosen = group_info.filter(group_info["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
     for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):

@@ -1,7 +1,8 @@
 """Load a JRDB root into a store, or rebuild a store's intervals and graph from its annotation tables.
 
-A load writes all tables into a staging folder inside the store. Then it builds the graph and counts its rows. Finally
-it moves the new tables and then the manifest into the store. If a load fails, the old store is unchanged.
+A load writes all tables into a staging folder inside the store. Then it builds the graph, and counts the rows of the
+graph. Finally it moves the new tables and then the manifest into the store. If a load fails, the old store is
+unchanged.
 
 If a load is killed, the next load deletes the staging folder. If the load was killed while it moved the tables, the
 next writer finishes the moves. The tables therefore survive a kill at any moment.
@@ -92,8 +93,8 @@ def load(
         store: store or its folder. The folder is made if it does not exist.
         rules: load rules, or None for the defaults.
         workers: number of processes that share the sequences, or an executor. The result does not depend on it.
-        layer_dirs: by layer, folders that replace the usual ones, relative to the root or absolute. An empty list
-            leaves the layer out.
+        layer_dirs: by layer, folders that replace the layer's usual folders. Relative paths start at the root. An
+            empty list leaves the layer out.
         progress: display of the progress.
 
     Returns:
@@ -296,7 +297,7 @@ def _write(
 
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
-    """Yield an empty staging folder, and delete it afterwards unless tables must still be moved out of it.
+    """Yield an empty staging folder. Delete the folder afterwards, unless it holds tables that must still be moved.
 
     The caller must hold the writer's lock.
     """
@@ -359,7 +360,7 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
 
 
 def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
-    """Fill a new graph. Return its number of rows by table, and a line per run that is left out."""
+    """Fill a new graph. Return the number of rows by table of the graph, and a line per run that is left out."""
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))

@@ -30,13 +30,13 @@ class Heading(msgspec.Struct):
     moves: int
     """Number of displacements over one second that were compared."""
     median_deg: float | None
-    """Median angle between heading and displacement in degrees, or None without displacements.
+    """Median angle between heading and displacement in degrees, or None if there are no displacements.
 
     It is near 0 if the convention holds, and near 180 if it is reversed."""
 
 
 class FrameRange(msgspec.Struct):
-    """First frame, last frame and number of frames that have labels or images. Frames between may be missing."""
+    """First frame, last frame and number of frames that have labels or images. Frames in between may be missing."""
 
     first: int
     last: int
@@ -44,16 +44,16 @@ class FrameRange(msgspec.Struct):
 
 
 class ShiftCheck(msgspec.Struct):
-    """Result of the check whether a layer numbers its frames like the 2D layer, by the people in both layers."""
+    """Result of the check whether a layer numbers its frames like the 2D layer."""
 
     layer: str
     result: str
     """`agrees`, `shifted` (the layer is refused), or `not tested` (there is too little evidence for either)."""
     reason: str
     frames: float | None = None
-    """Shift in frames that makes the layer fit the 2D layer, or None without an estimate."""
+    """Shift in frames that makes the layer fit the 2D layer, or None if it could not be estimated."""
     error: float | None = None
-    """Standard error of the shift in frames, or None without an estimate."""
+    """Standard error of the shift in frames, or None if it could not be estimated."""
 
 
 class Stamps(msgspec.Struct):
@@ -104,11 +104,11 @@ class SequenceReport(msgspec.Struct):
     layers: list[str] = []
     """Layers with frames, as in the table `frames`. Empty if the sequence could not be loaded."""
     steps: dict[str, int] = {}
-    """Distance between annotated frames by layer of labels: 1, or 15 for one frame per second."""
+    """By layer of labels, the distance between annotated frames: 1 for every frame, 15 for one frame per second."""
     files: dict[str, str] = {}
-    """Folder and name of the file by layer."""
+    """By layer, the folder and the name of the file."""
     frames: int = 0
-    """Number of frames of all layers together."""
+    """Number of frames that at least one layer has."""
     people: int = 0
     boxes: int = 0
     """Number of 2D boxes of people."""
@@ -135,7 +135,7 @@ class SequenceReport(msgspec.Struct):
 
 
 def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
-    """Return the range of frames, which must be ascending, or None if there are none."""
+    """Return the range of the ascending `frames`, or None if there are no frames."""
     return FrameRange(int(frames[0]), int(frames[-1]), len(frames)) if len(frames) else None
 
 

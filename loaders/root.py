@@ -52,13 +52,13 @@ _ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
 
 @dataclass(frozen=True)
 class SequenceFiles:
-    """Paths of the label files and of the panoramas of one sequence. Paths are strings, to be sent to workers."""
+    """Paths of one sequence's label files and panoramas. Paths are strings, so that workers can receive them."""
 
     sequence: str
     labels: dict[str, str]
     """File by layer. For `timestamps` it is a folder. For `calibration` it is a file that all sequences share."""
     images: str | None
-    """Folder of the panoramas, or None."""
+    """Folder of the panoramas, or None if the sequence has none."""
 
     @property
     def weight(self) -> int:
@@ -90,8 +90,8 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
 
     Args:
         path: folder of the root.
-        layer_dirs: by layer, folders that replace the usual ones, relative to the root or absolute. An empty list
-            leaves the layer out.
+        layer_dirs: by layer, folders that replace the layer's usual folders. Relative paths start at the root. An
+            empty list leaves the layer out.
 
     Returns:
         The sequences with their files, and the problems of the search.
@@ -202,7 +202,7 @@ class _Search:
         return True
 
     def _listing(self, folder: Path) -> frozenset[str] | None:
-        """Return the names in a folder, or none if it is missing. If it is unreadable, report it and return None."""
+        """Return the names in a folder (empty if it is missing). If it is unreadable, report it and return None."""
         try:
             with os.scandir(folder) as entries:
                 return frozenset(entry.name for entry in entries)

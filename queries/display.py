@@ -1,4 +1,4 @@
-"""Progress reports of long functions, and the display of their results in a console or a notebook."""
+"""Progress reports of long functions, and the display of results in a console or a notebook."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
 
 
 def list_columns(rows: _Rows) -> list[str]:
-    """Return the names of all columns in rows, in the order in which they first appear."""
+    """Return the names of all columns in rows, in the order in which the columns first appear."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
 

@@ -128,7 +128,7 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
             descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
             os.close(descriptor)
         cleanup.callback(_remove, temporary := Path(name))
-        # Until the lock is held, another writer may take the file for a left-over and remove it. Then make a new one.
+        # Until the lock is held, another writer may take the file for a left-over and remove it. If so, make a new one.
         with contextlib.suppress(FileNotFoundError):
             handle = os.open(name, os.O_RDONLY)
             cleanup.callback(os.close, handle)

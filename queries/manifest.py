@@ -88,6 +88,6 @@ def refuse_newer(store: Path) -> None:
         version = msgspec.json.decode((store / MANIFEST_NAME).read_bytes(), type=_Version).version
         if version > MANIFEST_VERSION:
             raise StoreError(
-                f"{store} was written by a newer jrdb-avr (version {version} of the store, this reads "
+                f"{store} was written by a newer jrdb-avr (the store has version {version}, this program reads "
                 f"{MANIFEST_VERSION}): update jrdb-avr, or load into another --store"
             )

@@ -113,7 +113,7 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
         params: Values of parameters, by name.
 
     Returns:
-        The statement, and the value of each of its parameters. If the text is a statement, both are as given.
+        The statement, and the value of each of its parameters. If the text is a statement, both are returned as given.
 
     Raises:
         QueryError: If the text is a single word but not the name of a query, or the values do not fit the query.

@@ -108,7 +108,7 @@ def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> 
         command: Command that the error message advises to run again.
 
     Returns:
-        The table under the schema.
+        The table with the columns and types of the schema.
 
     Raises:
         StoreError: If a column is missing or cannot be cast to the type in the schema.

@@ -110,8 +110,8 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
             table is called `scores`, the views of runs have only the runs in this table.
 
     Yields:
-        A function that runs one statement. Its arguments `sql`, `params` and `timeout_s`, its result and its QueryError
-        are those of `query_tables`.
+        A function that runs one statement. It takes `sql`, `params` and `timeout_s`, returns rows, and raises
+        QueryError, as `query_tables` does.
 
     Raises:
         StoreError: If the folder does not exist, or its manifest is broken.
@@ -135,7 +135,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
             try:
                 statements = connection.extract_statements(sql)
                 if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
-                    raise QueryError("only one SELECT statement is allowed, which cannot write, load or attach")
+                    raise QueryError("only one SELECT is allowed: statements that write, load or attach are refused")
                 # A relation converts its rows to Arrow without a second copy.
                 values = {name: unwrap_scalar(value) for name, value in (params or {}).items()}
                 return connection.sql(sql, params=values or None).to_arrow_table()
@@ -156,7 +156,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
-    """Create all views. Return the reason for each view that cannot be created, by name; all other views are usable."""
+    """Create all views. Return the reasons why views could not be created, by name of the view."""
     import duckdb
 
     broken: dict[str, str] = {}

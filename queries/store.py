@@ -130,7 +130,7 @@ class Store(Displayed):
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the rows of `intervals_<kind>`, then `intervals_possible_<kind>` with `certain` false in each row."""
+        """Return the rows of `intervals_<kind>`, then of `intervals_possible_<kind>` with `certain` set to false."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
@@ -195,7 +195,7 @@ class Store(Displayed):
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
     def without_occlusion(self) -> list[str]:
-        """Return the sequences with 2D boxes that all lack occlusion attributes. Their boxes count as clear views."""
+        """Return the sequences in which all 2D boxes lack occlusion attributes. Such boxes count as clear views."""
         return [
             name
             for name in sorted(self.manifest().sequences)
@@ -248,7 +248,7 @@ class Store(Displayed):
     ) -> pa.Table:
         """Run a statement or a named query, as `cypher` and `sql` do, and return its rows.
 
-        The statement is stopped after `timeout_s` seconds. Then, or if it is refused or fails, QueryError is raised.
+        The statement is stopped after `timeout_s` seconds. If it is stopped, refused or fails, QueryError is raised.
         """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
@@ -263,7 +263,7 @@ class Store(Displayed):
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
         """Return the parameters of a statement about the keyframe layer: a range of node ids replaces `sequence`.
 
-        Raises StoreError if the graph lacks this layer, or made it under other rules than those of the questions.
+        Raises StoreError if the graph lacks this layer, or if the layer and the questions have different rules.
         """
         try:
             rows = query_graph(self.graph_path, STAMP).to_pylist()
@@ -385,7 +385,7 @@ def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
 def _write(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
 ) -> str:
-    """Write row groups with the column types of `kinds` to a file that readers see under `schema`."""
+    """Write row groups with the column types of `kinds` to a file. Readers get the column types of `schema`."""
     # Readers take the column types from this entry. Without it, they would return dictionary columns.
     read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
 
@@ -402,7 +402,7 @@ def _write(
 def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
     """Return the options of the Parquet writer.
 
-    They disable dictionaries for floats and min/max statistics for strings. Readers use neither, and both together cost
+    They disable dictionaries for floats and min/max statistics for strings. Readers use neither of them, but they cost
     20 % of the time to write.
     """
     measured = [field.name for field in schema if pa.types.is_floating(field.type) or pa.types.is_nested(field.type)]

@@ -39,7 +39,7 @@ _CONTEXT: Final = multiprocessing.get_context("spawn")
 """Start method of new processes. They are spawned, because the threads of the graph engine do not survive a fork."""
 
 is_worker = False
-"""True if this process was started by this module, so that it ends after its work."""
+"""True if this module started this process. Such a process ends after its work."""
 
 
 def map_sequences(
@@ -111,7 +111,7 @@ def _map_on_ray(
 
 
 def _call_in_folder(folder: str, function: Callable[[A], R], sequence: A) -> R:
-    # Paths in the argument may be relative to the folder of the command. If it does not exist here, they are absolute.
+    # Paths in the argument may be relative to the folder of the command. If this machine lacks it, they are absolute.
     with contextlib.suppress(OSError):
         os.chdir(folder)
     return function(sequence)
@@ -119,7 +119,7 @@ def _call_in_folder(folder: str, function: Callable[[A], R], sequence: A) -> R:
 
 @contextlib.contextmanager
 def _connect(address: str) -> Iterator[Any]:
-    """Yield the module `ray`, connected to a cluster. Disconnect at the end, unless it was already connected."""
+    """Yield the module `ray`, connected to a cluster. Disconnect at the end, unless Ray was connected before."""
     # By default, Ray sends usage statistics to its developers.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:

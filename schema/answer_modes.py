@@ -71,7 +71,7 @@ class Mode:
         words: Format string that shows a stored answer to a person; the struct's fields are in braces.
         aim: Maximum share of right answers that a blind guesser should reach, 0 to 1.
         guessers: Names of the blind guessers that can give an answer of this mode.
-        smallest_read: Read of the plan that is used if no other plan could be made.
+        smallest_read: Read (requested value) of the plan that is used if no other plan could be made.
         bin_edges_s: Edges in seconds between bins of answers. Selection balances the number of questions per bin.
     """
 

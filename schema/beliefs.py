@@ -32,7 +32,7 @@ import msgspec
 from jrdb_avr.schema.panorama import Box
 
 ALWAYS: Final = 10_000_000
-"""Value of `last` if a belief holds at every frame, and of `until` while a belief is current."""
+"""Value of the column `last` if a belief holds at every frame, and of the column `until` if a belief is current."""
 
 TIMELESS: Final = frozenset({"gender", "age"})
 """Attributes that hold at every frame."""
@@ -112,7 +112,7 @@ class _NodeRow(_Row, frozen=True):
 
 
 class ObservationRow(_NodeRow, frozen=True):
-    """Row of `Observation` except its hash. The edge `Made` from the episode is written with it.
+    """Row of `Observation` without its hash. The edge `Made` from the episode is written together with the row.
 
     A crop covers the columns [left, left + width) of the panorama, which continue at column 0 after column 3759. A
     whole panorama covers all 3760 columns.
@@ -127,7 +127,7 @@ class ObservationRow(_NodeRow, frozen=True):
 
 
 class EntityRow(_NodeRow, frozen=True):
-    """Row of `Entity` except its hash. The edge `Holds` from the episode is written with it.
+    """Row of `Entity` without its hash. The edge `Holds` from the episode is written together with the row.
 
     A later write may change `kind` and `node`, and no other column.
     """
@@ -140,7 +140,7 @@ class EntityRow(_NodeRow, frozen=True):
 
 
 class SlotRow(_NodeRow, frozen=True):
-    """Row of `Slot`, which is one part of the agent's plan. The edge `Asks` from the episode is written with it.
+    """Row of `Slot`, which is one part of the agent's plan. The edge `Asks` from the episode is written with the row.
 
     A part is a node (a person to find), a condition on a node, an edge between two nodes, or the read (the value that
     answers the question). The column `kind` says which. A text column that does not apply to the kind is "". The column
@@ -159,7 +159,7 @@ class SlotRow(_NodeRow, frozen=True):
 class HypothesisRow(_NodeRow, frozen=True):
     """Row of `Hypothesis`, which is one assignment of entities to the nodes of the plan.
 
-    The edge `Ranks` from the episode is written with it. Hypotheses are written together with the episode's answer.
+    The edge `Ranks` from the episode is written with the row. Hypotheses are written with the episode's answer.
 
     Attributes:
         step: Number of the model call after which the hypothesis was written.
@@ -213,7 +213,7 @@ class SightingRow(_EdgeRow, frozen=True):
 
 
 class AttributeRow(_EdgeRow, frozen=True):
-    """Row of `Has`. `value` is the value of the attribute as text, and `number` as a number (0 if it is not one)."""
+    """Row of `Has`. `value` is the value of the attribute as text, and `number` as a number (0 if it is no number)."""
 
     name: str
     value: str

@@ -5,7 +5,6 @@ The Markdown card and the Croissant metadata of `export` both use these texts.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Final, NamedTuple
 
 HOME: Final = "https://jrdb.erc.monash.edu/"
@@ -124,22 +123,6 @@ RAI: Final[dict[str, str]] = {
     ),
 }
 """Texts of the Responsible-AI fields by the name of the field in Croissant."""
-
-
-def sources_of(layers: Collection[str]) -> list[Source]:
-    """Return the sources that provide at least one of the given layers."""
-    return [source for source in SOURCES if set(source.layers) & set(layers)]
-
-
-def licence_of(sources: Collection[Source]) -> str:
-    """Return the licence identifier that all given sources share, or "other" if their licences differ."""
-    licences = {source.licence for source in sources}
-    return licences.pop() if len(licences) == 1 else "other"
-
-
-def sentence(text: str) -> str:
-    """Return the meaning of a column as a sentence: with a capital letter and a full stop."""
-    return text[:1].upper() + text[1:] + "."
 
 
 def is_of_sample(sequence: str) -> bool:

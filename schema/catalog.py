@@ -58,7 +58,7 @@ def _columns(texts: Iterable[str]) -> dict[str, str]:
 
 
 def store_tables() -> list[CatalogTable]:
-    """Return the Parquet tables of the store. The command `sql` has a view for each."""
+    """Return the Parquet tables of the store. The command `sql` has a view for each table."""
     tables = []
     for name, schema, _ in views():
         part = name.split("_")[0]

@@ -10,8 +10,8 @@ than a query that filters by a property of a node.
 
 A relationship holds from its frame `first` to its frame `last`, both included. `first_s` and `last_s` are the times of
 these frames in seconds. `Performs`, `MemberOf`, `Interacts` and `Handles` have the labels of annotators. `certain` is
-false if a label leaves the fact unknown, such as a label of the highest difficulty. Tables with names that begin with
-`May` have facts that no label states but that may be true. `schema.tables` explains their column `gap`.
+false if the label leaves the fact unknown, for example a label of the highest difficulty. Tables with names that begin
+with `May` have facts that no label states but that may be true. `schema.tables` explains their column `gap`.
 """
 
 from __future__ import annotations

@@ -244,7 +244,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """Name under which the run's manifest and the reports list the method."""
+        """Name of the method in the run's manifest and in reports."""
 
     def answer(self, task: Task) -> Prediction:
         """Answer one question.

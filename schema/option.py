@@ -1,4 +1,4 @@
-"""Declaration of options as fields of a dataclass.
+"""Declaration and check of options as fields of a dataclass.
 
 The command line and the reader of TOML files both take names, limits and help texts from this declaration.
 """
@@ -6,8 +6,16 @@ The command line and the reader of TOML files both take names, limits and help t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+
+from jrdb_avr.schema.errors import InputError, did_you_mean
+
+_SCALARS: Final = {"int": int, "float": float, "bool": bool, "str": str}
+_TYPES: Final = {**_SCALARS, "tuple[str, ...]": tuple[str, ...], "tuple[int, int]": tuple[int, int]}
+"""Type by annotation. Values with other annotations are checked only by their choices."""
 
 
 def option(
@@ -34,8 +42,27 @@ def option(
     Returns:
         The dataclass field, with all arguments except `default` as metadata.
     """
-    limits = {"minimum": minimum, "maximum": maximum, "choices": choices}
-    metadata = {"text": text, "flag": flag, "metavar": metavar, **limits}
-    if default == {}:
-        return field(default_factory=dict, metadata=metadata)
-    return field(default=default, metadata=metadata)
+    limits = {"minimum": minimum, "maximum": maximum, "choices": tuple(choices)}
+    about = {"text": text, "flag": flag, "metavar": metavar, **limits}
+    return field(default_factory=dict, metadata=about) if default == {} else field(default=default, metadata=about)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Base of the dataclasses with declared options.
+
+    Raises:
+        InputError: If a value has the wrong type, is outside its limits, or is not one of its choices.
+    """
+
+    def __post_init__(self) -> None:
+        for declared in fields(self):
+            about, value, kind = declared.metadata, getattr(self, declared.name), str(declared.type)
+            if about and not (value is None and "None" in kind):
+                allowed: Any = Literal[about["choices"]] if about["choices"] else _TYPES.get(kind.split(" | ")[0], Any)
+                try:
+                    msgspec.convert(value, Annotated[allowed, msgspec.Meta(ge=about["minimum"], le=about["maximum"])])
+                except msgspec.ValidationError as error:
+                    hint = did_you_mean(str(value), about["choices"])
+                    flag = about["flag"] or declared.name.replace("_", "-")
+                    raise InputError(f"--{flag}: {error}{hint}", field=declared.name) from None

@@ -33,7 +33,8 @@ HORIZON_ROW: Final = 209.4
 FOCAL_ROWS: Final = 482.9
 """Number of rows above HORIZON_ROW per unit of z / hypot(x, y).
 
-FOCAL_ROWS is the median of fy over the cameras of the rig, and HORIZON_ROW the median of cy.
+FOCAL_ROWS is the median vertical focal length fy of the rig's cameras. HORIZON_ROW is the median row cy of their
+optical centres.
 """
 
 
@@ -108,8 +109,9 @@ def from_crop(box: Box, left: float) -> Box:
 def iou(a: Box, b: Box) -> float:
     """Return the intersection over union of two boxes in stitched pixels, [0, 1], also across the seam.
 
-    A box covers the columns [x, x + w) and the rows [y, y + h). One box is shifted by the multiple of 3760 columns with
-    the largest overlap. The parts of boxes above and below the image count too. The result is 0 if a box has no area.
+    A box covers the columns [x, x + w) and the rows [y, y + h). One box is first shifted by the multiple of 3760
+    columns that gives the largest overlap. The parts of boxes above and below the image count too. The result is 0 if a
+    box has no area.
     """
     if not (a.w > 0 and a.h > 0 and b.w > 0 and b.h > 0):
         return 0.0

@@ -15,7 +15,7 @@ PROFILE_KEY: Final = "profile"
 """Metadata key of question files for the profile of a training set. The files of a benchmark do not have the key."""
 
 DISJOINT_KEY: Final = "disjoint_from"
-"""Metadata key of a training set for the generation of the held-out questions that the training set avoids, or ""."""
+"""Metadata key of a training set. Its value is the generation of the held-out questions to avoid, or "" for none."""
 
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -23,7 +23,7 @@ class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         kind: Kind of the proof, such as `time.shift`.
-        variant: Which change of this kind was made.
+        variant: Name of the change, because a kind may have several changes.
         holds: Whether the proof succeeded; None if it was not run.
         outcome: Comparison of the changed plan's answer with the question's answer, such as "different".
         answer: Answer of the changed plan; None if there is none.

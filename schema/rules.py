@@ -54,9 +54,10 @@ CONDITION_KINDS: Final = (
 
 
 class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Thresholds that make a fact true, false or unknown. `rule_rows` returns the text below a rule as its meaning.
+    """Thresholds that decide in `load` whether a fact is true, false or unknown.
 
-    The margin of distances is so small that at most two distance words are possible for one distance.
+    The text below each field is the meaning that `rules list` prints. The maximum of `distance_margin` is so small that
+    at most two distance words are possible for one distance.
     """
 
     gap_frames: Annotated[int, msgspec.Meta(ge=0, le=900)] = 7

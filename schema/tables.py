@@ -32,8 +32,8 @@ LAYERS: Final = (
 """Layers in the column `layer` of the `frames` table.
 
 One file may have several layers, with labels at different frames. The file of 2D boxes also has `actions` and `groups`.
-The social file has `demographics`, `interactions` and `group_info`. If it is missing, the reasoning file has them. Only
-the reasoning file has `handles`.
+The social file has `demographics`, `interactions` and `group_info`. If the social file is missing, these layers are
+read from the reasoning file. Only the reasoning file has `handles`.
 """
 
 COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
@@ -308,7 +308,7 @@ _INTERVALS: Final = {
         "sequence object category_id category? first_frame? last_frame?",
     ),
     "group_info": ("Votes for the attributes of each group.", "sequence cluster attribute value votes chosen"),
-    # A relation in the robot's view has one row per keyframe. If it is not certain, it may have several targets.
+    # A relation in the robot's view has one row per keyframe. An uncertain relation may have several targets.
     "beside": (
         "Place of the target seen from the source, such as 'left, close', or as the first to a side for the robot.",
         "sequence source target label first last first_s last_s certain",

@@ -110,18 +110,13 @@ _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
     "putting sth": "putting_something",
 }
 
-CATEGORY_PREFIXES: Final = ("t_", "m_")
-"""Prefixes that category names have in some files."""
-
 
 def normal_category(name: str) -> str:
     """Return a category's name in the spelling of `OBJECTS`: lower case, no prefix, underscores between words.
 
-    A name that is not in `OBJECTS` is spelled in the same way.
+    In some files, names have the prefix "t_" or "m_". A name that is not in `OBJECTS` is spelled in the same way.
     """
-    word = plain(name).replace(" ", "_")
-    prefix = next((prefix for prefix in CATEGORY_PREFIXES if word.startswith(prefix)), "")
-    return word.removeprefix(prefix)
+    return plain(name).replace(" ", "_").removeprefix("t_").removeprefix("m_")
 
 
 @functools.lru_cache(maxsize=10_000)

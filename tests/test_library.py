@@ -185,7 +185,7 @@ def test_a_method_object_is_evaluated(store):
         run = jrdb_avr.evaluate(store.path, Mine(), progress=lambda *event: seen.append(event))
     assert run.run_id == "mine-none" and run.row()["answered"] == run.predictions.num_rows == 12
     assert seen[0] == ("mine, none", 0, 12) and seen[-1] == ("mine, none", 12, 12)
-    with pytest.raises(jrdb_avr.InputError, match="none of"):
+    with pytest.raises(jrdb_avr.InputError, match="not one of"):
         jrdb_avr.evaluate(store, "reacts", "marker")
     with pytest.raises(jrdb_avr.InputError, match="needs a model"):
         jrdb_avr.evaluate(store, "react")

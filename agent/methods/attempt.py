@@ -1,6 +1,6 @@
-"""The part of answering a question that all methods share: model calls, looks, their cost, and reading a reply.
+"""Shared part of all methods: model calls, looks, the counts of both, and the decoding of replies.
 
-Each call, each look and the reading of the final reply is a step of the transcript. The attempt counts tokens and
+A step of the transcript is a call, a look, or the decoding of the final reply. The attempt counts calls, tokens and
 looks, and the prediction states these counts. A method that cannot choose its looks gets whole panoramas.
 """
 
@@ -28,11 +28,11 @@ Seen = TypeVar("Seen", Observation, Panorama)
 Read = TypeVar("Read")
 
 DUPLICATE_DEG: Final = 1.0
-"""Maximum distance in degrees at which a look repeats an earlier one of the same frame and is refused."""
+"""Maximum angle in degrees between two looks at the same frame for the second look to be refused as a repetition."""
 
 
 class ImageFrame(NamedTuple):
-    """The pictures to which a box may refer: frames, size in pixels, and left column in the panorama."""
+    """The pictures to which a box may refer: their frames, size in pixels, and left column in the panorama."""
 
     frames: tuple[int, ...]
     width: int
@@ -45,7 +45,7 @@ class ImageFrame(NamedTuple):
         return self.width, self.height
 
     def evidence(self, frame: int, box: Box) -> Evidence:
-        """Return a box in one of these pictures as evidence.
+        """Return the evidence that consists of a box in one of these pictures.
 
         Args:
             frame: The frame.
@@ -58,7 +58,7 @@ class ImageFrame(NamedTuple):
 
 
 def stitched_evidence(frame: int, box: Box) -> Evidence:
-    """Return a box as evidence.
+    """Return the evidence that consists of a box on a panorama.
 
     Args:
         frame: The frame.
@@ -72,35 +72,35 @@ def stitched_evidence(frame: int, box: Box) -> Evidence:
 
 
 def on_panoramas(panoramas: Sequence[Panorama]) -> ImageFrame:
-    """Return the image frame of boxes in panoramas.
+    """Return the `ImageFrame` for boxes in panoramas.
 
     Args:
         panoramas: The panoramas.
 
     Returns:
-        Their frames and size.
+        The frames and the size of the panoramas.
     """
     return ImageFrame(tuple(panorama.frame_index for panorama in panoramas), WIDTH, HEIGHT, 0)
 
 
 def on_crop(observation: Observation) -> ImageFrame:
-    """Return the image frame of boxes in a crop.
+    """Return the `ImageFrame` for boxes in a crop.
 
     Args:
         observation: The crop.
 
     Returns:
-        Its frame, size and left column.
+        The frame, the size and the left column of the crop.
     """
     return ImageFrame((observation.frame_index,), CROP, CROP, observation.left)
 
 
 @dataclass(frozen=True)
 class ParsedReply:
-    """A parsed final reply: answer and evidence, read independently.
+    """A parsed final reply. The answer and the evidence are decoded independently.
 
-    faults: the reasons for unreadable parts. refusal: the reason why the newest output was refused, if an older one
-    counts. verdict: as in a prediction.
+    faults: why parts could not be read. refusal: why the newest reply was refused, if an older reply counts. verdict:
+    the verdict of the prediction.
     """
 
     answer: Answer | None = None
@@ -116,18 +116,18 @@ class ParsedReply:
             earlier: The earlier reply.
 
         Returns:
-            The newest readable answer and evidence, with the faults of this reply.
+            The newest readable answer, the newest readable evidence, and the faults of this reply.
         """
         return replace(self, answer=self.answer or earlier.answer, evidence=self.evidence or earlier.evidence)
 
 
 @dataclass
 class Attempt:
-    """The state of one question's attempt; used by one thread."""
+    """State of one attempt to answer a question. Used by only one thread."""
 
     task: Task
     chat: Chat | None
-    """The model; None if a player makes the calls itself."""
+    """The model. None if a player answers, who makes no calls through this object."""
 
     convention: Convention
     looks: int = 0
@@ -152,7 +152,7 @@ class Attempt:
             The reply.
 
         Raises:
-            EndpointError: The server refuses the request.
+            EndpointError: If the server refuses the request.
         """
         assert self.chat is not None, "a player without a chat makes no calls here"
         started = time.perf_counter()
@@ -175,7 +175,7 @@ class Attempt:
             The object.
 
         Raises:
-            DecodeError: The reply is not one JSON object.
+            DecodeError: If the reply is not one JSON object.
         """
         return decode.reply_object(self.ask(messages, schema), self.convention)
 
@@ -185,10 +185,11 @@ class Attempt:
         schema: Mapping[str, Any],
         read: Callable[[dict[str, Any]], Read],
     ) -> Read:
-        """Make a model call, and a second one that states the error if the first reply cannot be read.
+        """Make a model call. If its reply cannot be read, make a second call that states the error.
 
         Args:
-            messages: Returns the chat, given the lines about an unreadable reply.
+            messages: Called before each call with lines about an unreadable reply (none before the first call). Returns
+                the chat.
             schema: The JSON Schema of the reply.
             read: Reads the reply, or raises DecodeError.
 
@@ -196,7 +197,7 @@ class Attempt:
             The result of `read`.
 
         Raises:
-            DecodeError: Neither reply can be read.
+            DecodeError: If neither reply can be read.
         """
         try:
             return read(self.ask_object(messages(()), schema))
@@ -207,10 +208,10 @@ class Attempt:
     def ask_stage(
         self, parts: Sequence[Part], stage: str, schema: Mapping[str, Any], read: Callable[[dict[str, Any]], Read]
     ) -> Read:
-        """Make the call of a stage over panoramas, as `ask_twice`.
+        """Make the call of a stage with panoramas, and a second call if the first reply cannot be read.
 
         Args:
-            parts: The parts of the user message after the question.
+            parts: The parts of the user message between the question and the instructions.
             stage: The instructions of the stage, which come last.
             schema: The JSON Schema of the reply.
             read: Reads the reply, or raises DecodeError.
@@ -219,12 +220,12 @@ class Attempt:
             The result of `read`.
 
         Raises:
-            DecodeError: Neither reply can be read.
+            DecodeError: If neither reply can be read.
         """
         return self.ask_twice(lambda faults: panorama_messages(self.task, (*parts, *faults, stage)), schema, read)
 
     def read_look(self, part: Mapping[str, Any]) -> tuple[int, float]:
-        """Read a look that the model requests.
+        """Decode a look that the model requests.
 
         Args:
             part: The object with `frame_id` and `angle_deg`.
@@ -233,7 +234,7 @@ class Attempt:
             The frame, and the angle in degrees.
 
         Raises:
-            DecodeError: A part cannot be read, or the frame is not legal.
+            DecodeError: If a part cannot be read, or the frame is not legal.
         """
         frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
         if frame not in self.task.sequence.frames:
@@ -248,7 +249,7 @@ class Attempt:
             angle: The angle in degrees.
 
         Returns:
-            The reason of the refusal; "" if the look repeats none.
+            The reason of the refusal, or "" if the look repeats no earlier look.
         """
         for earlier, seen in self.made:
             if earlier == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
@@ -269,14 +270,14 @@ class Attempt:
             The crop.
 
         Raises:
-            ObserveError: The picture cannot be made.
+            ObserveError: If the picture cannot be made.
         """
         observation = self._observe(self.task.observe, frame_index=frame, angle_deg=angle)
         self.made.append((frame, observation.angle_deg))
         return observation
 
     def panoramas(self, n: int) -> tuple[Panorama, ...]:
-        """Get evenly spaced panoramas, each counted as a look.
+        """Return evenly spaced panoramas. Each panorama counts as a look.
 
         Args:
             n: The number of panoramas.
@@ -285,7 +286,7 @@ class Attempt:
             The panoramas.
 
         Raises:
-            ObserveError: The sequence has no panoramas, or one cannot be read.
+            ObserveError: If the sequence has no panoramas, or one cannot be read.
         """
         frames = uniform_frames(self.task.sequence.frames, n)
         if not frames:
@@ -309,7 +310,7 @@ class Attempt:
             kind: The kind of step.
             request: The request, as JSON.
             response: The response, as JSON.
-            started: The `time.perf_counter` at its beginning.
+            started: The value of `time.perf_counter` when the step began.
         """
         self.task.record(
             Step(
@@ -324,7 +325,7 @@ class Attempt:
     # -- replies ------------------------------------------------------------------------------------------------------
 
     def read_answer(self, value: object) -> Answer:
-        """Read the `answer` part of a reply, in the question's mode.
+        """Decode the `answer` part of a reply under the question's answer mode.
 
         Args:
             value: The part.
@@ -333,13 +334,13 @@ class Attempt:
             The answer.
 
         Raises:
-            DecodeError: The part does not fit.
+            DecodeError: If the part does not fit.
         """
         question = self.task.question
         return decode.read_answer(value, question.answer_mode, len(question.choices), self.task.sequence.frame_count)
 
     def read_evidence(self, value: object, image: ImageFrame) -> Evidence:
-        """Read the `evidence_bboxes` part of a reply that is not final.
+        """Decode the `evidence_bboxes` part of a reply that is not the final reply.
 
         Args:
             value: The part.
@@ -349,7 +350,7 @@ class Attempt:
             The evidence.
 
         Raises:
-            DecodeError: The part does not fit.
+            DecodeError: If the part does not fit.
         """
         started = time.perf_counter()
         evidence, facts = self._read_box(value, image)
@@ -357,17 +358,17 @@ class Attempt:
         return evidence
 
     def parse_final(self, reply: Mapping[str, Any], image: ImageFrame) -> ParsedReply:
-        """Parse a final reply: its `answer` and its `evidence_bboxes`, each valid without the other.
+        """Parse a final reply. Its `answer` and its `evidence_bboxes` are decoded independently.
 
         Args:
             reply: The object of the reply.
             image: The pictures to which the box may refer.
 
         Returns:
-            The parsed parts with their faults.
+            The parsed parts, and the faults of parts that could not be read.
 
         Raises:
-            DecodeError: The reply has other keys.
+            DecodeError: If the reply does not have exactly these two keys.
         """
         unread = {"answer": None, "evidence_bboxes": None}
         parts = decode.only_keys({**unread, **reply}, unread, "the reply")
@@ -380,7 +381,7 @@ class Attempt:
         return ParsedReply(answer, evidence, faults)
 
     def _read_box(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
-        """Read the box. Return the evidence and its record in the transcript."""
+        """Decode the box. Return the evidence, and the record of the box for the transcript."""
         seen = decode.read_evidence(value, image.frames, image.size, self.convention)
         evidence = image.evidence(seen.frame, seen.box)
         return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
@@ -391,10 +392,10 @@ class Attempt:
         """Return the prediction for a parsed reply, with the counts of this attempt.
 
         Args:
-            parsed: The parsed reply; its readable parts count.
+            parsed: The parsed reply. Parts that could not be read are missing in the prediction.
 
         Returns:
-            The prediction, invalid if a part is missing because of a fault.
+            The prediction. It is invalid if a part is missing because that part could not be read.
         """
         missing = parsed.answer is None or parsed.evidence is None
         return Prediction(

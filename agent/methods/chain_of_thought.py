@@ -1,4 +1,4 @@
-"""Chain of thought: one call that lists facts of evenly spaced panoramas, and one that answers with them."""
+"""Chain of thought: one call lists facts about evenly spaced panoramas, and a second call answers with these facts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jrdb_avr.schema.method import Prediction, Task
 
 MOST_FACTS: Final = 20
 LONGEST_FACT: Final = 300
-"""Maximum characters of a fact. A full list has some 1,500 tokens, fewer than the default limit of a reply."""
+"""Maximum characters of a fact. The longest possible list has some 1,500 tokens, below the default limit of a reply."""
 
 _FACTS_SCHEMA: Final = decode.closed_object(
     {
@@ -29,13 +29,13 @@ _FACTS_SCHEMA: Final = decode.closed_object(
 
 
 class ChainOfThought(FixedContextMethod):
-    """The method `chain-of-thought` with `n` panoramas, the same ones for both calls."""
+    """The method `chain-of-thought` with `n` panoramas. Both calls get the same panoramas."""
 
     name = "chain-of-thought"
     stages: ClassVar = {"calls": 2, "retries": 1, "most_facts": MOST_FACTS, "longest_fact": LONGEST_FACT}
 
     def answer(self, task: Task) -> Prediction:
-        """Answer in two stages: list facts, then answer with them, or without any if the list cannot be read.
+        """Answer in two stages: list facts, then answer with these facts, or without facts if the list cannot be read.
 
         Args:
             task: The question to answer.
@@ -55,16 +55,16 @@ class ChainOfThought(FixedContextMethod):
 
 
 def read_facts(reply: dict[str, Any]) -> tuple[str, ...]:
-    """Read the facts of a reply.
+    """Decode the facts of a reply.
 
     Args:
         reply: The object `{"reasoning": [...]}`.
 
     Returns:
-        The facts, each as one line with single blanks.
+        The facts. Each is one line, in which words are separated by single blanks.
 
     Raises:
-        DecodeError: There are no facts or too many, or one is empty or too long.
+        DecodeError: If there are no facts or too many, or one is empty or too long.
     """
     facts = decode.only_keys(reply, ("reasoning",), "the reply")["reasoning"]
     if not isinstance(facts, list) or not 1 <= len(facts) <= MOST_FACTS:

@@ -1,8 +1,8 @@
-"""The game of one question: looks and answers under the benchmark's rules, for any player.
+"""Episode: a player looks and answers one question under the rules of the benchmark.
 
-The first move must look. A look within 1 degree of an earlier one of the same frame is refused. A malformed move costs
-a move. The evidence is a box in the newest crop. A refused answer ends the question only if it is sent again unchanged.
-At the end the newest readable answer and box count.
+The first move must be a look. A look within 1 degree of an earlier look at the same frame is refused. A malformed move
+counts as a move. The evidence is a box in the newest crop. A refused answer ends the episode only if the player sends
+the same answer again. At the end, the newest readable answer and the newest readable box count.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from jrdb_avr.schema.method import Observation, Prediction, Question, Task
 from jrdb_avr.schema.panorama import CROP
 
 BUDGET: Final = 24
-"""Default maximum of looks."""
+"""Default maximum number of looks."""
 
 LOOK: Final = "Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."
 SUBMIT: Final = "Give the final answer, with one box round the person in the newest picture, in thousandths of it."
@@ -31,7 +31,7 @@ SUBMIT: Final = "Give the final answer, with one box round the person in the new
 
 
 def most_moves(budget: int) -> int:
-    """Return the maximum of moves.
+    """Return the maximum number of moves.
 
     Args:
         budget: The maximum of looks.
@@ -43,17 +43,17 @@ def most_moves(budget: int) -> int:
 
 
 class Remaining(NamedTuple):
-    """The looks and moves that are left."""
+    """Numbers of looks and of moves that are left."""
 
     looks: int
     moves: int
 
 
 class Episode:
-    """The game of one question; each move is a look or an answer. Used by one thread at a time.
+    """Episode of one question. Each move is a look or an answer. Only one thread may use it at a time.
 
-    question: the public columns. frames: the frames that can be observed, ascending. answered: whether an answer ended
-    the question. turns: one line per move so far. error: the reason why the last move was malformed, or "".
+    question: the public columns of the question. frames: the frames that can be observed, ascending. answered: whether
+    an answer has ended the episode. turns: one line per move so far. error: why the last move was malformed, or "".
 
         episode = Episode(task)
         seen = episode.observe(150, 180.0)
@@ -64,11 +64,11 @@ class Episode:
     def __init__(
         self, task: Task, *, budget: int = BUDGET, convention: Convention = CONTRACT, chat: Chat | None = None
     ) -> None:
-        """Begin the game.
+        """Begin the episode.
 
         Args:
-            task: The question, with the function that observes.
-            budget: The maximum of looks.
+            task: The question, with the functions that return its pictures.
+            budget: The maximum number of looks.
             convention: How the player writes boxes.
             chat: The model of a method that makes its calls through `attempt`.
         """
@@ -81,21 +81,21 @@ class Episode:
         self.error = ""
         self._kept = ParsedReply()
         self._refused: Mapping[str, Any] | None = None
-        # In no picture, every box is refused.
+        # Before the first look there is no picture, so that every box is refused.
         self._newest = ImageFrame((), CROP, CROP, 0)
 
     # -- texts of the player ------------------------------------------------------------------------------------------
 
     @property
     def prompt(self) -> str:
-        """Rules and question for a player with the tools `observe` and `submit_answer`."""
+        """The rules and the question, for a player who has the tools `observe` and `submit_answer`."""
         return f"{self.rules('episode_tools')}\n\n{self.text}"
 
     def rules(self, turns: str) -> str:
         """Return the rules for a player.
 
         Args:
-            turns: The name of the prompt with the form of a move.
+            turns: The name of the prompt that states the form of a move.
 
         Returns:
             The text.
@@ -123,14 +123,14 @@ class Episode:
 
     @property
     def left(self) -> Remaining:
-        """Looks and moves left; none after the end."""
+        """The looks and moves that are left. Both are 0 after the end."""
         if self.answered:
             return Remaining(0, 0)
         return Remaining(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
 
     @property
     def over(self) -> bool:
-        """Whether no further move is taken."""
+        """Whether the episode has ended, so that no further move is accepted."""
         return self.left.moves <= 0
 
     # -- moves --------------------------------------------------------------------------------------------------------
@@ -146,8 +146,8 @@ class Episode:
             The crop.
 
         Raises:
-            RefusedError: The look is refused, and the move is spent.
-            ObserveError: The picture is broken.
+            RefusedError: If the look is refused, and the move is spent.
+            ObserveError: If the picture is broken.
         """
         frame_id = f"{frame:06d}" if isinstance(frame, int) else frame
         seen = self.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle})
@@ -155,14 +155,14 @@ class Episode:
         return seen
 
     def submit(self, answer: object, evidence: object) -> None:
-        """Give the final answer.
+        """Submit the final answer.
 
         Args:
             answer: The `answer` part, as in `answer_schema`.
             evidence: The `evidence_bboxes` part, as in `answer_schema`.
 
         Raises:
-            RefusedError: The answer is refused; its readable parts are kept.
+            RefusedError: If the answer is refused. Its readable parts are kept.
         """
         self.move({"action": "answer", "answer": answer, "evidence_bboxes": evidence})
 
@@ -176,7 +176,7 @@ class Episode:
             The crop of a look; None after an answer.
 
         Raises:
-            RefusedError: The move is refused or malformed.
+            RefusedError: If the move is refused or malformed.
         """
         return self._carry_out(lambda: dict(move))
 
@@ -190,18 +190,18 @@ class Episode:
             The crop of a look; None after an answer.
 
         Raises:
-            RefusedError: The move is refused, or the reply cannot be read.
+            RefusedError: If the move is refused, or the reply cannot be read.
         """
         return self._carry_out(lambda: decode.reply_object(reply, self.attempt.convention))
 
     def spend_malformed(self, reason: str) -> None:
-        """Count a reply without a move, such as one that calls no tool, as a malformed move.
+        """Count a reply without a move as a malformed move. An example is a reply that calls no tool.
 
         Args:
-            reason: The reason.
+            reason: Why the reply is malformed.
 
         Raises:
-            RefusedError: Always.
+            RefusedError: If this function is called, in every case.
         """
 
         def read() -> dict[str, Any]:
@@ -245,7 +245,7 @@ class Episode:
         return observation
 
     def _answer(self, move: dict[str, Any]) -> None:
-        """Take the answer, or keep its readable parts and raise DecodeError."""
+        """Accept the answer. If it is not valid, keep its readable parts and raise DecodeError."""
         del move["action"]
         again, self._refused = move == self._refused, move
         parsed = self.attempt.parse_final(move, self._newest)
@@ -258,7 +258,7 @@ class Episode:
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def finished(self) -> Prediction:
-        """Return the prediction if the game ended now; a move counts as a model call.
+        """Return the prediction that results if the episode ends now. Each move counts as a model call.
 
         Returns:
             The prediction.

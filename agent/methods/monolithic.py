@@ -1,4 +1,4 @@
-"""Monolithic: one call that gets evenly spaced panoramas and answers."""
+"""Monolithic: a single call gets evenly spaced panoramas and answers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Monolithic(FixedContextMethod):
     stages: ClassVar = {"calls": 1, "retries": 1}
 
     def answer(self, task: Task) -> Prediction:
-        """Answer in one call, or two if the first reply cannot be read.
+        """Answer in one call, or in two calls if the first reply cannot be read.
 
         Args:
             task: The question to answer.
@@ -35,13 +35,13 @@ class Monolithic(FixedContextMethod):
 
 
 def answer_from(attempt: Attempt, panoramas: Sequence[Panorama], prompt: str, facts: Sequence[Part] = ()) -> Prediction:
-    """Answer from panoramas in one call, or two if the first reply cannot be read.
+    """Answer from panoramas in one call, or in two calls if the first reply cannot be read.
 
     Args:
         attempt: The attempt.
         panoramas: The panoramas.
-        prompt: The name of the stage's prompt.
-        facts: Further parts of the message.
+        prompt: The name of the prompt.
+        facts: Further parts of the user message.
 
     Returns:
         The prediction.

@@ -1,8 +1,8 @@
-"""ReAct: look, think, look again, answer; every turn sends the whole history.
+"""ReAct: the model looks, thinks, looks again, and answers. Every turn sends the whole history.
 
-`Episode` has the rules: a turn is one of its moves, and the turn after a malformed one states the error. Every crop so
-far, or the newest ones, is sent again with its metadata. Servers may therefore be stateless, and a finished call can be
-replayed from its request alone.
+The rules are those of `Episode`, and each turn is a move of it. After a malformed turn, the next turn states the error.
+Each request has all earlier crops, or the newest ones, with their metadata. Servers may therefore be stateless, and a
+finished call can be repeated from its request alone.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from jrdb_avr.schema.method import Observation, Prediction, Question, Task
 
 @dataclass(frozen=True)
 class ReAct:
-    """The method `react` with a maximum of looks, and of twice as many model calls and two.
+    """The method `react`. With a maximum of N looks, it makes at most 2 N + 2 model calls.
 
-    history: the number of newest crops in each turn, None for all; of older crops a turn has the metadata.
+    history: the number of newest crops that a turn sends. None sends all crops. Of older crops only the metadata are
+    sent.
     """
 
     name: ClassVar = "react"
@@ -49,7 +50,7 @@ class ReAct:
         }
 
     def answer(self, task: Task) -> Prediction:
-        """Play a question to its answer, or to the last allowed call.
+        """Play an episode until the model answers, or until no call is left.
 
         Args:
             task: The question to answer.
@@ -73,7 +74,7 @@ class ReAct:
         while not episode.over:
             user = with_last_pictures([Message("user", _parts(episode, looks))], self.history)
             reply = episode.attempt.ask([Message("system", (system,)), *user], schema)
-            # The next turn states the reason of a refusal.
+            # The next turn states the reason of the refusal.
             with contextlib.suppress(RefusedError):
                 if (seen := episode.reply(reply)) is not None:
                     looks.append((seen, picture_of(seen)))
@@ -81,9 +82,9 @@ class ReAct:
 
 
 def _parts(episode: Episode, looks: Sequence[tuple[Observation, Picture]]) -> tuple[Part, ...]:
-    """Return the question, every crop with its metadata, and the state.
+    """Return the parts of a turn: the question, every crop with its metadata, and the looks and moves that are left.
 
-    The state comes last, so that a server can cache the common beginning of two turns.
+    The changing part comes last, so that a server can cache the common beginning of two turns.
     """
     parts: list[Part] = [episode.text]
     for count, (observation, picture) in enumerate(looks, 1):
@@ -104,7 +105,7 @@ def _parts(episode: Episode, looks: Sequence[tuple[Observation, Picture]]) -> tu
 
 
 def react_turn_schema(question: Question) -> dict[str, Any]:
-    """Return the JSON Schema of a turn: a look, or the answer.
+    """Return the JSON Schema of a turn, which is a look or the answer.
 
     Args:
         question: The question.

@@ -1,4 +1,4 @@
-"""Parts of requests and of manifests that methods share: the heading of a task, panoramas, and settings."""
+"""Parts that the requests and the manifests of several methods share: heading of a task, panoramas, and settings."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ PANORAMAS: Final = 8
 
 
 def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]:
-    """Select frames that are evenly spaced by position.
+    """Select frames that are evenly spaced in the list of legal frames.
 
     Args:
         frames: The m legal frames, ascending.
         n: The number of frames to select, from 1.
 
     Returns:
-        For each i from 0 the frame at position i * (m - 1) / (n - 1), rounded to the nearest, halves up. If n is 1,
-        the middle frame, the earlier of two. If m is at most n, all frames.
+        For each i from 0 to n - 1, the frame at position i * (m - 1) / (n - 1). Positions are rounded to the nearest,
+        and halves up. If n is 1, the middle frame, or the earlier of two middle frames. If m is at most n, all frames.
 
     Raises:
-        ValueError: n is below 1.
+        ValueError: If n is below 1.
 
     >>> uniform_frames(range(0, 100, 5), 4)
     (0, 30, 65, 95)
@@ -42,7 +42,7 @@ def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]
     last = len(frames) - 1
     if n == 1:
         return (frames[last // 2],)
-    # Because steps are longer than one position, rounding never selects a frame twice.
+    # The distance between positions is more than 1, so that rounding never selects a frame twice.
     return tuple(frames[(2 * i * last + n - 1) // (2 * (n - 1))] for i in range(n))
 
 
@@ -53,7 +53,7 @@ def panorama_parts(panoramas: Sequence[Panorama]) -> tuple[Part, ...]:
         panoramas: The panoramas.
 
     Returns:
-        A line with number and metadata before each picture.
+        The pictures. Before each picture is a line with its number and its metadata.
     """
     return tuple(
         part
@@ -69,13 +69,13 @@ def frame_list(panoramas: Sequence[Panorama]) -> str:
         panoramas: The panoramas.
 
     Returns:
-        The ids with commas between.
+        The ids, separated by commas.
     """
     return ", ".join(panorama.frame_id for panorama in panoramas)
 
 
 def fixed_settings(n: int) -> dict[str, Any]:
-    """Return the settings of a method with panoramas for a run's manifest.
+    """Return the settings of a method that gets panoramas, for a run's manifest.
 
     Args:
         n: The number of panoramas.
@@ -87,13 +87,13 @@ def fixed_settings(n: int) -> dict[str, Any]:
 
 
 def heading(question: Question) -> str:
-    """Return the first lines of every task.
+    """Return the lines with which the request of every method begins.
 
     Args:
         question: The question.
 
     Returns:
-        The question, its mode, and its choices numbered from 1.
+        The text of the question, its answer mode, and its choices, numbered from 1.
     """
     choices = choice_lines(question.choices)
     return render(
@@ -111,7 +111,7 @@ def final_parts(question: Question) -> dict[str, Any]:
         question: The question.
 
     Returns:
-        A schema per key.
+        The schema of each key.
     """
     return {
         "answer": decode.answer_schema(question.answer_mode, question.choices),
@@ -124,10 +124,11 @@ def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
 
     Args:
         task: The question to answer.
-        parts: The parts of the stage. Its instructions come last, so that a server can cache the common beginning.
+        parts: The parts of the call. Instructions come last, so that a server can cache the common beginning of two
+            calls.
 
     Returns:
-        The shared system message and the user message.
+        The system message that all methods share, and the user message.
     """
     system = render("panorama_system", fps=f"{task.sequence.fps:g}")
     return [Message("system", (system,)), Message("user", (heading(task.question), *parts))]
@@ -147,10 +148,10 @@ def shared_settings(convention: Convention) -> dict[str, Any]:
 
 
 def history_settings(history: int | None) -> dict[str, Any]:
-    """Return the settings of a chat that sends its newest pictures only.
+    """Return the settings of a chat that may send only its newest pictures.
 
     Args:
-        history: The number of pictures; None if all are sent.
+        history: The number of newest pictures that are sent. None sends all.
 
     Returns:
         The settings, empty if all pictures are sent.
@@ -160,7 +161,7 @@ def history_settings(history: int | None) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class FixedContextMethod:
-    """A method that answers from `n` evenly spaced panoramas; `stages` are the settings of its calls."""
+    """Base class of methods that answer from `n` evenly spaced panoramas. `stages` are the settings of the calls."""
 
     name: ClassVar[str]
     stages: ClassVar[Mapping[str, int]]

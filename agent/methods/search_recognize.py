@@ -1,7 +1,8 @@
-"""Search, then recognize: propose a box of the person, refine it in one crop, choose the answer.
+"""Search, then recognize: propose a box of the person, refine the box in one crop, and choose the answer.
 
-Each of the three stages is one call, or two if a reply cannot be used. The evidence is the refined box, or the proposed
-one if the crop gives no usable box. Without a proposal, the method answers from the panoramas, as `monolithic` does.
+Each of the three stages is one call, or two calls if the first reply cannot be used. The evidence is the refined box,
+or the proposed box if the second stage gives no usable box. If there is no proposed box, the method answers from the
+panoramas, as `monolithic` does.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class SearchRecognize(FixedContextMethod):
     stages: ClassVar = {"crops": 1, "calls": 3, "retries": 1}
 
     def answer(self, task: Task) -> Prediction:
-        """Propose a box, refine it, and answer.
+        """Propose a box, refine the box, and answer.
 
         Args:
             task: The question to answer.
@@ -44,7 +45,7 @@ class SearchRecognize(FixedContextMethod):
             proposal = _box(attempt, panorama_parts(panoramas), stage, on_panoramas(panoramas))
         except DecodeError:
             return answer_from(attempt, panoramas, "monolithic")
-        # Rounded to a hundredth of a column, because the prompt must not show rounding errors.
+        # Columns are rounded to hundredths, because the prompt must not show rounding errors.
         crop = attempt.look(proposal.frame, round(center_angle(proposal.box[0], proposal.box[2]), 3))
         stage = render("search_recognize_refine", frame_id=crop.frame_id)
         try:
@@ -57,7 +58,7 @@ class SearchRecognize(FixedContextMethod):
 
 
 def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Evidence) -> Answer:
-    """Get the answer about the person in the refined box."""
+    """Return the prediction, with the model's answer about the person in the refined box."""
     question, text = attempt.task.question, mode_text(attempt.task)
     box = ", ".join(f"{value:.1f}" for value in refined.box)
     parts: tuple[Part, ...] = (
@@ -71,7 +72,7 @@ def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Ev
 
 
 def _box(attempt: Attempt, parts: tuple[Part, ...], stage: str, image: ImageFrame) -> Evidence:
-    """Get the box of a stage, in stitched pixels."""
+    """Return the box that a stage gives, as evidence in stitched pixels."""
     return attempt.ask_stage(
         parts, stage, _BOX_SCHEMA, lambda reply: attempt.read_evidence(_only(reply, "evidence_bboxes"), image)
     )

@@ -1,8 +1,9 @@
-"""Finished calls on disk, each under the sha256 of its whole request, so that none is paid for twice.
+"""Store finished calls on disk under the sha256 of the whole request, so that no call is paid for twice.
 
-One file holds a line per call of a run. One write appends a line, and a line counts only if it is whole: a process that
-is killed, or several processes that append at once, leave at worst lines that are skipped. The file is not synced: a
-machine that loses power may lose its newest calls, and makes them again. Requests hold no key, so the file holds none.
+A file holds the calls of one run, one per line. Each line is appended by a single write, and readers skip incomplete
+lines. A process that is killed, or processes that append at once, therefore lose at most some calls. The file is not
+synced to disk. If the machine loses power, the newest calls may be lost, and a resumed run makes these calls again.
+Requests contain no API key, so the file contains no API key.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class _Entry(msgspec.Struct):
     reply: Reply
 
 
-# Made at import: threads that meet a type first at the same time crash the decoder.
+# Made at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 _ENTRY: Final = msgspec.json.Decoder(_Entry)
 _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
@@ -36,8 +37,8 @@ _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, Recursio
 class Calls:
     """A file of finished calls, for many threads at once.
 
-    If a request has several lines, the newest that this process knows counts. Lines of other processes are read when
-    the file is opened, by the first call.
+    If a request has several lines, the newest line that this process knows counts. The file is opened by the first call
+    of a method. Lines that other processes have written by then are read too.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,7 +69,7 @@ class Calls:
             digest: The key of the call.
 
         Returns:
-            The reply; None if none is stored, or its line is damaged.
+            The reply. None if no reply is stored, or if the line of the reply is damaged.
         """
         try:
             file = self._open()
@@ -82,10 +83,10 @@ class Calls:
             return None
 
     def tokens(self) -> tuple[int, int]:
-        """Return the prompt and completion tokens of the calls in the file when it was opened.
+        """Return the tokens of the calls that the file held when it was opened: those in prompts, and those in replies.
 
         Raises:
-            StoreError: The file cannot be read.
+            StoreError: If the file cannot be read.
         """
         try:
             self._open()
@@ -98,10 +99,10 @@ class Calls:
 
         Args:
             digest: The key of the call.
-            reply: Its reply.
+            reply: The reply to the call.
 
         Raises:
-            StoreError: The file cannot be written.
+            StoreError: If the file cannot be written.
         """
         # The line begins with a line end, because the last line may have been cut short.
         line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"
@@ -121,7 +122,8 @@ class Calls:
                     self._path.parent.mkdir(parents=True, exist_ok=True)
                     self._index()
                     file = io.FileIO(self._path, "a+")
-                    # Not at the interpreter's end, because a thread may still wait for its reply then.
+                    # The file is not closed when the interpreter ends, because a thread may still wait for a reply
+                    # then.
                     weakref.finalize(self, file.close).atexit = False
                     self._file = file
         return self._file
@@ -135,7 +137,8 @@ class Calls:
                     break
                 with contextlib.suppress(*_UNREADABLE):
                     entry = _ENTRY.decode(line)
-                    # The position comes first, so that concurrent readers never miss it.
+                    # The position is stored first, so that a concurrent reader always finds the call in one of the two
+                    # places.
                     self._lines[entry.request] = self._indexed, len(line)
                     self._unread.discard(entry.request)
                     self._prompt_tokens += entry.reply.prompt_tokens

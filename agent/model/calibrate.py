@@ -1,8 +1,9 @@
-"""Find how a model writes boxes, from its boxes of drawn rectangles.
+"""Find out how a model writes boxes, by asking for the boxes of drawn rectangles.
 
-The model gets pictures with a marked rectangle with a known box, and writes that box in the contract's own words.
-Each reading (order of the numbers, scale) of each key is compared with the known boxes. A reading is chosen only if it
-explains the replies and no other reading does nearly as well. No question and no true box of a question is involved.
+The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as
+the prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
+model writes boxes, every reading is compared with the known boxes. A reading is chosen only if it explains the replies
+and no other reading does nearly as well. No question of a store is used.
 """
 
 from __future__ import annotations
@@ -34,22 +35,22 @@ KEYS: Final = (CONTRACT_KEY, "bbox_2d", "box_2d", "box")
 BOX_REPLY_SCHEMA: Final = closed_object({"evidence_bboxes": EVIDENCE_SCHEMA})
 
 LEAST_REPLIES: Final = 10
-"""Minimum number of replies with a key, for a reading of that key to be chosen."""
+"""Minimum number of replies that write their box under a key. With fewer replies, no reading of the key is chosen."""
 LEAST_READABLE: Final = 0.5
-"""Minimum share of all replies that hold a box."""
+"""Minimum share of replies that hold a box, among all replies."""
 CLEAR: Final = 0.4
-"""Minimum share of a key's replies with a box of an IoU of at least 0.5 under the chosen reading."""
+"""Minimum share of a key's replies that, under the chosen reading, have an IoU of at least 0.5 with the known box."""
 LEAD: Final = 0.2
-"""Minimum lead of that share over every reading that gives other boxes."""
+"""Minimum difference between that share and the same share under any reading that gives other boxes."""
 _SAME: Final = 0.9
 _IN_FLIGHT: Final = 8
 
-# The simplest first, because it is chosen among readings that give the same boxes.
+# The simplest reading comes first, because the first of several readings that give the same boxes is chosen.
 _READINGS: Final = tuple(Reading(order, scale) for scale in get_args(Scale) for order in get_args(Order))
 
 
 class Score(msgspec.Struct, frozen=True):
-    """How well a reading explains the `n` replies under a key.
+    """Measure of how well a reading explains the `n` replies that write their box under one key.
 
     median_iou: the median IoU with the known boxes. share: the share of boxes with an IoU of at least 0.5.
     """
@@ -66,8 +67,9 @@ class Score(msgspec.Struct, frozen=True):
 class Calibration(msgspec.Struct, frozen=True):
     """The content of `STORE/conventions/<model>.json`: a model's readings under one way of requesting boxes.
 
-    asked: the number of requests; asked_sha256: their hash. boxes, scales: how each chosen key is read, empty if no
-    reading was clearly best. reason: why none was chosen.
+    asked: the number of requests. asked_sha256: the hash of the requests. boxes, scales: the order and the scale of the
+    numbers for each key with a chosen reading. Both are empty if no reading was clearly the best. reason: why no
+    reading was chosen.
     """
 
     model: str
@@ -89,7 +91,7 @@ class Calibration(msgspec.Struct, frozen=True):
             declared: The convention of the model's family.
 
         Returns:
-            The declared convention, with the readings of this calibration in place of its own.
+            The declared convention, in which the readings of this calibration replace the declared readings.
         """
         return replace(
             declared, boxes={**declared.boxes, **self.boxes}, scales={**declared.scales, **self.scales}, calibrated=True
@@ -113,10 +115,10 @@ def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] 
         advance: Called with 1 after each reply.
 
     Returns:
-        The calibration, with the reason if no reading was chosen.
+        The calibration. If no reading was chosen, it states the reason.
 
     Raises:
-        EndpointError: The server refuses a request or breaks.
+        EndpointError: If the server refuses a request or breaks.
     """
     pictures = drawn_rectangles(n, SEED)
     requests = [request(drawn) for drawn in pictures]
@@ -165,7 +167,7 @@ def request(drawn: DrawnPicture) -> list[Message]:
 
 
 def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Written | None:
-    """Return the numbers of a reply's box. Return None unless there is one box of four finite numbers."""
+    """Return the numbers of a reply's box, or None unless the reply has exactly one box of four finite numbers."""
     try:
         boxes = reply_object(reply, convention).get("evidence_bboxes")
     except DecodeError:
@@ -179,19 +181,19 @@ def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Writ
 
 
 class _Tried(NamedTuple):
-    """A reading of a key's replies: its boxes, None for a refused one, and its score."""
+    """A reading applied to the replies under one key: the boxes (None for a refused box), and the score."""
 
     boxes: tuple[Box | None, ...]
     score: Score
 
     def is_same(self, other: _Tried) -> bool:
-        """Return whether the other reading gives the same boxes, as pixels do if the resizing changes little."""
+        """Return whether both readings give nearly the same boxes."""
         overlaps = [iou(a, b) if a and b else float(a is b) for a, b in zip(self.boxes, other.boxes, strict=True)]
         return statistics.median(overlaps) >= _SAME
 
 
 def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple[list[Score], str]:
-    """Return the score of every reading, with the chosen ones marked, and the reason if none may be chosen."""
+    """Return the score of every reading, which states whether it is chosen, and the reason if none may be chosen."""
     scores: list[Score] = []
     reasons = []
     for key in KEYS:
@@ -211,7 +213,7 @@ def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple
 
 def _best(readings: Sequence[_Tried]) -> tuple[_Tried | None, str]:
     best = max(readings, key=lambda tried: (tried.score.share, tried.score.median_iou))
-    # Readings that give the same boxes are not rivals: the first and simplest of them is chosen.
+    # Readings that give the same boxes do not compete. The first of them, which is the simplest, is chosen.
     best = next(tried for tried in readings if tried.is_same(best))
     if best.score.share < CLEAR:
         return None, "no reading explains the boxes: the declared convention stays"

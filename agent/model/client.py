@@ -1,9 +1,9 @@
 """Client of OpenAI-compatible chat servers.
 
-A call that finishes cleanly is stored under the sha256 of the whole request and never paid for twice. The client
-repeats a call if the transport or the server breaks it (timeout, unreadable reply, 5xx). It waits longer for a server
-that is busy (429, 503, 529) or cannot be reached. Any other refusal is an EndpointError at once. Keys come from the
-environment and go only into the request's headers.
+A call that finishes cleanly is stored under the sha256 of the whole request, so that it is never paid for twice. The
+client repeats a call if the transport or the server breaks the call (timeout, unreadable reply, 5xx). If the server is
+busy (429, 503, 529) or cannot be reached, the client repeats the call for a longer time. Any other refusal raises an
+EndpointError at once. API keys come from the environment and are sent only in the headers of requests.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ if TYPE_CHECKING:
 _PAUSE_S: Final = (0.5, 60.0)
 """Minimum and maximum pause before a call is repeated."""
 _BUSY_PAUSE_S: Final = 4.0
-"""Maximum pause before a busy server gets the call again, if it names no pause: any reply that ends frees a slot."""
+"""Maximum pause before a call to a busy server is repeated, if the server names no pause."""
 _PATIENCE_S: Final = 120.0
-"""Maximum sum of a call's pauses for a server that is busy or cannot be reached, and may be restarting."""
+"""Maximum sum of a call's pauses if the server is busy or cannot be reached, because the server may be restarting."""
 _SECONDS: Final = re.compile(r"[0-9]{1,9}(\.[0-9]+)?")
-"""Form of the Retry-After header that names a pause."""
+"""Form of a Retry-After header that names a pause in seconds."""
 _PROBE_RETRIES: Final = 1
 _VERSION_TIMEOUT_S: Final = 5.0
 _BUSY: Final = (429, 503, 529)
 """Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
 _NO_CREDIT: Final = "insufficient_quota"
-"""The error code of a 429 that waiting does not mend."""
+"""The error code of a response with status 429 that no waiting mends."""
 _REMEDIES: Final = {
     401: "; put the server's key into ${key}",
     403: "; put a key that may use the model into ${key}",
@@ -54,7 +54,7 @@ _REMEDIES: Final = {
 }
 
 _LONGER_NAME: Final = "max_completion_tokens"
-"""The newer name of `max_tokens`; a server that requires it says so."""
+"""The newer name of `max_tokens`. A server that requires the newer name says so in its refusal."""
 
 
 _UNREACHABLE: Final = "start the server or correct --base-url, then run again"
@@ -72,7 +72,7 @@ class Chat(Protocol):
 
 @dataclass
 class _BrokenError(Exception):
-    """A failed try that may be repeated; `pause` is the server's Retry-After in seconds."""
+    """A failed attempt at a call that may be repeated. `pause` is the server's Retry-After in seconds."""
 
     reason: str
     remedy: str = "look into the server's log, then run again"
@@ -80,11 +80,11 @@ class _BrokenError(Exception):
 
 
 class _PassingError(_BrokenError):
-    """A failure of a server that may recover soon, so that the call waits."""
+    """A failure of a server that may recover soon. The call waits and is repeated."""
 
 
 class Client:
-    """Completes chats at `base_url` with `model`; safe for many threads at once."""
+    """Client that completes chats at `base_url` with `model`. Safe for many threads at once."""
 
     def __init__(
         self,
@@ -98,20 +98,20 @@ class Client:
         pause: Callable[[float], None] = time.sleep,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Prepare a client; nothing is sent yet.
+        """Prepare a client. No request is sent yet.
 
         Args:
             base_url: The server's address.
             model: The model id that requests name.
             options: The request settings.
             convention: How the model switches thinking, and which part of a reply is its answer.
-            cache: The file of finished calls; None keeps no calls.
+            cache: The file of finished calls. None stores no calls.
             bounds: Maxima of each exchange with the server.
-            pause: Waits a number of seconds.
-            clock: Returns the time in seconds.
+            pause: Called with a number of seconds in order to wait that long.
+            clock: Called in order to get the time in seconds.
 
         Raises:
-            EndpointError: The address, the environment's proxy, or the value of a key or header cannot be used.
+            EndpointError: If the address, the environment's proxy, or the value of a key or header cannot be used.
         """
         self.base_url = checked_url(base_url)
         self.model = model
@@ -133,12 +133,12 @@ class Client:
         self._connections = Connections(self.base_url, bounds)
 
     def settings(self) -> dict[str, Any]:
-        """Return the server and sampling settings for a run's manifest; they hold no secret."""
+        """Return the settings of the server and of sampling for a run's manifest. They contain no secret."""
         return {"base_url": self.base_url, **self.options.settings(self.convention)}
 
     @property
     def served(self) -> tuple[str, ...]:
-        """The model ids that replies, cached ones included, have named so far, in the order of their first reply."""
+        """The model ids in all replies so far, including cached replies, in the order of their first occurrence."""
         return tuple(self._served)
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
@@ -152,9 +152,9 @@ class Client:
             The reply.
 
         Raises:
-            EndpointError: The server refuses the request, or breaks after all retries.
-            RunStoppedError: The server could not be reached, or was busy, for two minutes in which no other call
-                succeeded either; or the calls have cost the maximum.
+            EndpointError: If the server refuses the request, or breaks after all retries.
+            RunStoppedError: If the server was busy or out of reach for two minutes in which no other call succeeded
+                either, or if the calls have cost the maximum.
         """
         request = self.options.request(self.model, self.convention, schema)
         if self._calls is None:
@@ -169,12 +169,12 @@ class Client:
         return reply
 
     def _cacheable(self, reply: Reply) -> bool:
-        """Whether a reply finished cleanly, has an answer, and comes from the first model that replied."""
+        """Return whether a reply finished cleanly, has an answer, and comes from the first model that replied."""
         of_model = reply.model == next(iter(self.served), reply.model)
         return of_model and reply.finished and bool(answer_text(reply, self.convention))
 
     def probe(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
-        """Complete a chat without the cache and give up soon, because the server is still unknown.
+        """Complete a chat without the cache. Give up sooner than `complete`, because the server may be unusable.
 
         Args:
             messages: The chat.
@@ -184,13 +184,13 @@ class Client:
             The reply.
 
         Raises:
-            EndpointError: As in `complete`.
+            EndpointError: If the server refuses the request, or breaks after all retries.
         """
         request = {**self.options.request(self.model, self.convention, schema), "messages": wire(messages)}
         return self._send(request, probe=True)
 
     def server_version(self) -> str:
-        """Return the version that the server reports at `/version`, as vLLM does, or ""."""
+        """Return the version that the server reports at `/version`, or "". vLLM has this address."""
         import httpx2
 
         timeout_s = min(self.options.timeout_s, _VERSION_TIMEOUT_S)
@@ -202,12 +202,12 @@ class Client:
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
     def _send(self, request: Mapping[str, Any], *, probe: bool = False) -> Reply:
-        """Send a request, under the newer name of the token limit if the server refuses the older one."""
+        """Send a request, and again with the newer name of the token limit if the server refuses the older name."""
         longer = self._longer_name
         if longer:
             request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}
         try:
-            # Encoded once, because a request may hold megabytes of pictures.
+            # The request is encoded only once, because it may hold megabytes of pictures.
             return self._repeat(msgspec.json.encode(request), probe)
         except EndpointError as error:
             if longer or self.options.token_parameter != AUTO or _LONGER_NAME not in str(error):
@@ -216,12 +216,12 @@ class Client:
         return self._send(request, probe=probe)
 
     def _repeat(self, body: bytes, probe: bool) -> Reply:
-        """Try a request until it gets a reply, is refused, or has failed too often."""
+        """Send a request until it gets a reply, is refused, or has failed too often. Return the reply."""
         from tenacity import Retrying, retry_if_exception, retry_if_exception_type, stop_after_attempt
 
         retries = _PROBE_RETRIES if probe else self.options.retries
         timeout_s = min(self.options.timeout_s, self._bounds.probe_s) if probe else self.options.timeout_s
-        # A probe waits for one pause.
+        # A probe is repeated after at most one pause.
         patience_s = 0.0 if not retries else _PAUSE_S[0] if probe else _PATIENCE_S
         replies = self._replies
         waiting = Retrying(
@@ -291,21 +291,21 @@ class Client:
         remedy = _REMEDIES.get(error.status, "").format(key=self.options.api_key_env)
         if self.options.temperature is not None and "temperature" in error.reason:
             remedy = "; if the model takes none, give --temperature none"
-        # After these, the next question would be refused for the same reason.
+        # After such a refusal, the next question would be refused for the same reason.
         stops = error.status == 401 or error.code == _NO_CREDIT
         return (RunStoppedError if stops else EndpointError)(f"{self.base_url}: {reason}{remedy}")
 
     def _one_line(self, error: object) -> str:
-        # The key goes before the text is cut, or its beginning could stay.
+        # The key is hidden before the text is cut. Otherwise the beginning of a key could stay at the cut.
         return " ".join(self._credentials.hide(str(error)).split())[:300] or type(error).__name__
 
 
 def _pause_s(state: RetryCallState) -> float:
-    """Return the pause that the server asks for, or one that doubles with each try."""
+    """Return the pause in seconds that the server names, or else one that doubles with each attempt."""
     broken = state.outcome and state.outcome.exception()
     assert isinstance(broken, _BrokenError), "only these are repeated"
     least, most = _PAUSE_S
     longest = _BUSY_PAUSE_S if isinstance(broken, _PassingError) else most
     wait = min(least * 2.0 ** (state.attempt_number - 1), longest) if broken.pause is None else broken.pause
-    # The random share spreads calls that were refused together.
+    # The random part spreads calls that were refused at the same time.
     return min(max(wait, least), most) * random.uniform(1, 1.5)  # noqa: S311

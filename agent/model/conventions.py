@@ -1,8 +1,9 @@
-"""The way each backbone writes boxes and thinking, as data that the model's name selects before its first reply.
+"""Conventions: how each family of models writes boxes and thinking. The model's name selects one before a run.
 
-The contract of the prompts is the same for all: `bbox`, x1 y1 x2 y2, in thousandths of the image. Some backbones write
-boxes under other keys out of habit. A convention lists those keys, with the order and scale of their numbers. No true
-box decides about a convention: it is declared, or `calibrate` finds it on drawn rectangles.
+The prompts request the same form of all models: the key `bbox` with x1, y1, x2, y2 in thousandths of the image. This
+form is called the contract. Some models write boxes under other keys out of habit. A convention lists these keys, with
+the order and the scale of the numbers under each key. A convention is declared here, or `calibrate` finds it with drawn
+rectangles. It never depends on the true boxes of questions.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from typing import Any, Final, Literal
 
 Order = Literal["xyxy", "yxyx"]
 Scale = Literal["thousandths", "pixels", "unit", "resized"]
-"""The unit of a box, the simplest first.
+"""The unit of the numbers of a box, in order of simplicity.
 
-The full width is 1000, the image's width, 1, or the image's width after the model's own resizing.
+In these units the full width is 1000, the image's width in pixels, 1, or the width in pixels after the model has
+resized the image.
 """
 
 SCALE: Final = 1000
 TOLERANCE: Final = 0.02
-"""Maximum distance of a coordinate outside the image, as a share of a side, at which it is clipped."""
+"""Maximum distance from the image, as a share of its side, at which a coordinate outside the image is clipped."""
 
 CONTRACT_KEY: Final = "bbox"
 
@@ -36,13 +38,14 @@ class Reading:
 
 @dataclass(frozen=True)
 class Convention:
-    """The declared convention of a backbone.
+    """Convention of a family of models.
 
-    boxes: the accepted keys with the order of their numbers; `bbox` is the contract's key. scales: the scale of each
-    key whose numbers are not thousandths. thinking: (opening, closing) delimiters. thinks: whether the chat template
-    thinks by itself; None if unknown. switches: whether `enable_thinking` in `chat_template_kwargs` controls thinking.
-    multiple, image_pixels: the model's own resizing, to sides that are multiples of a number of pixels, with a maximum
-    of pixels in all (0: unknown). calibrated: whether `calibrate` found the readings.
+    boxes: the order of the numbers for each accepted key. `bbox` is the contract's key. scales: the scale for each key
+    that has numbers in another unit than thousandths. thinking: the opening and the closing delimiter of thinking, in
+    pairs. thinks: whether the chat template makes the model think by default, None if unknown. switches: whether
+    `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple, image_pixels: how the model resizes
+    images: both sides become multiples of `multiple` pixels, and the image has at most `image_pixels` pixels (0:
+    unknown). calibrated: whether `calibrate` found the orders and scales.
     """
 
     name: str
@@ -56,13 +59,13 @@ class Convention:
     calibrated: bool = False
 
     def reading(self, key: str) -> Reading:
-        """Return how to read a box.
+        """Return how to read the numbers under a key.
 
         Args:
-            key: The key under which it is written; an undeclared key is read as the contract's.
+            key: The key of the box. A key that is not declared is read like the contract's key.
 
         Returns:
-            The order and scale of its numbers.
+            The order and the scale of the numbers.
         """
         known = key if key in self.boxes else CONTRACT_KEY
         return Reading(self.boxes[known], self.scales.get(known, "thousandths"))
@@ -95,7 +98,7 @@ class Convention:
 
 
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
-"""The convention of a model from a family without a declared convention."""
+"""Convention of models from families without a declared convention."""
 
 # The default budget is 280 soft tokens of 48 x 48 pixels: a whole panorama shrinks to some 60 % a side.
 _GEMMA_4: Final = Convention(
@@ -111,7 +114,7 @@ _QWEN3_VL: Final = Convention(
     "qwen3-vl", {CONTRACT_KEY: "xyxy", "bbox_2d": "xyxy"}, (("<think>", "</think>"),), thinks=False, multiple=32
 )
 _QWEN3_5: Final = replace(_QWEN3_VL, name="qwen3.5", thinks=True, switches=True)
-# This model is separate from Qwen3-VL, and its template always begins to think.
+# This model differs from Qwen3-VL: its chat template always starts the reply with thinking.
 _QWEN3_VL_THINKING: Final = replace(_QWEN3_VL, name="qwen3-vl-thinking", thinks=True)
 
 _FAMILIES: Final = (

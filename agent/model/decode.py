@@ -1,9 +1,10 @@
-"""Decode a model's reply by one strict contract, the same for every method.
+"""Decode a model's reply. The rules are strict, and the same for every method.
 
-A reply is one JSON object, in at most one code fence, after any thinking in declared delimiters. A box is four numbers
-under a key. The backbone's convention, which is fixed before the first reply, says how to read them. Decoding repairs
-and guesses nothing: a part that does not fit raises DecodeError with the reason, and reversed corners are not swapped.
-No function here takes the true answer or box. Answer and evidence are read independently: one may be valid alone.
+A reply must be one JSON object. A code fence around the object and thinking before it are allowed, if the thinking is
+in the declared delimiters. A box is four numbers under a key. The model's convention, which is fixed before the first
+reply, says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are not
+swapped. An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded independently, so
+one of them can be valid if the other is not. No function here gets a true answer or a true box.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from jrdb_avr.schema.panorama import Box
 Size = tuple[int, int]
 """Width and height of an image in pixels."""
 
-# The numbers have no bounds, because a server that enforces the schema would change a box of another scale into a wrong
-# box. The decoder reports that such a box is outside the image.
+# The schema sets no bounds on the numbers. A server that enforces bounds would turn a box in another scale into a wrong
+# box. Without bounds, the decoder reports that such a box is outside the image.
 BOX_SCHEMA: Final[dict[str, Any]] = {"type": "array", "minItems": 4, "maxItems": 4, "items": {"type": "integer"}}
 
 
@@ -35,11 +36,12 @@ def box_key(entry: object, convention: Convention = CONTRACT, requested: str = C
 
     Args:
         entry: An object of a reply.
-        convention: The convention; its keys are accepted too.
+        convention: The convention of the model. The keys of the convention are accepted too.
         requested: The key that the prompt requests.
 
     Returns:
-        The only key for a box. If there is none, or several, the requested key, and `only_keys` refuses the object.
+        The key of the box. If the object has no such key or several, the requested key. `only_keys` then refuses the
+        object.
     """
     keys = [key for key in {requested: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
     return keys[0] if len(keys) == 1 else requested
@@ -54,14 +56,14 @@ def read_box(
         value: Four numbers.
         size: Width and height of the image in pixels.
         convention: The backbone's convention.
-        key: The key under which the numbers are written; an unknown key is read as the contract's.
+        key: The key of the box in the reply. An unknown key is read like the contract's key.
         what: The name of the box in errors.
 
     Returns:
-        The box in pixels of the image. Numbers outside by up to 2 % of a side are clipped.
+        The box in pixels of the image. Corners that are up to 2 % of a side outside the image are moved to its edge.
 
     Raises:
-        DecodeError: The value is not four numbers, or the box is outside, reversed or empty.
+        DecodeError: If the value is not four numbers, or the box is outside, reversed or empty.
     """
     reading = convention.reading(key)
     return place_box(_numbers(value, reading, what), size, reading, convention, what)
@@ -74,14 +76,14 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
         numbers: Four finite numbers.
         size: Width and height of the image in pixels.
         reading: The order and the scale of the numbers.
-        convention: The convention, for its resizing.
+        convention: The convention of the model, which states how the model resizes images.
         what: The name of the box in errors.
 
     Returns:
         The box in pixels of the image.
 
     Raises:
-        DecodeError: The box is outside, reversed or empty.
+        DecodeError: If the box is outside, reversed or empty.
     """
     width, height = size
     units = {"thousandths": (SCALE, SCALE), "unit": (1, 1), "pixels": size, "resized": convention.resized(*size)}
@@ -100,20 +102,20 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
-    """Check four numbers: integers, as the contract requests, or any finite ones if the scale is 0 to 1."""
+    """Return four checked numbers. They must be integers, or finite numbers if the scale is 0 to 1."""
     whole = reading.scale != "unit"
     kinds = (int,) if whole else (int, float)
     numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
     if any(type(number) not in kinds for number in numbers):
         raise DecodeError(f"{what} must be a list of four {'integers' if whole else 'numbers'}")
-    # An integer too large for a float is finite; it is refused later because it is outside the image.
+    # An integer that is too large for a float counts as finite here. It is refused later, as it is outside the image.
     if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
         raise DecodeError(f"{what} must be a list of four finite numbers")
     return numbers
 
 
 def write_box(box: Box, size: Size) -> list[int]:
-    """Write a box as the contract has it.
+    """Convert a box to the form that the prompts request.
 
     Args:
         box: The box in pixels of the image.
@@ -127,7 +129,7 @@ def write_box(box: Box, size: Size) -> list[int]:
 
 
 VERSION: Final = 1
-"""Version of the contract in every run's manifest; it is raised if a reply is read in another way than before."""
+"""Version of the contract in every run's manifest. It is raised when the way of reading replies changes."""
 
 # -- the reply as one object ------------------------------------------------------------------------------------------
 
@@ -145,7 +147,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
         The object.
 
     Raises:
-        DecodeError: The reply is refused, cut off, empty, or not one JSON object.
+        DecodeError: If the reply is refused, cut off, empty, or not one JSON object.
     """
     if reply.refusal:
         raise DecodeError(f"the model refused: {_plain(reply.refusal)}")
@@ -156,7 +158,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
     text = answer_text(reply, convention)
     if not text:
         raise DecodeError(f"the reply is empty{_instead(reply)}")
-    # No pattern over the whole text: one that looks for the end from every blank takes hours over a long reply.
+    # No regular expression is used, because one that looks for the end from every blank takes hours for a long reply.
     fence = _FENCE.match(text)
     if fence and text.endswith("```"):
         text = text[fence.end() : max(fence.end(), len(text) - 3)]
@@ -164,7 +166,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
 
 
 def _instead(reply: Reply) -> str:
-    """Return what an empty reply holds in place of an answer."""
+    """Return a note for the error message on what an empty reply holds instead of an answer."""
     if reply.content.strip():
         return " after its thinking"
     if reply.reasoning.strip():
@@ -204,7 +206,7 @@ def only_keys(value: object, keys: Collection[str], what: str) -> dict[str, Any]
         The object.
 
     Raises:
-        DecodeError: The value is not an object, or has missing or extra keys, which the message names.
+        DecodeError: If the value is not an object, or if keys are missing or extra. The message names these keys.
     """
     if not isinstance(value, dict):
         raise DecodeError(f"{what} must be an object with the keys {_listed(keys)}")
@@ -221,7 +223,7 @@ def _listed(names: Collection[str]) -> str:
 
 
 def _plain(text: str) -> str:
-    """Shorten a model's word for an error message, and escape it to printable ASCII."""
+    """Return a model's text for an error message, shortened and escaped to printable ASCII."""
     return text[:40].encode("unicode_escape").decode()
 
 
@@ -229,10 +231,10 @@ def read_each(*parts: Callable[[], Any]) -> tuple[tuple[Any, ...], tuple[str, ..
     """Read the parts of a reply independently.
 
     Args:
-        parts: A function per part, which may raise DecodeError.
+        parts: One function per part. Each reads its part and may raise DecodeError.
 
     Returns:
-        The value of each part, None for a failed one, and the reasons of the failures.
+        The value of each part (None if its function failed), and the messages of the failures.
     """
     values, faults = [], []
     for read in parts:
@@ -257,7 +259,7 @@ def finite(value: object) -> float | None:
         value: Any value of a reply.
 
     Returns:
-        The number; None if the value is not a number, not finite or too large.
+        The number. None if the value is not a number, is not finite, or is too large.
     """
     try:
         number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
@@ -277,7 +279,7 @@ def frame_id(value: object, what: str = "frame_id") -> int:
         The frame.
 
     Raises:
-        DecodeError: The value is not a string of six digits.
+        DecodeError: If the value is not a string of six digits.
     """
     if not (isinstance(value, str) and _FRAME_ID.fullmatch(value)):
         raise DecodeError(f'{what} must be a string of six digits, like "000150"')
@@ -294,7 +296,7 @@ def angle(value: object) -> float:
         The angle in degrees, wrapped to [0, 360).
 
     Raises:
-        DecodeError: The value is not a finite number.
+        DecodeError: If the value is not a finite number.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise DecodeError("angle_deg must be a number of degrees")
@@ -308,7 +310,7 @@ def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: in
     """Read the `answer` part of a reply.
 
     Args:
-        value: The part: the number of a choice from 1, or an object with the parts of the mode.
+        value: The part: a choice, counted from 1, or an object with the fields of the answer mode.
         mode: The question's answer mode.
         n_choices: The number of choices.
         frame_count: The number of frames of the sequence.
@@ -317,7 +319,7 @@ def read_answer(value: object, mode: AnswerMode, n_choices: int, frame_count: in
         The answer.
 
     Raises:
-        DecodeError: The part does not fit the mode, the choices or the frames.
+        DecodeError: If the part does not fit the mode, the choices or the frames.
     """
     record = MODES[mode]
     if record.is_choice:
@@ -349,7 +351,7 @@ def _answer_part(key: str, kind: Kind, value: object, frame_count: int) -> Any:
 
 @dataclass(frozen=True)
 class ImageBox:
-    """A box in an image that the model got: the frame, the box in pixels of that image, and its key in the reply."""
+    """A box in an image that the model got: the frame, the box in pixels of the image, and its key in the reply."""
 
     frame: int
     box: Box
@@ -369,7 +371,7 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
         The box.
 
     Raises:
-        DecodeError: The part is not a list of one box, its frame is not one of `frames`, or the box is invalid.
+        DecodeError: If the part is not a list of one box, its frame is not one of `frames`, or the box is invalid.
     """
     if not isinstance(value, list) or len(value) != 1:
         raise DecodeError("evidence_bboxes must be a list of exactly one box")

@@ -1,4 +1,4 @@
-"""A limit of requests and tokens per minute, which makes requests wait."""
+"""Limit of requests and tokens per minute. A request waits until the limit permits it."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ MINUTE_S = 60.0
 
 @dataclass
 class Sent:
-    """The time of a request, and its tokens: the expected ones until its reply counts them."""
+    """The time of a request, and its number of tokens, which is an estimate until the reply has arrived."""
 
     at: float
     tokens: float
 
 
 class RateLimit:
-    """Admits at most `rpm` requests and `tpm` tokens in any minute; None for no limit.
+    """Limit of `rpm` requests and `tpm` tokens in any minute. None sets no limit.
 
-    Until a request has its reply, it counts with the mean tokens of all replies. A minute may therefore hold too many
-    tokens if requests in flight exceed the mean.
+    Until the reply arrives, the tokens of a request are estimated by the mean of all earlier requests. If requests in
+    progress need more tokens than the mean, a minute may therefore hold more than `tpm` tokens.
     """
 
     def __init__(
@@ -49,7 +49,8 @@ class RateLimit:
                     self._sent.popleft()
                 mean = self._tokens / max(self._replies, 1)
                 tokens = sum(sent.tokens for sent in self._sent) + mean
-                # A request is always admitted alone, or a limit below its tokens would hold it for ever.
+                # A request is always admitted if no other counts. Otherwise a request of more than `tpm` tokens would
+                # wait for ever.
                 if not self._sent or (len(self._sent) < self._rpm and tokens <= self._tpm):
                     self._sent.append(Sent(now, mean))
                     return self._sent[-1]
@@ -57,11 +58,11 @@ class RateLimit:
             self._pause(wait)
 
     def count(self, sent: Sent, tokens: int) -> None:
-        """Count the tokens of a request that has its reply.
+        """Replace the estimated number of tokens of a request by the true number, when its reply has arrived.
 
         Args:
             sent: The record of the request.
-            tokens: The tokens of request and reply.
+            tokens: The number of tokens in the request and in its reply.
         """
         with self._lock:
             sent.tokens = tokens

@@ -1,4 +1,4 @@
-"""Messages to a model: text and pictures, as they are sent, hashed and written to a transcript."""
+"""Messages to a model, made of texts and pictures, and their forms in requests, hashes and transcripts."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ JPEG_QUALITY: Final = 95
 
 @dataclass(frozen=True)
 class Picture:
-    """JPEG bytes that are sent inline.
+    """A JPEG picture that is sent inside a request.
 
-    name: replaces the bytes in a transcript. uri, digest: the data URI and the sha256 of the bytes.
+    name: the text that stands for the picture in a transcript. uri: the data URI. digest: the sha256 of the bytes.
     """
 
     name: str
@@ -54,7 +54,7 @@ def picture_of(seen: Observation | Panorama) -> Picture:
     """Return an observation as a picture.
 
     Args:
-        seen: A crop, which is encoded as JPEG of quality 95, or a panorama, sent as its stored bytes.
+        seen: A crop or a panorama. A crop is encoded as JPEG of quality 95. A panorama keeps the bytes of its file.
 
     Returns:
         The picture.
@@ -75,7 +75,7 @@ def jpeg_picture(name: str, image: Image) -> Picture:
         The picture.
 
     Raises:
-        ObserveError: The image cannot be encoded.
+        ObserveError: If the image cannot be encoded.
     """
     import cv2
 
@@ -87,14 +87,14 @@ def jpeg_picture(name: str, image: Image) -> Picture:
 
 
 def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Message]:
-    """Leave out all pictures but the newest ones.
+    """Leave out all pictures except the newest.
 
     Args:
         messages: A chat.
         most: Maximum number of pictures; None keeps all.
 
     Returns:
-        The chat, with the lines that announce the pictures left out.
+        The chat. The text lines before the omitted pictures stay.
     """
     pictures = sum(isinstance(part, Picture) for message in messages for part in message.parts)
     left_out = 0 if most is None else pictures - most
@@ -115,7 +115,7 @@ def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:
         seen: A crop or a panorama.
 
     Returns:
-        Its place and time, without any content.
+        Sequence, frame, time and angle of the picture.
     """
     metadata = {"frame_id": seen.frame_id, "timestamp": round(seen.timestamp, 3)}
     if isinstance(seen, Panorama):
@@ -166,7 +166,7 @@ def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
         messages: A chat.
 
     Returns:
-        Role and text of each message; a picture is named, so that it can be drawn again.
+        The role and the text of each message. The name of a picture stands for it, so that it can be made again.
     """
     return [{"role": message.role, "content": message.text} for message in messages]
 

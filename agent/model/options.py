@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, get_args
 from jrdb_avr.agent.model.conventions import Convention
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.option import option
+from jrdb_avr.schema.option import Options, option
 
 ResponseFormat = Literal["json_schema", "json_object", "none"]
 Thinking = Literal["off", "on", "template"]
@@ -29,7 +29,7 @@ _OWN_HEADERS: Final = ("content-type", "content-length", "host", "accept-encodin
 
 
 @dataclass(frozen=True)
-class EndpointOptions:
+class EndpointOptions(Options):
     """Options of a model's server and of its requests.
 
     The manifest of a run stores the options. A resumed run must have the same options, except for the address, the keys
@@ -74,13 +74,14 @@ class EndpointOptions:
     )
     max_cost: float | None = option(
         None,
-        "Stop the run when its calls have cost this much at --prices. Requests that are already sent may add to it. "
-        "--resume with a higher maximum continues the run, and ignores earlier replies that were cut off or refused.",
+        "Stop the run when its calls have cost this much at --prices. Requests in progress may add to the cost. "
+        "--resume and a higher maximum continue the run. The cost of replies that were cut off or refused then lapses.",
         minimum=0,
         metavar="DOLLARS",
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.temperature is not None and not 0 <= self.temperature < math.inf:
             raise InputError("--temperature is a number from 0, or none", field="temperature")
         for key in _OWNED & self.extra_body.keys():
@@ -88,19 +89,17 @@ class EndpointOptions:
         for name in self.headers:
             if not _HEADER.fullmatch(name) or name.lower() in _OWN_HEADERS:
                 raise InputError(f"--header {name!a}: no header of this name can be set", field="headers")
-        if math.isnan(self.timeout_s):
-            raise InputError("--timeout is a number of seconds", field="timeout_s")
         if self.max_cost is not None and (self.price is None or not self.max_cost > 0):
             raise InputError("--max-cost is a number above 0, and needs the price: --prices FILE", field="max_cost")
 
     def settings(self, convention: Convention) -> dict[str, Any]:
-        """Return the options without the address, as plain JSON for the manifest of a run.
+        """Return the options as plain JSON for the manifest of a run. The address of the server is left out.
 
         Args:
             convention: The convention of the model.
 
         Returns:
-            The options by name, and the `chat_template_kwargs` of the requests under this key.
+            The options by name. The key `chat_template_kwargs` holds the arguments of the chat template.
         """
         settings = {name: value for name, value in asdict(self).items() if name != "base_url"}
         return settings | {"chat_template_kwargs": self.template(convention)}
@@ -151,8 +150,8 @@ class EndpointOptions:
             convention: The convention of the model.
 
         Returns:
-            The arguments by name. They are empty if the chat template thinks as declared without them, or if it has no
-            switch for thinking.
+            The arguments by name, empty if the chat template already turns thinking on or off as the option `thinking`
+            asks, or has no switch for thinking.
         """
         thinks = self.thinking == "on"
         changes = convention.switches and self.thinking != "template" and convention.thinks != thinks

@@ -29,8 +29,8 @@ class Price:
         """Return the cost of tokens.
 
         Args:
-            prompt_tokens: The tokens that the model reads.
-            completion_tokens: The tokens that it writes.
+            prompt_tokens: Number of tokens that the model reads.
+            completion_tokens: Number of tokens that the model writes.
 
         Returns:
             The cost in dollars.
@@ -49,7 +49,7 @@ def read_price(path: Path, model: str) -> Price:
         The price.
 
     Raises:
-        InputError: The file cannot be read or does not name the model's price.
+        InputError: If the file cannot be read or does not name the model's price.
     """
     try:
         prices = msgspec.toml.decode(path.read_bytes(), type=dict[str, Any])

@@ -1,8 +1,9 @@
-"""Drawn pictures that probe a server; their contents are known, and none belongs to a question.
+"""Drawn pictures that test a server. Their contents are known, and no picture belongs to a question.
 
 Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name, and
-holds a mark of `schema.markers`. The mark's black and white grid distinguishes it from the plain shapes around it, for
-a person, a model and the simulated model. Everything follows from a seed. The last line of a prompt identifies a probe.
+holds a mark of `schema.markers`. The black and white grid of the mark distinguishes the rectangle from the plain shapes
+around it. A person, a model and the simulated model can all see it. The pictures depend only on a seed. The simulated
+model recognizes the prompt of such a picture by the last line of the prompt.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ CROP_LINE: Final = "The picture's frame, as one JSON object:"
 
 CROP_SIZE: Final = (CROP, CROP)
 PANORAMA_SIZE: Final = (WIDTH, HEIGHT)
-"""Width and height in pixels of a panorama that a method sends."""
+"""Width and height in pixels of the panoramas that methods send."""
 
 CORNERS: Final = {
     f"{down} {across}": Box(x, y, 150, 190)
     for down, y in (("upper", 15), ("lower", CROP - 205))
     for across, x in (("left", 15), ("right", CROP - 165))
 }
-"""A rectangle in each corner of a crop, in pixels."""
+"""A rectangle in each corner of a crop, as a box in pixels."""
 
 _COLORS: Final = {
     "red": (185, 30, 30),
@@ -52,7 +53,7 @@ _TRIES: Final = 200
 
 @dataclass(frozen=True)
 class DrawnPicture:
-    """A picture with a marked rectangle: width and height, and the rectangle's box and colour, in pixels."""
+    """A picture with its size in pixels, and the box (in pixels) and the colour of the rectangle in it."""
 
     picture: Picture
     size: tuple[int, int]
@@ -74,7 +75,7 @@ def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
     image = _plain(*size)
     if size == PANORAMA_SIZE:
         grain = np.random.default_rng(0).integers(-_GRAIN, _GRAIN + 1, (HEIGHT, WIDTH, 1), dtype=np.int8)
-        # Because sums of bytes wrap, a negative grain darkens.
+        # Sums of bytes wrap around, so adding a large byte darkens a pixel.
         image += grain.view(np.uint8)
     if box is not None:
         _marked(image, box, "red", 0)
@@ -85,8 +86,8 @@ def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
     """Draw pictures with one marked rectangle among plain shapes.
 
     Args:
-        n: The number of pictures, crops and panoramas in turn.
-        seed: The seed of everything random.
+        n: The number of pictures. Pictures of the size of crops and of panoramas alternate.
+        seed: The seed of all random choices.
 
     Returns:
         The pictures.
@@ -106,7 +107,7 @@ def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPic
 
 
 def _free_boxes(rng: random.Random, width: int, height: int, n: int) -> list[Box]:
-    """Return up to `n` random boxes, each apart from the others; fewer if the tries find no further one."""
+    """Return `n` random boxes that do not touch each other, or fewer if no further place is found."""
     boxes: list[Box] = []
     tries = 0
     while len(boxes) < n and tries < _TRIES:

@@ -1,4 +1,4 @@
-"""Prompt texts: one Markdown file each in `prompts/`, with `$name` slots."""
+"""Prompt texts. Each prompt is a Markdown file in `prompts/` with slots `$name`, which `render` fills in."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def render(name: str, **slots: object) -> str:
     """Fill in a prompt.
 
     Args:
-        name: The prompt's file is `prompts/<name>.md`.
-        slots: The values of its slots. A `$` in a value is not a slot.
+        name: The name of the prompt. Its file is `prompts/<name>.md`.
+        slots: The values of the prompt's slots. A `$` in a value does not begin a slot.
 
     Returns:
         The text without a newline at the end.
@@ -32,7 +32,7 @@ def _template(name: str) -> Template:
 
 
 class ModeText(NamedTuple):
-    """The prompt lines of an answer mode: an example of the form, the rule in words, a line of advice."""
+    """Prompt lines of an answer mode: an example of the answer's form, the rule for it in words, and advice."""
 
     form: str
     rule: str
@@ -40,7 +40,7 @@ class ModeText(NamedTuple):
 
 
 def mode_text(task: Task) -> ModeText:
-    """Return the prompt lines of a task's answer mode, the three lines of `prompts/answer_<mode>.md`.
+    """Return the prompt lines of a task's answer mode. They are the three lines of `prompts/answer_<mode>.md`.
 
     Args:
         task: The question to answer, with its sequence.
@@ -53,7 +53,7 @@ def mode_text(task: Task) -> ModeText:
 
 
 def choice_lines(choices: Sequence[str]) -> str:
-    """Write the choices of a question with their numbers.
+    """Return the choices of a question as numbered lines.
 
     Args:
         choices: The choices.
@@ -65,13 +65,13 @@ def choice_lines(choices: Sequence[str]) -> str:
 
 
 def frame_ranges(frames: Sequence[int]) -> str:
-    """Write frames as ranges; `read_frame_ranges` is the inverse.
+    """Write frames as ranges. `read_frame_ranges` is the inverse function.
 
     Args:
         frames: Ascending frames.
 
     Returns:
-        Ranges of one step each, with commas between.
+        The ranges, separated by commas. The frames of a range are evenly spaced.
 
     >>> frame_ranges([0, 5, 10, 15, 16])
     '000000 to 000015 in steps of 5, 000016'
@@ -84,7 +84,7 @@ def frame_ranges(frames: Sequence[int]) -> str:
         while end + 1 < len(frames) and frames[end + 1] - frames[end] == step:
             end += 1
         if end - start == 1:
-            # Because the second of two frames may begin a longer range, the first stays alone.
+            # A range of only two frames is not made, because the second frame may begin a longer range.
             end = start
         first, last = f"{frames[start]:06d}", f"{frames[end]:06d}"
         parts.append(first if end == start else f"{first} to {last} in steps of {step}")

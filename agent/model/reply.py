@@ -13,9 +13,9 @@ _LONGEST_NAME: Final = 200
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One reply: text fields as sent, the finish reason, token counts, and the model id that it names.
+    """A reply: its text fields as sent, its finish reason, its token counts, and the model id that it names.
 
-    refusal: the text of a model that declines to answer.
+    refusal: the text with which the model declines to answer.
     """
 
     content: str = ""
@@ -33,7 +33,7 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class ErrorReply(ValueError):  # noqa: N818 - it is a reply
-    """A reply that reports an error in place of a completion: the HTTP status, the reason, and the error's code."""
+    """A reply that reports an error instead of a completion: the HTTP status, the reason, and the error's code."""
 
     def __init__(self, status: int, reason: str, code: object = None) -> None:
         super().__init__(reason)
@@ -62,18 +62,18 @@ class _Completion(msgspec.Struct):
     usage: Any = None
 
 
-# Converted at import, because threads that meet a type first at the same time crash the decoder.
+# Used once at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 msgspec.convert({"choices": []}, _Completion)
 
 _FAILED: Final = ("error", "abort")
-"""Finish reasons of a reply that the server aborted."""
+"""Finish reasons of replies that the server aborted."""
 
 _ENDS: Final = {
     **dict.fromkeys(("stop", "eos", "eos_token", "end_turn", "stop_sequence"), "stop"),
     **dict.fromkeys(("length", "max_tokens", "max_output_tokens", "model_length"), "length"),
     "safety": "content_filter",
 }
-"""Finish reasons of chat completions for those of other protocols, which some servers pass on."""
+"""Finish reason of chat completions for each finish reason of other protocols that some servers pass on."""
 
 
 def read_completion(data: bytes, status: int = 200) -> Reply:
@@ -88,7 +88,7 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
 
     Raises:
         ErrorReply: The status or the body reports an error.
-        ValueError: The body is not a chat completion.
+        ValueError: If the body is not a chat completion.
     """
     failed = not 200 <= status < 300
     try:
@@ -123,7 +123,7 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
 
 
 def _reason(body: object) -> tuple[str | None, object]:
-    """Find the reason of an error and its code, under `error`, `message`, `detail` or `msg`, nested in any way."""
+    """Return the reason and the code of an error. They may be nested under `error`, `message`, `detail` or `msg`."""
     code = None
     while not isinstance(body, str):
         match body:
@@ -141,7 +141,7 @@ def _reason(body: object) -> tuple[str | None, object]:
 
 
 def _parts(content: str | list[Any] | None) -> tuple[str, str]:
-    """Return the text and the thinking of a reply, which some servers send as a list of parts."""
+    """Return the text and the thinking of a reply. Some servers send both as one list of parts."""
     texts: list[str] = []
     thoughts: list[str] = []
     for part in content if isinstance(content, list) else [content]:
@@ -158,12 +158,12 @@ def _parts(content: str | list[Any] | None) -> tuple[str, str]:
 
 
 def _text(value: object) -> str:
-    """Return a text field, or "" if the server fills it with another type."""
+    """Return a text field, or "" if its value is not a text."""
     return value if isinstance(value, str) else ""
 
 
 def _tokens(usage: object, name: str) -> int:
-    """Return a count of tokens. Return 0 if it is missing or nonsense, because the reply itself may be good."""
+    """Return a number of tokens. Return 0 if it is missing or invalid, because the reply itself may be valid."""
     count = usage.get(name) if isinstance(usage, dict) else None
     return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
 
@@ -172,11 +172,11 @@ def answer_text(reply: Reply, convention: Convention) -> str:
     """Return the text of a reply without its thinking.
 
     Args:
-        reply: The reply. Some servers send the whole reply as `reasoning`; then the text after a delimiter counts.
+        reply: The reply. If a server sends the whole reply as `reasoning`, the text after the closing delimiter counts.
         convention: The convention, for the delimiters of thinking.
 
     Returns:
-        The text, empty if the reply only thinks.
+        The text. It is empty if the reply holds only thinking.
     """
     text = _after_thinking(reply.content, convention)
     if not text and any(close in reply.reasoning for _, close in convention.thinking):
@@ -192,11 +192,11 @@ def thinking_text(reply: Reply, convention: Convention) -> str:
         convention: The convention, for the delimiters of thinking.
 
     Returns:
-        The thinking without delimiters, or "".
+        The thinking without delimiters, or "" if there is none.
     """
     for text in (reply.content, reply.reasoning):
         for opening, closing in convention.thinking:
-            # The opening delimiter may be in the server's template and missing in the reply.
+            # The chat template may hold the opening delimiter, so that it is missing in the reply.
             before, closed, _ = text.rpartition(closing)
             inner = before if closed else text if text.lstrip().startswith(opening) else ""
             if thinking := inner.replace(opening, "").strip():
@@ -211,10 +211,11 @@ def _after_thinking(text: str, convention: Convention) -> str:
 
 
 def _without_blocks(text: str, opening: str, closing: str) -> str:
-    """Return the text outside of thinking, empty if the reply only thinks.
+    """Return the text outside of thinking. It is empty if the reply holds only thinking.
 
-    Text before a block stays, because a reply that answers, thinks and answers again has two answers. If the opening
-    delimiter is missing, everything before the closing one is thinking. An unclosed delimiter after text is text.
+    Text before a block of thinking stays, because a reply with an answer before and after a block has two answers. If
+    the opening delimiter is missing, everything before the closing delimiter is thinking. An opening delimiter that
+    follows text and is never closed counts as text.
     """
     texts: list[str] = []
     *blocks, last = text.split(closing)

@@ -1,7 +1,7 @@
-"""HTTP exchanges with a model's server: connections, deadlines, addresses, and keys that messages must not show.
+"""HTTP exchanges with a model's server: connections, deadlines, addresses, and secrets that messages must not show.
 
-No redirect is followed and no compressed reply is unpacked. Servers are untrusted: a reply has a maximum size, and an
-exchange a deadline.
+Servers are untrusted. No redirect is followed, and no compressed reply is unpacked. Replies have a maximum size, and
+each exchange has a deadline.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     import httpx2
 
 _SECRET: Final = 16
-"""Minimum length of a key that is hidden in replies. Shorter ones, such as "EMPTY", are words that a reply may hold."""
+"""Minimum length of a key that is hidden in replies. Shorter keys, such as "EMPTY", may be words of a reply."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Maxima of one exchange: seconds to connect, seconds of a probe, and bytes of a reply.
+    """Limits of one exchange: seconds to connect, seconds of a whole probe, and bytes of a reply.
 
-    A reply of a few thousand tokens has some kilobytes.
+    For comparison, a reply of a few thousand tokens has some kilobytes.
     """
 
     connect_s: float = 20.0
@@ -43,17 +43,17 @@ BOUNDS: Final = Bounds()
 
 
 class Connections:
-    """The HTTP connections of a client to one server; safe for many threads at once."""
+    """HTTP connections of a client to one server. Safe for many threads at once."""
 
     def __init__(self, base_url: str, bounds: Bounds) -> None:
         """Prepare connections that follow no redirect.
 
         Args:
-            base_url: The server's address; a proxy of the environment is not used for this machine's own address.
+            base_url: The server's address. If it is this machine, the proxies of the environment are not used.
             bounds: The maxima of each exchange.
 
         Raises:
-            EndpointError: The environment names a proxy that cannot be used.
+            EndpointError: If the environment names a proxy that cannot be used.
         """
         import httpx2
 
@@ -76,7 +76,7 @@ class Connections:
         """Send a request and read the whole reply.
 
         Args:
-            timeout_s: Maximum seconds of the whole exchange.
+            timeout_s: Maximum seconds for the whole exchange.
             method: The HTTP method.
             url: The full address.
             request: Further arguments of `httpx2.Client.stream`.
@@ -85,9 +85,9 @@ class Connections:
             The response and the bytes of its body.
 
         Raises:
-            EndpointError: A redirect, which would take the key elsewhere, a reply that is too long, or a compressed
-                one (decompression bomb).
-            httpx2.HTTPError: The server cannot be reached, or the reply breaks off or does not end in time.
+            EndpointError: If the server redirects, because the key must not be sent elsewhere. If the reply is too
+                long, or is compressed (decompression bomb). httpx2.HTTPError: If the server cannot be reached, or the
+                reply breaks off or does not end in time.
         """
         import httpx2
 
@@ -110,8 +110,8 @@ class Connections:
     def _bound_reads(self, event: str, details: Mapping[str, Any]) -> None:
         """End the reads of a new connection at the deadline of the exchange.
 
-        Because httpx2 bounds each wait for bytes only, a server that sends a byte at a time, or endless announcements
-        (102 Processing), would otherwise hold a call for ever.
+        httpx2 limits only each single wait for bytes. Without this function, a server could hold a call for ever by
+        sending one byte at a time, or endless interim responses (102 Processing).
         """
         if event.endswith(("connect_tcp.complete", "start_tls.complete")):
             stream = details["return_value"]
@@ -128,24 +128,24 @@ class Connections:
 
 @functools.cache
 def _certificates(environment: bool) -> ssl.SSLContext:
-    """Return the trusted certificates; loading them takes as long as many calls."""
+    """Return the trusted certificates. They are cached, because loading them takes as long as many calls."""
     import httpx2
 
     return httpx2.create_ssl_context(trust_env=environment)
 
 
 class Credentials:
-    """The headers of a client's requests. The environment holds the values, and no message or reply must show them."""
+    """Headers of requests. Their values come from the environment and must not appear in messages or replies."""
 
     def __init__(self, key_variable: str, header_variables: Mapping[str, str]) -> None:
         """Read the key and the headers from the environment.
 
         Args:
-            key_variable: The environment variable of the server's key, which may be unset.
-            header_variables: The environment variable of each further header.
+            key_variable: The environment variable that holds the server's key. It may be unset.
+            header_variables: The environment variable that holds the value, for each further header.
 
         Raises:
-            EndpointError: A variable has no value that a header can hold. The message does not contain the value.
+            EndpointError: If a variable has no value that a header can hold. The message does not contain the value.
         """
         key = _read_variable(key_variable, "[!-~]*")
         values = {name: _read_variable(variable, "[ -~]+") for name, variable in header_variables.items()}
@@ -154,10 +154,12 @@ class Credentials:
             self.headers["Authorization"] = f"Bearer {key}"
         self.headers |= values
         words = [word for value in values.values() for word in (value, *value.split()) if len(word) >= _SECRET // 2]
-        # The longest first, because a word is a part of its value.
+        # The longest secret comes first, because the words of a header's value are secrets too, and are parts of the
+        # value.
         self._secrets = sorted(filter(None, [key, *words]), key=len, reverse=True)
         long = ["".join(map(_forms, secret)) for secret in self._secrets if len(secret) >= _SECRET]
-        # The last pattern is an escaped backslash; its second half would otherwise look like the escape of a secret.
+        # The last pattern matches an escaped backslash, so that the second of its two characters is not taken for the
+        # start of an escaped secret.
         self._in_json = re.compile("|".join([*long, r"(\\\\)"]).encode())
 
     def hide(self, text: str) -> str:
@@ -167,7 +169,7 @@ class Credentials:
         return text
 
     def hide_in_json(self, data: bytes) -> bytes:
-        """Return JSON with "[key]" in place of each long secret, also if it is written with escapes."""
+        """Return JSON with "[key]" in place of each long secret, even if the secret is written with JSON escapes."""
         return self._in_json.sub(lambda match: match[1] or b"[key]", data)
 
 
@@ -179,7 +181,7 @@ def _read_variable(variable: str, form: str) -> str:
 
 
 def _forms(character: str) -> str:
-    """Return a pattern of the ways in which a server may write a character."""
+    """Return a regular expression that matches all forms in which a server may write a character in JSON."""
     return rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))"
 
 
@@ -188,7 +190,7 @@ def _forms(character: str) -> str:
 _SECRETIVE: Final = re.compile(
     r"(?i)#|^([^/]*//)?[^/?]*@|[?&;][^=&;]*(key|token|secret|pass|pw|sig|auth|cred|code)|[?&;][^=&;]*=[^&;]{41}"
 )
-"""Parts of an address that may hold a password or key: fragment, user info, a name or a long value in the query."""
+"""Parts of an address that may hold a secret: the fragment, the user info, and names or long values of the query."""
 
 
 def checked_url(base_url: str) -> str:
@@ -201,7 +203,7 @@ def checked_url(base_url: str) -> str:
         The address without a slash at its end.
 
     Raises:
-        EndpointError: The address cannot be used, or holds a password.
+        EndpointError: If the address cannot be used, or holds a password.
     """
     import httpx2
 
@@ -226,8 +228,8 @@ def address_of(base_url: str, path: str) -> str:
     """Join a path to a base address.
 
     Args:
-        base_url: The address; its query stays at the end.
-        path: The path, beginning with a slash.
+        base_url: The base address. If it has a query, the query stays at the end.
+        path: The path to append. It begins with a slash.
 
     Returns:
         The full address.

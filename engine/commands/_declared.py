@@ -121,7 +121,7 @@ def field_options(kind: Any, *names: str) -> Callable[[_C], _C]:
         names: Names of the fields to add; if none is given, all fields are added.
 
     Returns:
-        A decorator. The command gets one value per field; `build` makes the options object from these values.
+        A decorator. The command gets one value per field. `build` makes the options object from these values.
     """
     options = [_click_option(declared) for declared in _declared(kind) if declared.name in names or not names]
     return lambda function: functools.reduce(lambda inner, add: add(inner), reversed(options), function)
@@ -195,7 +195,7 @@ def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:
     """Add the option `--model`.
 
     Args:
-        text: A sentence to add to the help text, with a space before it.
+        text: A sentence to append to the help text. It must begin with a space.
         required: Whether click refuses a call without `--model`.
 
     Returns:
@@ -219,7 +219,7 @@ def endpoint_options(function: _C) -> Callable[..., Any]:
 
 
 def check_address(model: str, base_url: str | None) -> None:
-    """Raise UsageError if a model has no address and is not the simulated model."""
+    """Raise UsageError if the user gave no address of a server, unless the model is the simulated model."""
     from jrdb_avr.agent.simulated.knobs import profile_of
 
     try:

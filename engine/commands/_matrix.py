@@ -66,6 +66,8 @@ def matrix_runs(path: Path, ctx: click.Context, shared: Mapping[str, Any]) -> li
 
 def _crossed(ctx: click.Context, table: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield one copy of a table per combination of list elements. A copy has an element in place of each list."""
+    if empty := [key for key, value in table.items() if value == []]:
+        raise click.UsageError(f"the list of {empty[0]} is empty")
     choices = [
         value if isinstance(value, list) and not _parameter(ctx, key).multiple else [value]
         for key, value in table.items()
@@ -78,6 +80,8 @@ def _run(ctx: click.Context, shared: Mapping[str, Any], values: Mapping[str, Any
     set_values = {}
     for key, value in values.items():
         parameter = _parameter(ctx, key)
+        if isinstance(value, bool) > parameter.is_flag or isinstance(value, dict) > (parameter.name == "extra_body"):
+            raise click.UsageError(f"{key} cannot be {'a table' if isinstance(value, dict) else 'true or false'}")
         # Because click types parse strings, as a command line has them.
         plain = value if isinstance(value, bool | dict | list) else str(value)
         set_values[str(parameter.name)] = parameter.process_value(ctx, plain)
@@ -94,7 +98,7 @@ def _parameter(ctx: click.Context, key: str) -> click.Option:
         for parameter in ctx.command.params
         if isinstance(parameter, click.Option)
         for flag in parameter.opts
-        if flag.removeprefix("--") not in _SHARED
+        if flag.startswith("--") and flag.removeprefix("--") not in _SHARED
     }
     if key not in options:
         raise click.UsageError(f"no option {key!r}{did_you_mean(key, options)}")

@@ -13,7 +13,8 @@ def next_steps(folder: Path) -> list[str]:
     """Describe the state of each store, and the commands that continue from it.
 
     Args:
-        folder: The folder to search for stores. If the environment variable names a store, it is the only one.
+        folder: The folder to search for stores. If the environment variable JRDB_AVR_STORE names a store, only that
+            store is described.
 
     Returns:
         Lines for the terminal.

@@ -39,7 +39,7 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         "--store",
         "-s",
         required=required,
-        # Because completion of the other values reads the store.
+        # Read first, because completion of the other options' values needs the store.
         is_eager=True,
         type=FOLDER,
         envvar=STORE_VARIABLE,

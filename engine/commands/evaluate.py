@@ -77,8 +77,9 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
       jrdb-avr evaluate --store S --method agent --model marker --resume
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
-    A public store ('export --public' writes it) holds no answers and no labels, for machines that must not have the
-    answers. It takes no --family, --template and --per-template. Methods with a world model need --world-db:
+    A public store (see 'export --public') holds no answers and no labels. It is for machines that must not have the
+    answers. On a public store, --family, --template and --per-template do not work, and methods with a world model need
+    --world-db:
 
       jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
@@ -110,8 +111,11 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
         sys.exit(1)
     if not form:
         names = " ".join(run.run_id for run in results)
+        sharded = len(results) > 1 and all(evaluation.options.selection.shard for evaluation, _ in epochs)
         scored = f"score --store {store.path} {names} && jrdb-avr report --store {store.path}"
-        note(f"next: jrdb-avr {f'runs diff {names} --store {store.path}' if len(results) == 2 else scored}")
+        compared = f"runs diff {names} --store {store.path}" if len(results) == 2 else scored
+        merged = f"runs merge {names} --run-id RUN --store {store.path}"
+        note(f"next: jrdb-avr {merged if sharded else compared}")
 
 
 def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:

@@ -36,11 +36,13 @@ def export(
 ) -> None:
     """Write questions or predictions for other machines and tools.
 
-    --public writes a store for methods or machines that must not see the answers. 'evaluate' runs on it. To score such
-    a run, write its predictions with --jsonl, and give the file to 'score --jsonl' on the full store.
+    --public writes a store for methods or machines that must not see the answers. 'evaluate' works on a public store.
+    To score a run on a public store, write the predictions of the run with --jsonl, and give the written file to 'score
+    --jsonl' on the full store.
 
     --hf writes two folders without pictures. The public folder has the questions, a dataset card and Croissant
-    metadata, with hashes for the names of sequences. The private folder has the answers and the evidence.
+    metadata. In all of them, hashes replace the names of sequences. The private folder has the answers and the
+    evidence.
 
     Examples:
       jrdb-avr export --store S --hf folder --url https://huggingface.co/datasets/ME/QUESTIONS
@@ -82,8 +84,8 @@ def export(
 def submit(store: Store, run: str, folder: Path) -> None:
     """Write RUN as a bundle into the new folder DIR, so that the owner of the answers can score it.
 
-    A bundle holds the predictions, the settings of the run, and hashes of both files. It leaves out the address of the
-    model's server. The store of RUN needs no answers.
+    A bundle holds a file of predictions, a file with the settings of the run, and the hashes of these two files. The
+    settings do not contain the address of the model's server. The store of RUN needs no answers.
 
     Examples:
       jrdb-avr submit react-marker bundle --store S

@@ -54,9 +54,9 @@ def generate(
 ) -> None:
     """Find questions in all sequences of a store, prove these questions, and write them into the store.
 
-    For each template, the command prints the number of candidates, of refusals by each rule, and of questions. If a
-    template has few questions, the command prints the reason. It also prints the scores of guessers that see no image.
-    With --profile paper, it prints how many of the paper's questions each family reaches.
+    For each template, the command prints the number of candidates, the number of refusals by each rule, and the number
+    of questions. If a template has few questions, the command prints the reason. It also prints the scores of guessers
+    that see no image. With --profile paper, it prints how many of the paper's questions each family reaches.
 
     The questions do not depend on the number of workers. A training set needs a store of its own. --profile train
     ignores the rules max_per_person, max_per_person_in_all and max_answer_share.

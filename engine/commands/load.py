@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.workers import Executor
 
 MAX_ROWS: Final = 50
-"""Maximum printed rows of a table with a length that depends on the label files."""
+"""Maximum printed rows of a table if its length depends on the label files."""
 
 
 @click.command()
@@ -40,14 +40,14 @@ MAX_ROWS: Final = 50
 def command(root: Path | None, store: Store, strict: bool, workers: Executor, form: RowFormat, **options: Any) -> None:
     """Load a copy of JRDB from the folder ROOT into a store. Leave ROOT out with --rebuild or --verify.
 
-    The layers of JRDB are stitched 2D boxes with actions and groups, 3D boxes, social labels, reasoning labels, poses,
-    panoptic segments, timestamps, calibration and panoramas. Any layer may be missing. Broken files and broken records
-    are refused and listed, and the rest is loaded. A layer is refused if its frame numbers differ from those of the 2D
-    boxes.
+    JRDB has these layers: stitched 2D boxes (with actions and groups), 3D boxes, social labels, reasoning labels,
+    poses, panoptic segments, timestamps, calibration and panoramas. Any layer may be missing. Broken files and broken
+    records are refused and listed, and the rest is loaded. A layer is refused if its frame numbers differ from the
+    frame numbers of the 2D boxes.
 
-    --verify compares the files of annotations, intervals and graph with the hashes that 'load' stored, and prints the
-    first fault of each. If a run has since written into the graph, the row counts of the graph's tables are compared
-    instead. The exit code is 1 if there is a fault.
+    --verify compares the annotations, the intervals and the graph with the hashes that 'load' stored. For each of these
+    three it prints the first fault. If a run has written into the graph after 'load', the row counts of the graph's
+    tables are compared instead of its hash. The exit code is 1 if there is a fault.
 
     Example:
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store

@@ -35,8 +35,8 @@ def command(store: Store, port: int | None, trusted: bool, model: str, **options
     """Serve the questions of a store to an agent over MCP, and record its answers as a run.
 
     With --http, the command prints the address and the token of the server. Without --http, the server uses standard
-    input and output (stdio). It then refuses a store with answers, because the agent could read the answers from the
-    disk.
+    input and output (stdio). In this case, the command refuses a store with answers, because the agent could read the
+    answers from the disk.
 
     The command needs more packages: pip install 'jrdb-avr[mcp]'.
 

@@ -4,7 +4,7 @@
     python -m jrdb_avr.engine.commands.page api > docs/api.md
     python -m jrdb_avr.engine.commands.page tables > docs/tables.md
 
-Tests check that the stored pages are what the code makes.
+Tests check that the stored pages equal the pages that these commands print.
 """
 
 from __future__ import annotations

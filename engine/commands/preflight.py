@@ -18,9 +18,9 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows
 def command(model: str, endpoint: Any, form: RowFormat) -> None:
     """Check what a model's server supports: JSON replies, pictures, system message, thinking, and the largest requests.
 
-    The result of a check is 'passed' or 'failed', or 'warning' if it did not pass but no method depends on it. The exit
-    code is 1 if any check is 'failed'. Before a run, 'evaluate' makes the same checks, warns of each check that did not
-    pass, and records it.
+    The result of a check is 'passed', 'failed', or 'warning'. A check that did not pass has the result 'warning' if no
+    method depends on the check. The exit code is 1 if any result is 'failed'. Before a run, 'evaluate' makes the same
+    checks. It prints and records a warning for each check that did not pass.
 
     Example:
       jrdb-avr preflight --model Qwen3-VL-8B --base-url http://localhost:8000/v1

@@ -53,8 +53,8 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def cypher(**options: Any) -> None:
     """Query the graph of a store with Cypher.
 
-    QUERY is one statement that only reads, the name of a saved query (see --list), a file FILE.cypher, or - for
-    standard input.
+    QUERY is one read-only statement, the name of a saved query (see --list), a file FILE.cypher, or - for standard
+    input.
 
     Examples:
       jrdb-avr cypher --list
@@ -69,8 +69,8 @@ def cypher(**options: Any) -> None:
 def sql(**options: Any) -> None:
     """Query the tables of a store with SQL.
 
-    QUERY is one statement that only reads, the name of a saved query (see --list), a file FILE.sql, or - for standard
-    input. 'jrdb-avr schema tables' prints the tables.
+    QUERY is one read-only statement, the name of a saved query (see --list), a file FILE.sql, or - for standard input.
+    'jrdb-avr schema tables' prints the tables.
 
     Examples:
       jrdb-avr sql 'SHOW TABLES' --store S

@@ -37,8 +37,8 @@ def score(
 ) -> None:
     """Score the predictions of each RUN, or of all runs if no RUN is given.
 
-    The file runs/RUN/scores.parquet of the store gets the answer, evidence and combined score of every question. The
-    command prints the mean scores.
+    The answer score, the evidence score and the combined score of every question are written to the file
+    runs/RUN/scores.parquet of the store. The command prints the mean scores of each run.
 
     Examples:
       jrdb-avr score --store S react-marker
@@ -88,9 +88,11 @@ def score(
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
     """Compare the scores of each RUN in tables, or of all runs if no RUN is given.
 
-    The columns answer, evidence, combined, hallucination and invalid are percent of the n questions. A hallucination is
-    a right answer without right evidence. 95 % intervals come from a bootstrap over sequences with 10,000 seeded draws.
-    Macro averages are means over the seven families, and over the paper's five groups.
+    The columns show percentages of a run's n questions. answer: questions with a right answer. evidence: questions with
+    a right box. combined: questions with a right answer and a right box. invalid: questions with a reply that could not
+    be read. Only the column hallucination is different: it is the percentage of right answers that have no right box.
+    Each 95 % interval comes from a bootstrap over sequences with 10,000 seeded draws. A macro average is the mean of a
+    score over the seven families, or over the paper's five groups.
 
     Examples:
       jrdb-avr report --store S

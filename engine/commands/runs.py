@@ -55,7 +55,7 @@ def runs_list(store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def show(run: str, store: Store, form: RowFormat) -> None:
-    """Show the selection of a run's questions, its settings, and the most frequent reasons of missing answers."""
+    """Show the selection of a run's questions, the run's settings, and the most frequent reasons of missing answers."""
     from jrdb_avr.engine.run.overview import show_run
 
     facts = show_run(store, run)

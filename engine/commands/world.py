@@ -41,7 +41,10 @@ def command() -> None:
 @store_option()
 @form_option
 def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Add the world models of finished runs to the graph of the store. They replace earlier versions in the graph."""
+    """Add the world models of finished runs to the graph of the store.
+
+    If the graph has earlier versions of the world models of these runs, they are replaced.
+    """
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
 

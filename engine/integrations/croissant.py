@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import pyarrow as pa
 
 from jrdb_avr.queries.files import file_hash
-from jrdb_avr.schema.card import CITE, HOME, RAI, SAMPLE, SUMMARY, SYNTHETIC, TITLE, Source, sentence
+from jrdb_avr.schema.card import CITE, HOME, RAI, SAMPLE, SUMMARY, SYNTHETIC, TITLE, Source
 from jrdb_avr.schema.tables import ABOUT, CANARY, QUESTIONS, column
 
 KEYS: Final = {"questions": "question_id", "sequences": "sequence"}
@@ -127,3 +127,8 @@ def _field(table: str, field: pa.Field) -> dict[str, Any]:
     if (table, field.name) == ("questions", "sequence"):
         described["references"] = {"field": {"@id": "sequences/sequence"}}
     return described
+
+
+def sentence(text: str) -> str:
+    """Return the meaning of a column as a sentence: with a capital letter and a full stop."""
+    return text[:1].upper() + text[1:] + "."

@@ -9,7 +9,8 @@ picture, and the meaning of `numbers` depends on the answer mode: a choice, one 
 and an angle, or a value (1 is `LARGEST`).
 
 A refused action costs a move, and `info` has the reason. The reward is always 0, unless the environment was made with
-`reward`. The last step of an episode then returns that score of the prediction. Needs the extra `gym`.
+the argument `reward`, which names a score. The reward of the last step is then this score of the prediction. Needs the
+extra `gym`.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ class QuestionEnv(gymnasium.Env):
             render_mode: The render mode, as in Gymnasium.
 
         Raises:
-            StoreError: If the store has no questions or panoramas, or if `reward` is given and it has no answers.
+            StoreError: If the store has no questions or panoramas, or if `reward` is given and the store has no
+                answers.
             InputError: If an id of `questions` is unknown.
         """
         self.bench = Bench.open(store, questions=questions, limit=limit, images=images, opaque=opaque)

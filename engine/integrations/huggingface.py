@@ -15,7 +15,7 @@ from __future__ import annotations
 import datetime
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +25,7 @@ import pyarrow as pa
 import yaml
 
 from jrdb_avr import __version__
-from jrdb_avr.engine.integrations.croissant import Release, croissant
+from jrdb_avr.engine.integrations.croissant import Release, croissant, sentence
 from jrdb_avr.engine.run.opaque import opaque_names, rename_sequences
 from jrdb_avr.queries.files import new_folder, write_bytes
 from jrdb_avr.queries.store import Store, write_table
@@ -123,12 +123,23 @@ def _path(table: str) -> str:
     return f"data/{table}.parquet"
 
 
+def sources_of(layers: Collection[str]) -> list[card.Source]:
+    """Return the sources that provide at least one of the given layers."""
+    return [source for source in card.SOURCES if set(source.layers) & set(layers)]
+
+
+def licence_of(sources: Collection[card.Source]) -> str:
+    """Return the licence identifier that all given sources share, or "other" if their licences differ."""
+    licences = {source.licence for source in sources}
+    return licences.pop() if len(licences) == 1 else "other"
+
+
 def _sources(store: Store, sequences: Iterable[str]) -> list[card.Source]:
     """Return the data sets that the layers of the sequences come from. The sample world counts as a data set."""
     entries = store.manifest().sequences
     real = [name for name in sequences if not card.is_of_sample(name)]
     layers = {layer for name in real for layer in entries[name].layers}
-    return card.sources_of(layers) + ([card.SAMPLE] if any(map(card.is_of_sample, sequences)) else [])
+    return sources_of(layers) + ([card.SAMPLE] if any(map(card.is_of_sample, sequences)) else [])
 
 
 # -- the cards --------------------------------------------------------------------------------------------------------
@@ -138,7 +149,7 @@ def _head(n: int, sources: list[card.Source]) -> dict[str, Any]:
     """Return the front matter of the public card, without the part that `_configs` returns."""
     return {
         "pretty_name": card.TITLE,
-        "license": card.licence_of(sources),
+        "license": licence_of(sources),
         "language": ["en"],
         "task_categories": ["visual-question-answering"],
         "tags": ["croissant", "active-vision", "robotics", *(["synthetic"] if card.SAMPLE in sources else [])],
@@ -167,7 +178,7 @@ def _counts(column: pa.ChunkedArray) -> list[tuple[str, int]]:
 def _columns(tables: Iterable[str]) -> dict[str, tuple[str, list[tuple[str, str]]]]:
     """Return the description of each table, and the name and the meaning of each column."""
     return {
-        table: (ABOUT[table], [(name, card.sentence(column(table, name)[1])) for name in QUESTIONS[table].names])
+        table: (ABOUT[table], [(name, sentence(column(table, name)[1])) for name in QUESTIONS[table].names])
         for table in tables
     }
 

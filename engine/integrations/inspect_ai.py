@@ -277,7 +277,7 @@ def _content(part: Part) -> Content:
 
 @metric
 def hallucination() -> Metric:
-    """Return the metric of hallucination: the share of right answers with a wrong box, or 0 without right answers."""
+    """Return the metric hallucination: the share of right answers that have a wrong box, or 0 if no answer is right."""
 
     def compute(scores: list[SampleScore]) -> float:
         right = [sample.score.value for sample in scores if sample.score.value["answer"]]

@@ -289,7 +289,7 @@ def _angle(angle_deg: float) -> float:
         angle = math.nan
     if not math.isfinite(angle):
         raise ObserveError(f"angle {_short(angle_deg)} is no finite number of degrees (180 is ahead, 90 left)")
-    # The first modulo rounds a tiny negative angle to 360; the second corrects it.
+    # The first modulo rounds a tiny negative angle to 360. The second modulo makes 0 of it.
     return angle % 360.0 % 360.0
 
 

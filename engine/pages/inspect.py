@@ -1,4 +1,4 @@
-"""The inspect page: questions with their plans, timelines, proofs and pictures. A reviewer accepts or rejects each."""
+"""The inspect page: questions with their plans, timelines, proofs and pictures. Reviewers judge each question."""
 
 from __future__ import annotations
 
@@ -284,7 +284,7 @@ def _reads(plan: Plan) -> str:
 
 
 def _perturbation(question: Inspected, name: str | None) -> str:
-    """Return the name of the perturbation that makes a wrong choice true, after the role of a person if it has one."""
+    """Return the name of the perturbation under which a wrong choice is true, with the role of its person if any."""
     stop = re.fullmatch(r"hop\.stop\((\d)\)", name or "")
     roles = list(question.people)
     if stop is not None and int(stop[1]) < len(roles):

@@ -92,10 +92,10 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
 
 
 class Crossed:
-    """A breakdown as a table of runs against the values of a dimension. The shorter of the two lists gives the columns.
+    """A breakdown as a table of runs against the values of a dimension. Whichever are fewer give the columns.
 
     Attributes:
-        counts: For each value, the number of its questions in most runs. A cell with another number shows it.
+        counts: For each value, the number of its questions in most runs. A cell shows its own number if that differs.
         values_across: Whether the columns are values and the rows are runs, or the reverse.
         across: Names of the columns.
         rows: Name and cells of each row. A cell is a row of the breakdown, or None if the breakdown has no such row.

@@ -112,7 +112,7 @@ def timeline_rows(
 
 
 def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
-    """Return the actions of a person that the plan mentions, and all poses if the answer is a pose of the person."""
+    """Return a person's actions that the plan mentions, and all poses if the answer is the person's pose."""
     actions = {c.action for node in plan.nodes if node.id == role for c in node.conditions if c.action}
     actions |= {time.action for time in plan.times.values() if time.of == role and time.action}
     if plan.answer.of == role and plan.answer.read in _POSE_READS:

@@ -241,7 +241,7 @@ def public_runs(store: Store) -> list[ViewedRun]:
         store: The store.
 
     Returns:
-        The runs, without scores. A run is left out if the questions of the store have changed since.
+        The runs, without scores. A run is left out if the questions of the store have changed since the run.
     """
     runs = []
     for name in run_ids(store):

@@ -118,7 +118,7 @@ def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
 
 
 def mean_ratio(*pairs: tuple[int, int]) -> Statistic:
-    """Make a statistic: the mean of several ratios, each of the sums of two columns.
+    """Make the statistic that is the mean of several ratios. Each ratio has the sums of two columns.
 
     One pair gives a plain ratio, such as a share. Several pairs give a macro average.
 
@@ -126,7 +126,7 @@ def mean_ratio(*pairs: tuple[int, int]) -> Statistic:
         *pairs: Indexes of the columns of each ratio: numerator and denominator.
 
     Returns:
-        The statistic. Ratios with a denominator of 0 are left out. If there are no others, the value is NaN.
+        The statistic. Ratios with a denominator of 0 are left out. If all denominators are 0, the value is NaN.
     """
 
     def mean(totals: Floats) -> Floats:
@@ -166,8 +166,8 @@ def compare(
     """Compare pairs of runs that answered the same questions.
 
     Args:
-        clusters: Number of each question's cluster (questions).
-        scores: For each run, an array of 0 and 1 with the questions in this order (questions, scores).
+        clusters: Index of each question's cluster (questions).
+        scores: For each run, an array of 0 and 1 (questions, scores). The questions are in the order of `clusters`.
         pairs: The pairs to compare, each as two indexes in `scores`.
         n: Number of draws.
         seed: Seed of the draws.

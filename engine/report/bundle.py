@@ -1,4 +1,4 @@
-"""Bundles: the predictions of a run as a folder that can be sent to a store that has the answers, and scored there.
+"""Bundles: folders with the predictions of a run, which can be scored on another machine that has the answers.
 
     DIR/run.json            the run's manifest: questions, method, model and settings
     DIR/predictions.jsonl   the predictions, as `prediction_lines` writes them
@@ -114,7 +114,7 @@ def bundle_submission(store: Store, bundle: Bundle) -> Submission:
         The run's manifest and predictions.
 
     Raises:
-        StoreError: If the run answered the questions of another question set than the store's.
+        StoreError: If the run answered other questions than the store has.
     """
     if bundle.run.questions_sha256 != questions_hash(store):
         raise StoreError(f"{bundle.folder} belongs to another questions file: score it in its own store")

@@ -129,7 +129,7 @@ class Comparison(Displayed):
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
     def _results(self, names: Sequence[str]) -> dict[str, list[Row]]:
-        """Run queries of `queries/results/` on these runs. Return the rows of each, in the order of the runs."""
+        """Run queries of `queries/results/` on these runs. Return the rows of each query, in the order of the runs."""
         if not names:
             return {}
         order = {run.manifest.run_id: index for index, run in enumerate(self.runs)}
@@ -140,10 +140,10 @@ class Comparison(Displayed):
         return {name: sorted(table.to_pylist(), key=lambda row: order[row["run"]]) for name, table in results.items()}
 
     def causes(self) -> dict[tuple[str, str], str]:
-        """Find the cause of each box that does not score. The table `evidence_failures` counts these causes.
+        """Find why evidence boxes score 0. The table `evidence_failures` counts these causes.
 
         Returns:
-            The cause of each such box, by run id and question id.
+            The cause of each box that scores 0, by run id and question id.
         """
         # The last SELECT of the query counts the causes, so it is replaced.
         judged, _, _ = named_queries("sql")["evidence_failures"].text.rpartition("\nSELECT ")
@@ -238,11 +238,12 @@ class RunDifference(Displayed):
         return self.first.manifest.synthetic or self.second.manifest.synthetic
 
     def scores(self) -> list[Row]:
-        """Return both runs' scores on the common questions.
+        """Compare the scores of both runs on their common questions.
 
         Returns:
-            One row per score: the share of each run in percent, the difference in points with its interval, for each
-            run the number of questions that only this run has right, and the p-value of the McNemar test.
+            One row per score: the score of each run in percent, the difference in points with its interval, the number
+            of questions that only the first run has right, the number that only the second run has right, and the
+            p-value of the McNemar test.
         """
         _, first, second = self._common()
         first_means, second_means = ((100 * scores.mean(axis=0)).round(2).tolist() for scores in (first, second))
@@ -262,14 +263,15 @@ class RunDifference(Displayed):
         ]
 
     def questions(self, score: str = "combined") -> list[Row]:
-        """Return the questions that exactly one of the runs has right under a score.
+        """Return the questions that one run answers correctly and the other does not, as judged by one score.
 
         Args:
             score: A name of `SCORES`.
 
         Returns:
-            One row per question: its id, template and sequence, the run that has it right (`only`), and whether each
-            run has the answer and the evidence right. Questions that only the first run has right come first.
+            One row per question: its id, its template, its sequence, the run that has the question right (`only`), and
+            for each run whether the answer is right and whether the evidence is right. Questions that only the first
+            run has right come first.
 
         Raises:
             InputError: If no score has this name.

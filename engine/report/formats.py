@@ -52,7 +52,8 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
 
     Returns:
         The rows with all values as text. Rows with too few sequences have no intervals. If there are such rows, the
-        column `interval` says so. If each run has one row, an `n` that differs from that of most runs has a mark.
+        column `interval` says so. If each run has only one row, a mark follows each `n` that differs from the `n` of
+        most runs.
     """
     rows = without_rough(rows)
     few = any(row.get("interval") == TOO_FEW for row in rows)

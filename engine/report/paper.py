@@ -19,7 +19,7 @@ class Group(NamedTuple):
         n: Number of questions.
         answer: Number of questions with a right answer.
         evidence: Number of questions with right evidence.
-        combined: Number of questions with both.
+        combined: Number of questions with a right answer and right evidence.
     """
 
     families: tuple[str, ...]

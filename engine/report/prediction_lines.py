@@ -26,7 +26,7 @@ from jrdb_avr.schema.method import Status, Verdict
 from jrdb_avr.schema.tables import RUNS
 
 LARGEST_FILE: Final = 1 << 28
-"""Maximum size in bytes of a file of predictions. 2,098 short replies take a thousandth of it."""
+"""Maximum size in bytes of a file of predictions. A file with 2,098 short replies has a thousandth of this size."""
 
 LARGEST_LINE: Final = 1 << 20
 """Maximum length of a line in bytes."""

@@ -137,7 +137,7 @@ def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
 
 
 def _first_number(value: str) -> float:
-    """Return the number or the lower bound of the bin that a name states. Other names give -1, to come first."""
+    """Return the number or the lower bound of the bin that a name states. Return -1 for other names."""
     try:
         return float(value.lstrip("[").partition(",")[0])
     except ValueError:
@@ -159,7 +159,7 @@ def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
         runs: Scored runs.
 
     Returns:
-        A text by run id, such as `marker: seed 3, wrong_box 0.1`. It is empty if no setting differs.
+        The text for each run id, such as `marker: seed 3, wrong_box 0.1`. A text is empty if no setting differs.
     """
     leaves = [(run.manifest, dict(_leaves((), run.manifest.settings))) for run in runs]
     alike: dict[tuple[str, str], list[dict[Path, str]]] = {}

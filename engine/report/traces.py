@@ -79,7 +79,7 @@ class Transcript:
         steps: The question's rows of the table `steps`, sorted by step.
         looks: The looks among the steps, in order.
         writes: All writes to the world model, in order.
-        refused: Those of `writes` that the world model refused.
+        refused: The writes that the world model refused. They are also in `writes`.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:

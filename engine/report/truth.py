@@ -38,13 +38,13 @@ class Truth:
         modes: Answer mode of each question (n).
         answers: True answer to each question (n).
         seconds: Number of frames per second in the sequence of each question (n).
-        targets: Index of each question's target among all people who have boxes, or -1 if the target has none (n).
+        targets: Index of each question's target among all people who have boxes, or -1 if the target has no box (n).
         keys: `frame_key` of the person and the frame of each box, ascending (boxes).
         boxes: Boxes as x, y, w, h in stitched pixels, in the order of `keys` (boxes, 4).
     """
 
     def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
-        """Join tables of the folder `questions/`. Each table may lack rows and columns that are not needed.
+        """Join tables of the folder `questions/`. Rows and columns that are not needed may be missing in each table.
 
         Raises:
             StoreError: If a table lacks a row that another table refers to, or if an answer cannot be read.
@@ -138,12 +138,12 @@ def row_numbers(values: Any, among: Any) -> Ints:
 
 
 def find_rows(among: pa.ChunkedArray, values: Any, table: str) -> Ints:
-    """Find the row of each value in a column of a table of the folder `questions/`.
+    """Find the row that has each value in a column. The column belongs to a table of the folder `questions/`.
 
     Args:
         among: The column to search.
         values: The values to find (n).
-        table: The name of the table that has the column, for the error message.
+        table: The name of the column's table. The error message states this name.
 
     Returns:
         The index of each value in `among` (n).

@@ -54,7 +54,7 @@ class Entries(Protocol):
 
 
 class _Stopped(BaseException):
-    """Signal to a working method that the run has ended. Not an Exception, so that `except Exception` misses it."""
+    """Signal to a method that the run has ended. A BaseException, so that `except Exception` does not catch it."""
 
 
 def answer_one(
@@ -198,7 +198,8 @@ def answer_all(
     """
     waiting: queue.SimpleQueue[Question] = queue.SimpleQueue()
     done: queue.SimpleQueue[Finished | BaseException | None] = queue.SimpleQueue()
-    # Sorted by sequence: its panoramas stay in memory, and only a few files of the journal grow at the same time.
+    # Questions are sorted by sequence, so that the panoramas of a sequence stay in memory, and only a few files of the
+    # journal grow at the same time.
     due = sorted(unanswered(questions, journal.finished), key=lambda question: question.sequence)
     advance(len(questions) - len(due))
     for question in due:

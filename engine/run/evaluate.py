@@ -296,7 +296,7 @@ def _make(
 
 @contextlib.contextmanager
 def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | None) -> Iterator[WorldModel | None]:
-    """Yield the world model of a run, which has the facts in the journal. Yield None if the method uses none."""
+    """Yield the world model of a run, with the facts in the journal, or None if the method has no world model."""
     if method not in WORLD_METHODS:
         yield None
         return

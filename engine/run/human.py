@@ -24,7 +24,7 @@ from jrdb_avr.schema.method import Observation
 
 
 class _Move(msgspec.Struct, forbid_unknown_fields=True):
-    """A move and the question that it belongs to. Another browser window may already play the next question."""
+    """A move, and the id of its question. The id shows if a late move belongs to a question that has ended."""
 
     question_id: str
     move: dict[str, Any]

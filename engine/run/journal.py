@@ -87,8 +87,8 @@ def finished_entry(
         The entry.
 
     Raises:
-        ValueError: If the journal or a table would change or cannot hold a value. Some of these errors are raised as
-            other types by msgspec and Arrow.
+        ValueError: If the journal or a table would change a value or cannot hold it. In some of these cases, msgspec
+            and Arrow raise errors of other types.
     """
     evidence, answer = prediction.evidence, prediction.answer
     box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box

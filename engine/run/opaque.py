@@ -48,7 +48,7 @@ def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
 
     Args:
         table: A table that has the column `sequence`.
-        names: The new name by old name.
+        names: The new name for each old name.
 
     Returns:
         The table, with its rows and columns in the same order.

@@ -11,7 +11,7 @@ from jrdb_avr.agent.model.options import DEFAULTS as DEFAULT_ENDPOINT
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.engine.run.methods import POLICIES
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.option import option
+from jrdb_avr.schema.option import Options, option
 
 if TYPE_CHECKING:
     from jrdb_avr.agent.reference.method import Policy
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuestionSelection:
+class QuestionSelection(Options):
     """Options that select the questions of a run. The default is all questions.
 
     A question must match every non-empty tuple of names. The same selection from the same store always gives the same
@@ -42,8 +42,8 @@ class QuestionSelection:
     seed: int | None = option(None, "Take questions in the random order of this seed. Default: the order of the store.")
     shard: tuple[int, int] | None = option(
         None,
-        "Answer shard I of N: the selected questions of every Nth sequence, from the Ith on in the order of names. "
-        "The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
+        "Answer shard I of N: sort the sequences by name, start at the Ith, take every Nth, and answer the selected "
+        "questions of these. The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
         metavar="I/N",
     )
 
@@ -76,7 +76,7 @@ class QuestionSelection:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MethodOptions:
+class MethodOptions(Options):
     """Options that change how a method answers."""
 
     policy: Policy | None = option(
@@ -105,7 +105,7 @@ class MethodOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
+class RunOptions(Options):
     """Options of the run itself: its name, its files, and how it proceeds.
 
     Runs that answer the same questions several times differ in `epoch`, which counts from 1. The name of such a run

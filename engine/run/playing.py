@@ -74,7 +74,7 @@ def due_questions(bench: Bench, run: Run) -> list[str]:
 
 @dataclass
 class Play:
-    """A question in progress: its episode, the recorded steps, and the start time of the performance counter."""
+    """A question in progress: its episode, the recorded steps, and the performance counter at its start."""
 
     episode: Episode
     steps: list[Step]

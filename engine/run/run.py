@@ -30,7 +30,7 @@ _ACCESS: Final = (
 """Settings of an endpoint that do not influence replies, such as its address."""
 
 _MAY_BE_EMPTY: Final = ("server version",)
-"""Settings that are empty if the server was too busy to report them. An empty setting equals any other."""
+"""Settings that are empty if the server was too busy to report them. An empty value equals any other value."""
 
 
 class Run(Journal):
@@ -114,7 +114,8 @@ class Run(Journal):
             entry: The entry.
 
         Raises:
-            StoreError: If writing fails, or if `finish` was called before. A player's thread may end later than that.
+            StoreError: If writing fails, or if `finish` was called before. The thread of a player may call this
+                function so late.
         """
         with self._writing:
             if self._over:

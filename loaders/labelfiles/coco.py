@@ -145,7 +145,7 @@ class Images:
         self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
-        """Return the frame of each annotation's image. If the image is missing or refused, count it and return -1."""
+        """Return the frame of each annotation's image. It is -1 if the image is missing or refused."""
         image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
         frame = np.full(len(image_id), -1, np.int64)
         if len(self.ids):
@@ -172,7 +172,7 @@ def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
 # -- categories ----------------------------------------------------------------------------------------------------
 
 Categories = dict[int, tuple[str, str | None]]
-"""Two names by category id: the name as written, and the name in the vocabulary or None."""
+"""By category id: the name as written, and the name in the vocabulary (None if the vocabulary lacks the name)."""
 
 
 def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Counter[tuple[str, str]]]:

@@ -26,7 +26,7 @@ PAIR_BITS: Final = 31
 _DIGITS: Final = 16
 """Number of bits of the columns that numpy sorts by digits."""
 MAX_DISTINCT: Final = 100_000
-"""Maximum distinct values of one field in a file. Labels repeat between frames, and a file has a few hundred ids."""
+"""Maximum distinct values of one field in a file. JRDB's files have far fewer, because labels repeat between frames."""
 
 Columns = dict[str, npt.NDArray[Any]]
 """Columns by name, with one element per record."""
@@ -54,7 +54,7 @@ def texts(values: Sequence[str], codes: Ints) -> pa.Array:
 
 
 def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
-    """Return an Arrow column of a type with `values[code]` for each code. Strings become a dictionary array."""
+    """Return an Arrow column of the type `kind` with `values[code]` for each code. Strings give a dictionary array."""
     column, taken = pa.array(values, kind), pa.array(codes)
     if not pa.types.is_string(kind):
         return column.take(taken)
@@ -161,12 +161,12 @@ class LayerTables:
     unknown: Counter[tuple[str, str]] = field(default_factory=Counter)
     """Number of occurrences of each (field, label) with a label outside the vocabulary."""
     boxes: pa.Table | None = None
-    """2D boxes in a file that does not give the 2D layer, or None: columns frame, track, x, y, w, h.
+    """2D boxes of a file that is not the file of the 2D layer, or None. The columns are frame, track, x, y, w, h.
 
     Comparing these boxes with the 2D layer shows whether both files number their frames alike."""
 
     def of(self, sequence: str) -> LayerTables:
-        """Return a copy with the column `sequence` in every annotation table, cast to the schema of its name."""
+        """Return a copy in which every annotation table has the column `sequence` and the types of its schema."""
         return replace(self, tables={name: annotation_table(name, sequence, t) for name, t in self.tables.items()})
 
 
@@ -205,7 +205,7 @@ def ascending(*columns: npt.NDArray[Any]) -> Ints:
 
 
 def _narrow(column: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
-    """Split a column into 16-bit columns, lowest digits first. Return the column itself if it needs over 32 bits."""
+    """Split a column into 16-bit columns, lowest bits first. Return the column alone if its numbers exceed 32 bits."""
     low = int(column.min(initial=0))
     width = (int(column.max(initial=0)) - low).bit_length()
     if width > 2 * _DIGITS:
@@ -218,7 +218,7 @@ def first_of_equal(*columns: Ints) -> tuple[Ints, Bools]:
     """Sort rows by their columns, and find the first row of each run of equal rows.
 
     Returns:
-        The row indices in ascending stable order, and a mask in that order: True at the first row of each run.
+        The row indices that sort the rows stably, and a mask of the sorted rows: True at the first row of each run.
     """
     order = ascending(*columns)
     return order, begins(*(column[order] for column in columns))
@@ -230,20 +230,20 @@ def distinct_of(ascending: Ints) -> Ints:
 
 
 def begins(*columns: Ints) -> Bools:
-    """Return a mask of the rows that differ in any column from the row before. The first row is always True."""
+    """Return a mask of the rows that differ in any column from the row before. The first row is always marked."""
     new = np.ones(len(columns[0]), np.bool_)
     new[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
     return new
 
 
 def ragged(counts: Ints) -> tuple[Ints, Ints]:
-    """Return the group index of each member, and its index within the group. Group i has `counts[i]` members."""
+    """Return each member's group index, and the member's index within the group. Group i has `counts[i]` members."""
     group = np.repeat(np.arange(len(counts)), counts)
     start = np.cumsum(counts) - counts
     return group, np.arange(len(group)) - np.repeat(start, counts)
 
 
 def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:
-    """Return the ascending frames, and the number of records in each. `rows` holds the frame of each record."""
+    """Return `frames`, and the number of records in each frame. `rows` holds the frame of each record."""
     rows = np.sort(rows)
     return frames, np.searchsorted(rows, frames, "right") - np.searchsorted(rows, frames, "left")

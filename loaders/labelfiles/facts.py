@@ -61,14 +61,14 @@ class KeptRecords(NamedTuple):
     track: Ints
     """Track of the person of each kept record."""
     partial: set[int]
-    """Frames with a refused record that may be a person's."""
+    """Frames with a refused record that may describe a person."""
 
     def whole_frames(self, complete: Iterable[int]) -> Ints:
-        """Return the frames of `complete` without a refused record of a person, ascending."""
+        """Return, ascending, those frames of `complete` in which no record of a person was refused."""
         return np.array(sorted(set(complete) - self.partial), np.int64)
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
-        """Return the distinct frames of the kept records `rows` (ascending), and how many of them each frame has."""
+        """Return the distinct frames of the kept records `rows`, ascending, and the number of these records in each."""
         frame = self.frame[distinct_of(rows)]
         return known_frames(distinct_of(frame), frame)
 
@@ -84,9 +84,9 @@ def keep_people(
 
     Args:
         columns: columns `frame` and `label_id` (a code) of the records.
-        codes: distinct values of each coded column, by its name.
+        codes: distinct values of each coded column, by name of the column.
         refusals: counter of the refused records.
-        faults: masks of unusable boxes with reasons. A record with several faults is counted for the first.
+        faults: pairs of a mask of unusable boxes and the reason. A record with several faults counts for the first.
         box: function that is called with the index of a refused record and returns its box for the report.
     """
     frame, labels, code = columns["frame"], list(codes["label_id"]), columns["label_id"]
@@ -106,7 +106,7 @@ def keep_people(
     reason = "same person twice in a frame"
     refusals.count(again, "record", reason, "label_id", lambda row: labels[code[row]])
     row = usable[order[first]]
-    # The second record with a track may be another person's, with a wrong track.
+    # If two records have the same track, the second may describe another person under a wrong track.
     return KeptRecords(row, frame[row], track[row], set(frame[refused | again].tolist()))
 
 
@@ -167,7 +167,7 @@ class Decoded:
             return None
 
     def difficulty(self, value: object, name: str) -> int | None:
-        """Return a difficulty code. If it is unusable, return None; its label is then kept as an unknown fact."""
+        """Return a difficulty code. If it is unusable, return None. The label then becomes an unknown fact."""
         code: int | None = self.read(records.read_difficulty, value, name, "difficulty: ")
         return code
 
@@ -206,7 +206,7 @@ def expand(
     Args:
         codes: code of the raw value of each row.
         raws: distinct raw values, in the order of their codes.
-        decode: function that is called with each raw value that is present, and an empty `Decoded` that it fills.
+        decode: function that is called with each distinct raw value that is not missing, and fills a `Decoded`.
         refusals: counter. An issue of a value is counted once per row with the value.
         absent: issues that are reported for each row with a missing value.
 
@@ -271,8 +271,8 @@ def facts_table(
     Args:
         layer: name of the annotation table.
         people: the kept records.
-        facts: facts. Their rows are indices of `people`.
-        names: columns of the table for the members of a fact's content.
+        facts: facts to write. The row of a fact is an index of `people`.
+        names: names of the columns for the members of a fact's content, in the order of the members.
         ends: further columns of numbers by name, with one number per fact.
 
     Returns:

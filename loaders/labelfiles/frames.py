@@ -8,6 +8,7 @@ turned into columns after every `BATCH` records.
 from __future__ import annotations
 
 import codecs
+import contextlib
 import errno
 import os
 import re
@@ -20,12 +21,14 @@ import msgspec
 import numpy as np
 
 from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, numbered
-from jrdb_avr.loaders.labelfiles.records import BROKEN
+from jrdb_avr.loaders.labelfiles.records import BROKEN, parse, read_flag
 from jrdb_avr.loaders.problems import Problems, shorten
 from jrdb_avr.schema.errors import InputError
 
 MAX_FILE: Final = 320 << 20
 """Maximum bytes of a file. The largest file of JRDB has half as many."""
+MAX_FRAME: Final = 4 << 20
+"""Maximum bytes of a frame, about 4 kB for each of `MAX_RECORDS` records. A larger frame is not decoded."""
 MAX_RECORDS: Final = 1000
 """Maximum records of a frame, which bounds the number of pairs of people. JRDB's fullest frames have about 100."""
 MAX_GATHERED: Final = 400_000
@@ -33,7 +36,10 @@ MAX_GATHERED: Final = 400_000
 BATCH: Final = 1000
 """Number of records that are turned into columns together. A batch fits into the processor's cache."""
 
+LENIENT: Final = frozenset(("file_id", "attributes.truncated", "attributes.interpolated", "attributes.no_eval"))
+"""Fields whose unusable values do not refuse the record."""
 _LIST: Final = msgspec.json.Decoder(list[msgspec.Raw])
+_MEMBERS: Final = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _MISSING: Final = re.compile("Object missing required field `(.*)`")
 
 _R = TypeVar("_R", bound=msgspec.Struct)
@@ -43,10 +49,20 @@ Fields = dict[str, tuple[Any, ...]]
 """Fields of a batch of records: a tuple of one value per record, by name of the field."""
 
 
+Naming = Callable[[msgspec.Raw], str]
+"""Function that returns the name of a raw record for the report."""
+
+
+class FrameKey(str):
+    """Key of a frame. For a type of its own, msgspec calls a hook with every key, so that no repeated key is missed."""
+
+    __slots__ = ()
+
+
 class LabelFile(msgspec.Struct):
     """Content of a whole label file: the raw list of records of each frame, by the key of the frame."""
 
-    labels: dict[str, msgspec.Raw]
+    labels: dict[FrameKey, msgspec.Raw]
 
 
 def read_file(path: Path) -> bytes:
@@ -71,8 +87,13 @@ def read_file(path: Path) -> bytes:
     return data.removeprefix(codecs.BOM_UTF8)
 
 
-def decode_file(path: Path, form: type[_F]) -> _F:
+def decode_file(path: Path, form: type[_F], hook: Callable[[type, Any], Any] | None = None) -> _F:
     """Decode a JSON file into an object of the type `form`.
+
+    Args:
+        path: JSON file.
+        form: type of the result.
+        hook: function that converts a value into a type that msgspec does not know.
 
     Raises:
         InputError: If the file is unreadable, is not JSON, or does not fit the type `form`.
@@ -82,7 +103,7 @@ def decode_file(path: Path, form: type[_F]) -> _F:
         if not data.isascii():
             # msgspec does not check whether raw values are UTF-8.
             data.decode()
-        return msgspec.json.decode(data, type=form)
+        return msgspec.json.decode(data, type=form, dec_hook=hook)
     except msgspec.ValidationError as error:
         raise InputError(f"{path.name}: {error}".replace("`", ""), file=path.name) from None
     except UnicodeDecodeError as error:
@@ -100,32 +121,58 @@ class RecordReader(Generic[_R]):
         self._one = msgspec.json.Decoder(record)
 
     def read(
-        self, raw: bytes | msgspec.Raw, problems: Problems, name: Callable[[msgspec.Raw], str]
-    ) -> tuple[list[_R], bool]:
+        self, raw: bytes | msgspec.Raw, problems: Problems, name: Naming, limit: int = MAX_GATHERED
+    ) -> tuple[list[_R], int]:
         """Decode a list of records.
 
         Args:
             raw: JSON list.
             problems: counter of refused records.
             name: function that is called with each refused raw record, and returns its name for the report.
+            limit: maximum length of a list with a faulty record. A longer list is refused without a report.
 
         Returns:
-            The usable records, and True if no record was refused.
+            The usable records, and the number of refused records.
 
         Raises:
             msgspec.DecodeError: If `raw` is not a list.
         """
         try:
-            return self._all.decode(raw), True
+            return self._all.decode(raw), 0
         except BROKEN:
             raws, records = _LIST.decode(raw), []
+        if len(raws) > limit:
+            return [], len(raws)
         for record in raws:
             try:
-                records.append(self._one.decode(record))
+                records.append(self._decode(record, problems, name))
             except BROKEN as error:
                 reason, field = fault_of(error)
                 problems.add("record", reason, frame=name(record), field=field, value=bytes(record))
-        return records, len(records) == len(raws)
+        return records, len(raws) - len(records)
+
+    def _decode(self, raw: msgspec.Raw, problems: Problems, name: Naming) -> _R:
+        """Decode a record. Replace and count unusable values of the fields in `LENIENT`."""
+        try:
+            return self._one.decode(raw)
+        except BROKEN as error:
+            reason, field = fault_of(error)
+            if field not in LENIENT:
+                raise
+        *outer, member = field.split(".")
+        record = _MEMBERS.decode(raw)
+        inner = _MEMBERS.decode(record[outer[0]]) if outer else record
+        usable = None
+        with contextlib.suppress(ValueError):
+            usable = read_flag(parse(inner[member])) if outer else None
+        if usable is None:
+            problems.add("field", reason, frame=name(raw), field=field, value=bytes(inner[member]))
+            # A person who may be excluded from the evaluation has no clear view, so the occlusion is unknown too.
+            inner |= {"occlusion": msgspec.Raw(b"null")} if member == "no_eval" else {}
+        inner[member] = msgspec.Raw(msgspec.json.encode(usable))
+        if outer:
+            record[outer[0]] = msgspec.Raw(msgspec.json.encode(inner))
+        return self._decode(msgspec.Raw(msgspec.json.encode(record)), problems, name)
 
     def fields(self, records: list[_R]) -> Fields:
         """Return a tuple of the records' values for each field."""
@@ -175,28 +222,33 @@ def gather(
     listed: list[int] = []
     complete: list[int] = []
     counts: list[int] = []
+    total = 0
     batch: list[_R] = []
     parts: list[Columns] = []
     for key, frame, raw in _frames(path, suffixes, problems):
+        if len(raw) > MAX_FRAME:
+            problems.add("frame", f"frame with more than {MAX_FRAME >> 20} MB", frame=key)
+            continue
         try:
-            records, whole = reader.read(raw, problems, lambda _, key=key: key)  # type: ignore[misc]
+            records, refused = reader.read(raw, problems, lambda _, key=key: key, MAX_RECORDS)  # type: ignore[misc]
         except BROKEN as error:
             problems.add("frame", "frame is not a list of records", frame=key, value=str(error))
             continue
-        if len(records) > MAX_RECORDS:
+        total += len(records) + refused
+        if total > MAX_GATHERED:
+            raise InputError(f"{path.name}: more than {MAX_GATHERED:,} records", file=path.name)
+        if len(records) + refused > MAX_RECORDS:
             problems.add("frame", f"frame with more than {MAX_RECORDS} records", frame=key)
             continue
         listed.append(frame)
         counts.append(len(records))
-        if whole:
+        if not refused:
             complete.append(frame)
         batch += records
         if len(batch) >= BATCH:
             parts.append(take(reader.fields(batch)))
             batch = []
     parts.append(take(reader.fields(batch)))
-    if sum(counts) > MAX_GATHERED:
-        raise InputError(f"{path.name}: more than {MAX_GATHERED:,} records", file=path.name)
     columns = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
     return Gathered({"frame": np.repeat(np.array(listed, np.int64), counts), **columns}, listed, complete)
 
@@ -205,7 +257,19 @@ def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterat
     """Yield the key, the frame number and the raw list of each frame with a usable key. Count the rest."""
     form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     listed: set[int] = set()
-    for key, raw in decode_file(path, LabelFile).labels.items():
+    keys: set[str] = set()
+
+    def take(_: type, key: str) -> FrameKey:
+        """Refuse a repeated key, because the decoder keeps only its last list."""
+        if key in keys:
+            raise ValueError(f"the frame {shorten(key)} is listed twice")
+        keys.add(key)
+        return FrameKey(key)
+
+    labels = decode_file(path, LabelFile, take).labels
+    if len(labels) != len(keys):
+        raise InputError(f"{path.name}: the key labels is repeated", file=path.name)
+    for key, raw in labels.items():
         match = form.fullmatch(key)
         if match is None:
             problems.add("frame", "frame key is not six digits with suffix " + "/".join(suffixes), frame=shorten(key))

@@ -119,7 +119,7 @@ def read_difficulty(value: object) -> int:
 
 @functools.lru_cache(maxsize=10_000)
 def read_text(value: str) -> str:
-    """Return a text without unprintable characters. Raise ValueError if it is blank or longer than `MAX_TEXT`."""
+    """Return a text with blanks for unprintable characters. Raise ValueError if it is blank or over `MAX_TEXT` long."""
     clean = "".join(c if c.isprintable() else " " for c in value).strip()
     if not clean:
         raise ValueError("empty text")

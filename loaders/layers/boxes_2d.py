@@ -1,8 +1,9 @@
 """Loader of the 2D layer with the labels of JRDB-Act, from `labels_2d_stitched/<sequence>.json`.
 
 It makes the annotation tables of boxes, actions, groups and social activities, with one row per fact. Boxes are in
-pixels of the stitched panorama. The table `frames` lists a frame for the layer `2d` only if no record of a person in it
-was refused. Otherwise the frame could not prove that a person is absent, or that a description fits only one person.
+pixels of the stitched panorama. The table `frames` lists a frame for the layer `2d` only if none of the
+frame's records of people was refused. Otherwise the frame could not prove that a person is absent, or that a
+description fits only one person.
 For the layers `actions` and `groups` the table lists the frames with at least one action or group label.
 """
 
@@ -125,7 +126,7 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Return a mask of faulty boxes and the reason for each kind of fault. `box` has the shape (n, 4)."""
+    """Return, for each kind of fault, a mask of the faulty boxes and the reason. `box` has the shape (n, 4)."""
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
         (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),

@@ -2,8 +2,8 @@
 
 The centre and the size of a box are in metres, in the frame of the robot: x forward, y left, z up. `rot_z` is stored as
 written. A person's heading is `wrap(pi - rot_z)`, and `heading_check` compares it with the person's motion. If a
-refused record may be a person's, all rows of its frame are dropped, because any box of the frame could then belong to
-another person than its label id says.
+refused record may describe a person, all rows of the record's frame are dropped. In such a frame, any box could belong
+to a different person than the box's label id says.
 """
 
 from __future__ import annotations

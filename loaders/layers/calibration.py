@@ -1,9 +1,9 @@
 """Loader of the camera calibration, which makes the table `calibration` from `calibration/cameras.yaml`.
 
 Under `cameras`, each `sensor_N` has a `width`, a `height` and a 3x3 matrix `K`. The matrix is one string of nine
-numbers in pixels: fx 0 cx, 0 fy cy, 0 0 1. JRDB publishes its file in this layout (also in StanfordVL/JRMOT_ROS).
-`schema.panorama` computes rows of the panorama with two constants. They should equal the medians of fy and cy over the
-cameras, and `cameras_check` compares them.
+numbers in pixels: fx 0 cx, 0 fy cy, 0 0 1. JRDB publishes the file in this layout. The repository StanfordVL/JRMOT_ROS
+has the same layout. `schema.panorama` computes rows of the panorama with two constants. These constants should equal
+the medians of fy and cy over the cameras, and `cameras_check` compares the constants with the medians.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from jrdb_avr.schema.panorama import FOCAL_ROWS, HORIZON_ROW
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 _MAX_BYTES: Final = 64 << 10
-"""Maximum bytes of the file. JRDB's file is twenty times smaller. The parser takes a second for the maximum."""
+"""Maximum bytes of the file. JRDB's file is twenty times smaller. The parser takes a second for a file of this size."""
 MAX_PIXELS: Final = 100_000
 """Maximum width, height, focal length and centre of a camera in pixels."""
 TOLERANCE: Final = 0.05
@@ -35,7 +35,7 @@ TOLERANCE: Final = 0.05
 
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
-# All sequences of a root share the file, and its parser is slow. Therefore the last tree is kept.
+# All sequences of a root share the file, and its parser is slow. Therefore the tree of the last file is kept.
 _tree: Final = functools.lru_cache(maxsize=1)(lambda text: yaml.compose(text, yaml.SafeLoader))
 
 _Row = tuple[str, int | None, int | None, float, float, float, float]
@@ -49,7 +49,7 @@ def load_calibration(path: Path, problems: Problems) -> LayerTables:
         problems: counter of refused parts.
 
     Returns:
-        The table `calibration`, sorted by camera, without frames.
+        The table `calibration`, sorted by camera. The calibration gives no frames.
 
     Raises:
         InputError: If the file as a whole cannot be used.

@@ -4,14 +4,15 @@ Files of the train sequences use two numberings that are two frames apart, and n
 of a layer at frame f are compared with the 2D boxes at frame f + s. There are two tests:
 
 - Equal boxes, for layers that repeat the 2D boxes. The shift is the s with the most equal boxes.
-- Motion, for 3D boxes. A 3D box cannot equal a 2D box, and may be too far left or right in every frame. Camera and
-  lidar are read up to 40 ms apart, and standing people show no shift. Therefore the horizontal distance between a
-  person's 3D box and 2D box is regressed on the person's horizontal speed in the panorama. The slope is the shift in
-  frames. Its standard error is the larger of two estimates: from blocks of frames of each person, and from blocks of
-  frames of all people.
+- Motion, for 3D boxes. A 3D box cannot equal a 2D box. It may even be too far left or right by a fixed distance in
+  every frame. A shift of frames moves only people who walk, and the faster they walk, the more. So the horizontal
+  distance between a person's 3D box and 2D box is regressed on the person's horizontal speed. The intercept takes the
+  fixed distance, and the slope is the shift in frames. The standard error of the slope is estimated twice: from blocks
+  of frames of each person, and from blocks of frames of all people. The larger estimate is used. A small slope is no
+  shift, because camera and lidar are read up to 40 ms apart.
 
-The column of a person is the horizontal centre of the person in pixels of the panorama. For a 3D box at the azimuth a
-it is 3760 * (0.5 - a / 2 pi).
+The column of a person is the horizontal centre of the person in pixels of the panorama. The column of a 3D box at the
+azimuth a is 3760 * (0.5 - a / 2 pi).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ MAX_ROWS: Final = 20_000
 SAME: Final = 1.0
 """Maximum difference in pixels between the coordinates of equal boxes."""
 MIN_LEAD: Final = 20
-"""Minimum difference between the numbers of equal boxes at the best and at the second best shift."""
+"""Minimum lead of the best shift over the second best shift, in the number of equal boxes."""
 SHIFTED_SHARE: Final = 0.9
 """Minimum share of equal boxes among the compared boxes for the result "shifted"."""
 AGREEING_SHARE: Final = 0.5
@@ -46,7 +47,7 @@ AGREEING_SHARE: Final = 0.5
 MAX_GAP: Final = 15
 """Maximum distance in frames between two boxes of a person for interpolation between them."""
 REACH: Final = 4
-"""Distance in frames to the earlier and the later column that give the speed at a frame."""
+"""Distance in frames from a frame to the earlier and to the later column that give the speed at the frame."""
 MAX_SPEED: Final = 40.0
 """Maximum speed of a person's column in pixels per frame. Faster observations are ignored."""
 MAX_APART: Final = 300.0
@@ -66,8 +67,8 @@ MIN_RESPONSE: Final = 0.5
 ERRORS_BEYOND: Final = 3.0
 """Minimum margin in standard errors.
 
-For the result "shifted", a shift must exceed `CLOCK` by the margin. For the result "agrees", it must stay below the
-value of `response_of` by the margin.
+For the result "shifted", a shift must exceed `CLOCK` by the margin. For the result "agrees", the shift must stay below
+the value of `response_of` by the margin.
 """
 ERRORS_AWAY: Final = 6.0
 """Minimum size of a shift in standard errors for the result "shifted"."""
@@ -97,7 +98,7 @@ class Tracks(Rows):
             frame: frame for each track.
 
         Returns:
-            The columns in pixels: NaN before a person's first frame, after the last, and in gaps above `MAX_GAP`.
+            The columns in pixels. NaN before a person's first frame, after the last frame, and in gaps over `MAX_GAP`.
         """
         key, after = self._rows_from(track, frame)
         before = np.where(self._keys[after] == key, after, np.maximum(after - 1, 0))
@@ -133,8 +134,8 @@ class Slope(NamedTuple):
 def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
     """Return the positions of the people in a file, or None for a layer without boxes.
 
-    Poses are not used, because the visible key points are ahead of or behind a walking person. That would look like a
-    shift.
+    Poses are not used. The visible key points of a walking person may be ahead of the person's centre or behind it,
+    which would look like a shift.
 
     Args:
         layer: name of the layer.

@@ -3,7 +3,7 @@
 It makes the tables `panoptic` and `categories`. The files have masks of things and of their surroundings for one frame
 per second. Tracks restart in each category, so a thing is identified by its track and its category together. Category
 ids have a meaning only inside one file, so the names of its categories are stored too. The files also annotate people.
-These rows are kept in the table, but people are counted from the box layers only.
+The rows of people are kept in the table, but people are counted from the box layers only.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Ints
 
 MAX_SEGMENTATION: Final = 1 << 20
-"""Maximum bytes of a mask. A mask of every second pixel of the panorama has about this size."""
+"""Maximum bytes of a mask. A mask that contains every second pixel of the panorama has about this size."""
 NO_TRACK: Final = -1
 """Track of a record without a usable track. Some files write this value for a missing track."""
 

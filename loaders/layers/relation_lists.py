@@ -102,7 +102,7 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
         codes: codes of the distinct raw values by column. New values are added.
 
     Returns:
-        The column `<layer>.size` has the length of each record's list, or -1 if it is missing. The columns
+        The column `<layer>.size` has the length of each record's list, or -1 if the list is missing. The columns
         `<layer>.pair` and `<layer>.labels` have one code per entry, with the entries of all records in one sequence.
     """
     entries = list(chain.from_iterable(filter(None, lists)))
@@ -117,7 +117,7 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
 class Relations:
     """Decoded relations of one kind, from the lists of the kept records. Refused parts are counted.
 
-    facts: facts with the content (label, label as written, difficulty); their rows are indices of `people`.
+    facts: facts with the content (label, label as written, difficulty). The row of a fact is an index of `people`.
     ends: partner or thing of each fact, by the columns of `RelationKind.ends`.
     present: mask of the kept records that have a list. refused: mask of the kept records with a list that is not whole.
     """

@@ -6,8 +6,8 @@ Demographics and group information are lists of at most one object `{key: {label
 between frames, and each distinct object is decoded once.
 
 If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes only
-show whether the file numbers its frames like the 2D layer. If a refused record may be a person's, no list in its frame
-is whole, and the attributes in the frame are not used.
+show whether the file numbers its frames like the 2D layer. If a refused record may describe a person, no list in the
+record's frame is whole, and the attributes in the frame are not used.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ HANDLING: Final = RelationKind("handles", "HOI", thing_of, ("object", "category_
 """Relations of a person to a thing."""
 
 ATTRIBUTES: Final = (("demographics", "demographics_info", DEMOGRAPHICS), ("group_info", "group_info", GROUP_INFO))
-"""For each layer of attributes: its name, the key of its list in a record, and its attributes by key in the list."""
+"""By layer of attributes: its name, the key of its list in a record, and the attributes by their key in the list."""
 
 _NO_BOX: Final = (math.nan,) * 4
 
 
 class HandlingRecord(msgspec.Struct, gc=False):
-    """Record of one person in one frame. Of its lists only the relations to things are decoded."""
+    """Record of one person in one frame. Of the record's lists, only the list of relations to things is decoded."""
 
     label_id: str
     box: StitchedBox | None = None

@@ -98,7 +98,7 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
 
 
 def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
-    """Return the median of frames per second between successive stamps, or None if there are fewer than two."""
+    """Return the median of frames per second between successive stamps, or None for fewer than two stamps."""
     if len(frame) < 2:
         return None
     return float(np.median(np.diff(frame) / np.diff(np.asarray(seconds, np.float64))))
@@ -107,10 +107,10 @@ def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
 def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Floats]:
     """Return the frames of the usable entries, ascending, and their stamps in seconds."""
     try:
-        entries, _ = _READER.read(decode_file(path, _File).data, problems, lambda raw: sensor.file)
+        entries, refused = _READER.read(decode_file(path, _File).data, problems, lambda raw: sensor.file)
     except msgspec.DecodeError:
         raise InputError(f'{sensor.file}: there is no list "data"', file=sensor.file) from None
-    if len(entries) > _MAX_ENTRIES:
+    if len(entries) + refused > _MAX_ENTRIES:
         raise InputError(f"{sensor.file}: more than {_MAX_ENTRIES} entries", file=sensor.file)
     stamps: list[tuple[int, float]] = []
     form = re.compile(rf"([0-9]{{6}})\.(?:{sensor.suffixes})")

@@ -56,7 +56,7 @@ class SharedDatabase:
         lock: Open lock file; None if the database is in memory.
         users: Number of open sessions.
         writer: Lock that a session holds while it writes.
-        plans: Plans of statements that were already checked, by statement.
+        plans: Plans of statements that were already checked, by text of the statement.
     """
 
     database: Any
@@ -84,7 +84,7 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
     Args:
         path: Resolved path of the graph file.
         read_only: Whether the session only reads.
-        buffer_bytes: Maximum size of the engine's page cache, in bytes. Only the first session decides it.
+        buffer_bytes: Maximum size of the engine's page cache, in bytes. Only the first session sets it.
 
     Returns:
         The database. Each session must call `release` once.
@@ -154,7 +154,7 @@ def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
 def translate_error(
     error: RuntimeError, text: str, timeout_s: float | None, path: Path | None
 ) -> QueryError | StoreError:
-    """Return the exception to raise in place of an exception of the engine.
+    """Return the exception of this package that replaces an exception of the engine.
 
     Args:
         error: Exception of the engine.

@@ -1,10 +1,10 @@
 """The graph file and its side files: the fingerprint and the lock.
 
 The engine does not use checksums, and opens a truncated or replaced file without an error. So the fingerprint
-`<graph>.json` is written when the file is built. It shows whether the file is complete, and whether its tables have the
-version of this program. `load --verify` also compares the hash in the fingerprint with the file. The hash is not in the
-manifest of the store, because two builds of the same scene have different bytes, but equal stores must have equal
-manifests.
+`<graph>.json` is written when the file is built. The fingerprint shows whether the file is complete, and whether the
+tables have the version of this program. `load --verify` also compares the fingerprint's hash with the file's hash. The
+hash is not in the manifest of the store, because two builds of the same scene have different bytes, but equal stores
+must have equal manifests.
 
 The lock on the side file `<graph>.lock` admits either one writer or any number of readers.
 """
@@ -136,7 +136,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
         raise StoreError(f"{graph} has no readable {fingerprint_path(graph).name} beside it: {rebuild}") from None
     if built.storage_version != STORAGE_VERSION:
         raise StoreError(
-            f"{graph} was built for version {built.storage_version} of the tables, this is {STORAGE_VERSION}: {rebuild}"
+            f"{graph} has version {built.storage_version} of the tables, this program has {STORAGE_VERSION}: {rebuild}"
         )
     if engine not in (None, ENGINE):
         raise StoreError(f"{graph} is a file of {engine}, not of {ENGINE}: set JRDB_AVR_ENGINE={engine}, or {rebuild}")
@@ -146,9 +146,10 @@ def check_fingerprint(graph: Path) -> Fingerprint:
 
 
 def describe_rebuild(graph: Path) -> str:
-    """Return the advice of error messages how to build a graph file again.
+    """Return advice for error messages on how to build a graph file again.
 
-    A command builds the graph of a store. A run makes a new file for its world models (`evaluate --world-db`).
+    For the graph of a store, the advice names a command. For a file of world models (`evaluate --world-db`), the next
+    run makes a new file.
     """
     if graph.name != STORE_GRAPH:
         return "give another file, or remove this one: the next run makes a new one"
@@ -202,8 +203,8 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
 def _holder(file: IO[str]) -> tuple[str, bool]:
     """Return a description of the process that holds a lock, and whether that process is about to end.
 
-    The process is looked up in the kernel's table of locks. If the table does not list it, it has just released the
-    lock. If the system lacks the table, the description comes from the lock file.
+    The process is looked up in the kernel's table of locks. If the table does not list it, the process has just
+    released the lock. If the system lacks the table, the description comes from the lock file.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -263,7 +264,7 @@ def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
 
 
 def _rename_fingerprint(graph: Path) -> None:
-    """Rename the fingerprint if its graph was already renamed. This also repairs a kill between the two renames."""
+    """Rename the fingerprint if its graph was already renamed. A process may have died between the two renames."""
     temporary = building_path(graph)
     if not temporary.exists():
         with contextlib.suppress(FileNotFoundError):

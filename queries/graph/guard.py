@@ -38,7 +38,7 @@ MEMORY_BYTES: Final = 2 << 30
 """Maximum memory of the child process, in bytes. The limit of the engine's buffer does not cover lists and results."""
 
 _ROWS: Final = "DELETE|DETACH|SET"
-"""Keywords of clauses that change rows. CREATE is not here, because it creates a table unless a pattern follows."""
+"""Keywords of clauses that change rows. CREATE is missing, because it changes rows only if a pattern follows."""
 
 _REFUSED: Final = (
     "ALTER|ANALYZE|ATTACH|BEGIN|CALL|CHECKPOINT|COMMENT|COMMIT|COPY|DROP|EXPLAIN|EXPORT|EXTENSION|FORCE|FOREACH|IMPORT"
@@ -71,7 +71,7 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
     if "\\" in cypher or "\0" in cypher or "\r" in cypher.replace("\r\n", "\n"):
         raise QueryError("a backslash or a bare carriage return is not allowed: pass the text as a parameter ($name)")
     if ";" in cypher.strip().removesuffix(";"):
-        raise QueryError("one statement, without ';' inside: pass texts that hold one as a parameter ($name)")
+        raise QueryError("one statement only, without ';' inside: pass a text with ';' as a parameter ($name)")
     bare = strip_literals(cypher)
     if any(quote in bare for quote in "'\"`") or "/*" in bare:
         raise QueryError("a quote or comment is not closed")
@@ -95,7 +95,7 @@ def query_graph(
         timeout_s: Maximum time in seconds, after which the statement is stopped.
 
     Returns:
-        The rows that the statement returns. If it does not order them, they are sorted by all columns.
+        The rows that the statement returns. If the statement has no order, they are sorted by all columns.
 
     Raises:
         QueryError: If the statement is refused, fails, takes longer than `timeout_s` or crashes the engine.

@@ -9,7 +9,8 @@ A `Graph` deals with these properties of the engine Kùzu for all callers:
 - *The order of rows differs between runs*. A statement that reads must have an ORDER BY or return a single row. Callers
   who accept any order pass `ordered=False`.
 - *Parameters get wrong types*. Small integers become INT8, lists take the type of their first items, empty lists have
-  none, and missing parameters become NULL. The session binds 64-bit types, and refuses missing and unknown parameters.
+  no type, and missing parameters become NULL. The session binds 64-bit types, and refuses missing and unknown
+  parameters.
 - *Only one write transaction can be open*. Sessions that write to one database wait for each other.
 
 Threads that share a `Graph` wait for each other. To read in parallel, open one session per thread.
@@ -206,7 +207,7 @@ class Graph:
         return counts
 
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
-        """Return the engine's plan of a statement, without a run. Raises QueryError if the statement is not valid."""
+        """Return the engine's plan of a statement without running it. Raises QueryError if it is not valid."""
         text, values = bind(cypher, params or {})
         with self._lock:
             return self._plan(text, values)
@@ -214,7 +215,7 @@ class Graph:
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
-        """Run one statement that may write, and return its rows. Outside `transaction()`, it is its own transaction.
+        """Run one statement that may write, and return its rows. Outside `transaction()`, it has its own transaction.
 
         Raises:
             QueryError: If the statement is refused or fails, or the session only reads.
@@ -273,7 +274,7 @@ class Graph:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
-        """Run the statements of a `with` block in one write transaction. An exception in the block undoes them all."""
+        """Run the statements of a `with` block in one write transaction. An exception undoes all of them."""
         with self._writing():
             self._run("BEGIN TRANSACTION", {}, None)
             self._in_transaction = True
@@ -328,7 +329,7 @@ class Graph:
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
         """Return the prepared statement for a text, or the text if it must not be prepared.
 
-        The engine would use an Arrow table of the first call again in later calls. So such statements stay texts.
+        If a prepared statement took an Arrow table, the engine would use the first call's table in all later calls.
         """
         rows = any(isinstance(value, pa.Table) for value in values.values())
         if not (self._prepares and values) or rows or text.startswith("EXPLAIN"):
@@ -373,8 +374,8 @@ class Graph:
 def open_worker_graph(path: Path) -> Iterator[Graph]:
     """Yield a session for reading that prepares statements.
 
-    A worker process keeps the session open for its next sequence, because opening a graph and planning statements take
-    longer than most statements. Other processes close it when the `with` block ends. Raises the errors of `Graph.open`.
+    A worker process keeps the session for its next sequence, because opening a graph and planning statements take
+    longer than most statements. Other processes close it when the block ends. Raises the errors of `Graph.open`.
     """
     with contextlib.ExitStack() as closing:
         graph = _left_open.get(path)
@@ -420,7 +421,7 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     check_room(target)
     with lock_graph(target, shared=False), contextlib.ExitStack() as cleanup:
         temporary = building_path(target)
-        # Remove temporary files of a process that was killed. It no longer runs, because this process has the lock.
+        # Remove temporary files of a process that was killed. That process has ended, because this one has the lock.
         remove_files(temporary)
         cleanup.callback(remove_files, temporary)
         if extend:

@@ -38,7 +38,7 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         The statement with typed parameters, and the values to pass to the engine.
 
     Raises:
-        QueryError: If there is a second statement, a parameter lacks its value, a value lacks its parameter, or the
+        QueryError: If there is a second statement, a parameter has no value, a value has no parameter, or the
             engine cannot take a value.
     """
     values = {name: _plain(name, value) for name, value in params.items()}

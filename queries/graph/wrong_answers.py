@@ -7,8 +7,8 @@ test fails if a later version of the engine answers correctly, so that the check
 - *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. The condition may also be an alias,
   a cast to BOOL or another CASE. `WHEN x.flag = true` and `CASE x.flag WHEN true` are answered correctly.
 - *Aggregates after a DISTINCT aggregate are empty* if RETURN or WITH groups rows. In `count(DISTINCT a), count(*)`, the
-  second value is 0, and `collect` instead of `count(*)` crashes. The other order of the two is answered correctly.
-- *Rows are in the wrong place if ORDER BY has a text before a number* and there are more than about 5,000 rows. Numbers
+  second value is 0, and `collect` instead of `count(*)` crashes. `count(*), count(DISTINCT a)` is answered correctly.
+- *Rows are in the wrong order if ORDER BY has a text before a number* and there are more than about 5,000 rows. Numbers
   before texts are ordered correctly.
 """
 
@@ -48,7 +48,7 @@ class QueryPlan:
 
     Attributes:
         text: Text of the plan in one line.
-        operators: Names of the plan's operators, from the last to the first that runs.
+        operators: Names of the plan's operators. The operator that runs last comes first.
         functions: Names of the table functions that the statement calls.
         sound: Whether `refuse_wrong_answers` has accepted the statement.
     """
@@ -105,7 +105,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
         return
     if "INTERSECT" in plan.operators:
         raise QueryError(
-            "the engine would lose rows on this cyclic pattern (its plan holds INTERSECT): split it by WITH, or "
+            "the engine would lose rows of this cyclic pattern (the plan has INTERSECT): split the pattern by WITH, or "
             f"test one side by EXISTS {{ MATCH ... }}: {' '.join(text.split())[:120]}"
         )
     bare = " ".join(strip_literals(text).split())
@@ -118,16 +118,16 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
     for probe in _order_probes(text):
         kinds = [kind.strip() for types in _KINDS.findall(complaint(probe)) for kind in types.split(",")]
         if not kinds:
-            raise QueryError("the types of the keys of ORDER BY are not clear: order by columns that are returned")
+            raise QueryError("the types of the columns in ORDER BY are not known: order by columns that are returned")
         if "STRING" in kinds and any(kind != "STRING" for kind in kinds[kinds.index("STRING") :]):
             raise QueryError("the engine misplaces rows by ORDER BY with a text before a number: put the numbers first")
     plan.sound = True
 
 
 def _conditions(text: str) -> Iterator[str]:
-    """Yield each condition between WHEN and THEN of a CASE without an operand, in a statement without quoted texts.
+    """Yield each condition between WHEN and THEN of a CASE without an operand.
 
-    The conditions are yielded without parentheses.
+    `text` must have no quoted texts. Parentheses round a condition are removed.
     """
     searched: list[bool] = []
     begun: list[int] = []

@@ -1,6 +1,7 @@
-"""The awkward cases that real JRDB files contain, one test each: what the store, the graph and the report make of them.
+"""The awkward cases that real JRDB files contain: what the tables and the report of a load make of them.
 
-The numbers are those of the list of cases that the loaders are built after.
+The numbers are those of the list of cases that the loaders are built after. The missing ones are tested with the
+readers of their layers.
 """
 
 from __future__ import annotations
@@ -261,13 +262,6 @@ def test_case_17_a_sliver_at_the_seam(tmp_path):
     assert report.problems == []
 
 
-def test_case_18_boxes_without_area(tmp_path):
-    flat = [person(2, (1, 1, 0, 50)), person(3, (1, 1, 50, -5))]
-    store, report = loaded(tmp_path, boxes={0: [walking(1), *flat], 15: [walking(1)]})
-    assert rows(store, "sightings", "frame", "track") == [(0, 1), (15, 1)]
-    assert problems(report, "box") == [(2, f"{NAME}.json", "000000.jpg", "box")]
-
-
 def test_case_19_fully_occluded(tmp_path):
     people = [walking(i, attributes=VISIBLE | {"occlusion": word}) for i, word in enumerate(OCCLUSIONS)]
     store, report = loaded(tmp_path, boxes={0: people})
@@ -278,14 +272,6 @@ def test_case_19_fully_occluded(tmp_path):
 
 
 OCCLUSIONS = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
-
-
-def test_case_20_interpolated_3d_boxes_count(tmp_path):
-    solid = person_3d(1, 3.0, 0.0)
-    assert solid["attributes"]["interpolated"] is True
-    store, _ = loaded(tmp_path, boxes={0: [walking(1)]}, solid={0: [solid]})
-    assert column(store, "sightings", "located") == [True]
-    assert written(store, "boxes_3d", "interpolated") == [(True,)]
 
 
 def test_case_21_3d_boxes_without_points(tmp_path):
@@ -337,15 +323,6 @@ def test_case_28_groups_and_actions_are_independent(tmp_path):
     assert rows(store, "actions", "track", "action", "certain") == [(2, "walking", True)]
     assert rows(store, "possible_actions", "track", "action", "gap") == [(2, "running", False)]
     assert report.problems == []
-
-
-def test_case_29_nobody_interacts_with_oneself(tmp_path):
-    store, report = loaded(
-        tmp_path, boxes={0: [walking(1)]}, social={0: [member(1, placed(1), None, [(1, {"hugging": "1"})])]}
-    )
-    assert store.interval("interactions", NAME).num_rows == 0
-    assert column(store, "sightings", "interactions_listed") == [False]
-    assert sum(p.count for p in report.problems) == 1
 
 
 def test_case_31_poses_reach_over_the_whole_panorama(tmp_path):

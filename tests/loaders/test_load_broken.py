@@ -115,14 +115,6 @@ def test_whoever_may_be_a_person_proves_nobodys_absence(tmp_path, label):
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, False]
 
 
-def test_the_first_of_a_repeated_person_is_kept(tmp_path):
-    store, found = loaded(tmp_path, raw_2d(variant(box=[1, 2, 3, 4]), variant(box=[5, 6, 7, 8])))
-    assert [tuple(row[k] for k in "xywh") for row in store.annotation("boxes_2d", NAME).to_pylist()][1] == (1, 2, 3, 4)
-    assert problems_of(found) == [
-        ("record", "same person twice in a frame", 1, f"{NAME}.json", "000015.jpg", "label_id")
-    ]
-
-
 @pytest.mark.parametrize("record", ["3", "null", '"pedestrian:1"', "[]", "true"])
 def test_a_record_that_is_no_object_is_refused(tmp_path, record):
     store, found = loaded(tmp_path, raw_2d(record, json.dumps(GOOD)))
@@ -193,16 +185,6 @@ def test_no_usable_actions_is_no_list_and_no_problem(tmp_path, value):
     assert found.problems == []
 
 
-def test_labels_outside_the_vocabulary_are_kept_and_reported(tmp_path):
-    store, found = loaded(tmp_path, raw_2d(variant(action_label={"Juggling_Balls": 1, "Opening-the-door": 2})))
-    names = store.annotation("actions", NAME).to_pylist()[1:]
-    assert [(row["action"], row["raw"]) for row in names] == [
-        ("interaction with door", "Opening-the-door"),
-        ("juggling balls", "Juggling_Balls"),
-    ]
-    assert [(u.field, u.label, u.count) for u in found.unknown] == [("action_label", "juggling balls", 1)]
-
-
 @pytest.mark.parametrize("name", ["", "\u0000", "x" * 101])
 def test_a_label_that_is_no_text_is_refused(tmp_path, name):
     store, found = loaded(tmp_path, raw_2d(variant(action_label={name: 1, "sitting": 1})))
@@ -223,8 +205,6 @@ def test_a_bad_attribute_is_unknown(tmp_path, name, value):
     [
         ("attributes", {"attributes": [1]}),
         ("attributes.occlusion", {"attributes": {"occlusion": 3}}),
-        ("attributes.no_eval", {"attributes": {"no_eval": "maybe"}}),
-        ("file_id", {"file_id": 7}),
     ],
 )
 def test_a_field_of_another_type_costs_its_record(tmp_path, field, changes):
@@ -235,6 +215,24 @@ def test_a_field_of_another_type_costs_its_record(tmp_path, field, changes):
     assert (problem.kind, problem.frame, problem.field) == ("record", "000015.jpg", field)
     # The report names the record.
     assert "pedestrian:2" in problem.detail
+
+
+@pytest.mark.parametrize("layer", ["2d", "3d"])
+def test_a_flag_of_another_type_is_read_or_unknown(tmp_path, layer):
+    flags = {"truncated": 1, "interpolated": "True", "no_eval": "false"}
+    record = {"2d": GOOD, "3d": person_3d(1, 3.0, 0.0)}[layer] | {"file_id": [7], "attributes": flags}
+    store, found = loaded(tmp_path, {0: [record]}, layer)
+    (row,) = store.annotation(f"boxes_{layer}", NAME).to_pylist()
+    assert (row["interpolated"], row["no_eval"]) == (True, False)
+    assert store.interval("frames", NAME)["annotated"].to_pylist()[0]
+    bad = {"2d": [("field", "attributes.truncated", "1"), ("field", "file_id", "[7]")], "3d": []}[layer]
+    assert [(p.kind, p.field, p.detail) for p in found.problems] == bad
+
+
+def test_whoever_may_be_excluded_from_the_evaluation_is_not_clear(tmp_path):
+    store, found = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible", "no_eval": 1})))
+    assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]
+    assert [(p.kind, p.field, p.frame) for p in found.problems] == [("field", "attributes.no_eval", "000015.jpg")]
 
 
 def test_a_world_without_attributes_is_clear(tmp_path):
@@ -298,14 +296,7 @@ def test_a_bad_3d_box_costs_its_frame(tmp_path, changes, field):
     assert [p[:1] + p[2:3] + p[4:] for p in problems_of(found)] == [("record", 1, "000000.pcd", field)]
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("distance", -1),
-        ("num_points", -1),
-        ("num_points", 1.5),
-    ],
-)
+@pytest.mark.parametrize(("name", "value"), [("distance", -1), ("num_points", -1), ("num_points", 1.5)])
 def test_a_bad_3d_attribute_is_unknown(tmp_path, name, value):
     record = person_3d(1, 3.0, 4.0)
     record["attributes"][name] = value
@@ -342,6 +333,8 @@ BAD_FILES = {
     "a picture": b"\xff\xd8\xff\xe0" + bytes(range(256)),
     "nested deeply": b"[" * 200_000,
     "only bad frames": b'{"labels": {"x": [], "y": []}}',
+    "a frame twice": WHOLE[:-2] + ', "0000\\u00315.jpg" : []}}',
+    "labels twice": WHOLE[:-1] + ', "labels": {}}',
 }
 
 
@@ -431,11 +424,24 @@ def test_a_file_over_the_limit_is_refused(tmp_path, monkeypatch, text, graphless
     assert "larger than the limit" in reports[1].problems[0].reason
 
 
-def test_frames_too_full_to_be_real_are_refused(tmp_path):
-    crowd = [person(i, (1, 2, 30, 40)) for i in range(MAX_RECORDS + 1)]
+CROWDS = {
+    "people": [person(i, (1, 2, 30, 40)) for i in range(MAX_RECORDS + 1)],
+    "numbers": [0] * (MAX_RECORDS + 1),
+    "many bytes": [" " * labelfile.MAX_FRAME],
+}
+
+
+@pytest.mark.parametrize("crowd", CROWDS.values(), ids=CROWDS)
+def test_frames_too_full_to_be_real_are_refused(tmp_path, crowd):
     store, found = loaded(tmp_path, {0: [GOOD], 15: crowd})
     assert boxes(store) == [(0, 1)]
     assert [(p.kind, p.frame) for p in found.problems] == [("frame", "000015.jpg")]
+
+
+def test_refused_records_count_towards_the_limit_of_a_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(labelfile, "MAX_GATHERED", 20)
+    _, found = loaded(tmp_path, {0: [GOOD], 15: [0] * 20})
+    assert [problem.reason for problem in found.problems] == [f"{NAME}.json: more than 20 records"]
 
 
 # -- roots -----------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from loaded_stores import without_graph
-from processes import COMMAND, run, run_program, started
+from processes import COMMAND, run, run_program
 from random_worlds import random_world
 from worlds import load_reported, load_world, person, person_3d, write_root
 
@@ -148,19 +148,6 @@ def test_sequences_and_layers_that_are_gone_do_not_linger(tmp_path, loaded_one):
 
 
 # -- what goes wrong on the way ------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_killed_load_is_repaired_by_running_it_again(tmp_path, loaded_one):
-    store = Store(tmp_path / "store")
-    arguments = ("load", loaded_one.path.parent / "root", "--store", store.path, "--workers", 1)
-    for sign in (".loading/annotations", ".graph.kuzu.building"):
-        with started(COMMAND, *arguments, until=lambda _, sign=sign: (store.path / sign).exists()) as process:
-            assert process.poll() is None, sign
-    assert run(*arguments)[0] == 0
-    assert store.manifest() == loaded_one.manifest()
-    same(store, loaded_one)
-    assert not [path for path in store.path.rglob("*") if ".tmp" in path.name or "building" in path.name]
 
 
 class Killed(BaseException):

@@ -40,28 +40,6 @@ def found(problems):
     return [(p.kind, p.reason, p.count, p.frame, p.field) for p in problems]
 
 
-def test_things_and_stuff_are_kept_as_written(tmp_path):
-    polygon = [[1.5, 2, 3, 4, 5, 6.25], [10, 10, 20, 10, 20, 20, 10, 20]]
-    content = coco_file(
-        {
-            0: [
-                thing(0, SHELF, (-3, 4.5, 30, 40)),
-                thing(None, WALL, segmentation=polygon),
-                thing(7, PERSON, area=None, segmentation={"size": [4, 4], "counts": [3, 5, 8]}),
-            ]
-        },
-        "panoptic",
-    )
-    reading, problems = reading_of(tmp_path, content)
-    rows = reading.tables["panoptic"].to_pylist()
-    assert [list(row.values())[1:] for row in rows] == [
-        [0, None, WALL, 10.0, 20.0, 30.0, 40.0, 12.5, "[[1.5,2,3,4,5,6.25],[10,10,20,10,20,20,10,20]]"],
-        [0, 0, SHELF, -3.0, 4.5, 30.0, 40.0, 12.5, '{"size":[480,3760],"counts":"abc"}'],
-        [0, 7, PERSON, 10.0, 20.0, 30.0, 40.0, None, '{"size":[4,4],"counts":[3,5,8]}'],
-    ]
-    assert problems == []
-
-
 @pytest.mark.parametrize("where", ["tracking_id", "attributes.tracking_id", "attributes.floor_id"])
 @pytest.mark.parametrize("track", [0, 12, 12.0, "12"])
 def test_case_33_a_track_stands_under_three_names(tmp_path, where, track):

@@ -161,9 +161,6 @@ def test_what_is_no_annotation_is_refused(tmp_path, record):
 
 
 BAD_FILES = {
-    "empty": b"",
-    "no JSON": b"hello",
-    "a list": b"[]",
     "no images": b'{"annotations": []}',
     "no annotations": b'{"images": []}',
     "images null": b'{"images": null, "annotations": []}',

@@ -19,28 +19,6 @@ def handling(*pairs):
     return [{"inter_labels": verbs, "pair": pair} for pair, verbs in pairs]
 
 
-def test_a_record_with_everything(tmp_path):
-    said = {"gender": {"male": "1"}, "age": {"middle-aged": "1"}}
-    content = [
-        member(
-            1,
-            BOX,
-            said,
-            [(2, {"hugging": "1"})],
-            {"aim": {"wandering": "1"}},
-            [((12, 17), {"looking_into": "1"})],
-            alias="HHI",
-        )
-    ]
-    reading, problems = read(tmp_path, content, whole)
-    assert rows(reading, "demographics") == [(0, 1, "age", "middle adulthood", 1), (0, 1, "gender", "male", 1)]
-    assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
-    assert rows(reading, "group_info") == [(0, 1, "aim", "wandering", 1)]
-    assert rows(reading, "handles") == [(0, 1, 12, 17, "looking into", 1)]
-    assert rows(reading, "listed") == [("interactions", 0, 1), ("handles", 0, 1)]
-    assert problems == []
-
-
 def test_where_a_record_of_a_person_is_lost_no_list_of_things_is_whole(tmp_path):
     people = [member(1, BOX, handles=[((12, 17), {"holding": "1"})]), member(1, BOX, handles=[]), member(2, BOX)]
     reading, _ = read(tmp_path, people, things_alone)

@@ -79,41 +79,6 @@ def test_spellings_of_interactions(written, label):
 # -- what files say ----------------------------------------------------------------------------------------------
 
 
-def test_a_record_with_everything(tmp_path):
-    told = {"gender": {"Male": "1"}, "age": {"Young_Adulthood": "2"}, "race": {"Others": "3"}}
-    info = {
-        "venue": {"indoor_room/class": "1"},
-        "aim": {"socializing": "1"},
-        "inter": {"conversation": "1"},
-        "BPC": {"floor": "1"},
-        "SSC": {"table": "1", "board": "2"},
-        "location_pre": {"at": "1"},
-    }
-    reading, problems = read(tmp_path, [member(1, BOX, told, [(9, {"conversation": "1"})], info)])
-    assert rows(reading, "demographics") == [
-        (0, 1, "age", "young adulthood", 2),
-        (0, 1, "ethnicity", "others", 3),
-        (0, 1, "gender", "male", 1),
-    ]
-    assert rows(reading, "interactions") == [(0, 1, 9, "conversation", 1)]
-    assert rows(reading, "group_info") == [
-        (0, 1, "aim", "socializing", 1),
-        (0, 1, "bpc", "floor", 1),
-        (0, 1, "inter", "conversation", 1),
-        (0, 1, "location", "at", 1),
-        (0, 1, "ssc", "board", 2),
-        (0, 1, "ssc", "table", 1),
-        (0, 1, "venue", "indoor_room/class", 1),
-    ]
-    assert rows(reading, "listed") == [("interactions", 0, 1)]
-    assert reading.boxes.to_pylist() == [{"frame": 0, "track": 1, "x": 100, "y": 60, "w": 50, "h": 200}]
-    assert {layer: (f.tolist(), n.tolist()) for layer, (f, n) in reading.frames.items()} == dict.fromkeys(
-        ("demographics", "group_info", "interactions"), ([0], [1])
-    )
-    assert problems == []
-    assert not reading.unknown
-
-
 @pytest.mark.parametrize("code", [0, 4, 1.5, -1, "one", "", "1.0", True, None, [], 10**30, "9" * 4000])
 def test_case_05_other_codes_leave_the_label_unknown(tmp_path, code):
     content = [member(1, BOX, {"gender": {"Male": code}}, [(2, {"hugging": code})], {"aim": {"wandering": code}})]

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pyarrow as pa
 import pytest
 from label_records import placed
 from loaded_stores import NAME, reported_store
 from worlds import member, person
-
-from jrdb_avr.loaders.intervals.derive import derive
-from jrdb_avr.schema.rules import LoadRules
 
 BOX = (100, 60, 50, 200)
 
@@ -159,34 +154,3 @@ def test_several_values_of_a_group_may_be_chosen_but_one_venue(tmp_path):
         (7, "venue", "outdoor_street", 2, False),
     ]
     assert report.disagreements == []
-
-
-def test_votes_are_those_that_counting_finds():
-    """Random tables against plain counting."""
-    rng = np.random.default_rng(7)
-    n = 400
-    frame, track = np.sort(rng.integers(0, 40, n)), rng.integers(0, 5, n)
-    order = np.lexsort((track, frame))
-    table = pa.table(
-        {
-            "sequence": pa.array([NAME] * n),
-            "frame": frame[order],
-            "track": track[order],
-            "attribute": rng.choice(["age", "gender"], n),
-            "value": pa.array([None if v == "?" else v for v in rng.choice(["a", "b", "c", "?"], n)]),
-            "raw": pa.array(["x"] * n),
-            "difficulty": pa.array([None if d == 4 else int(d) for d in rng.integers(1, 5, n)], pa.int8()),
-        }
-    )
-    said = {}
-    for row in table.to_pylist():
-        if row["value"] is not None and row["difficulty"] in (1, 2):
-            said.setdefault((row["track"], row["attribute"]), set()).add((row["frame"], row["value"]))
-    expected = []
-    for (person_, attribute), pairs in sorted(said.items()):
-        for value in sorted({v for _, v in pairs}):
-            votes = sum(v == value for _, v in pairs)
-            expected.append((person_, attribute, value, votes, 2 * votes > len(pairs)))
-    found = derive(NAME, {"demographics": table}, LoadRules())["demographics"]
-    names = ("track", "attribute", "value", "votes", "chosen")
-    assert [tuple(row[n] for n in names) for row in found.to_pylist()] == expected

@@ -11,16 +11,12 @@ from random_worlds import sociable_world
 from worlds import load_world
 
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
-from jrdb_avr.loaders.load import load, rebuild
-from jrdb_avr.loaders.root import find_root
-from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.loaders.verify import VERIFY_STEPS, checks_of
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.named import named_queries
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.rules import Rules
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +90,16 @@ def test_a_graph_that_a_run_has_written_into_is_compared_by_its_rows(copy):
     assert faults(copy) == {"graph": f"graph.kuzu has {left} rows of Beside instead of {left + 1}"}
 
 
+@pytest.mark.parametrize("runs", [0, 1])
+@pytest.mark.parametrize("extra", [1, 4096])
+def test_a_graph_that_has_grown_without_a_run_is_not_what_was_built(copy, runs, extra):
+    if runs:
+        write_episode(copy)
+    with copy.graph_path.open("ab") as file:
+        file.write(b"\0" * extra)
+    assert list(faults(copy)) == ([] if runs and extra == 4096 else ["graph"])
+
+
 @pytest.mark.slow
 def test_a_graph_that_crashes_the_engine_is_a_line(copy):
     data = bytearray(copy.graph_path.read_bytes())
@@ -113,36 +119,10 @@ def test_generate_does_not_search_a_damaged_graph(copy):
 
 
 def test_a_damaged_graph_is_rebuilt_by_the_command_that_is_named(copy):
+    before = copy.manifest().graph
     copy.graph_path.write_bytes(copy.graph_path.read_bytes()[:-4096])
     code, _, err = run("load", "--verify", "--store", copy.path)
     assert code == 1
     again = err.partition("jrdb-avr ")[2].strip().strip("'").split()
     assert run(*again)[0] == 0
-    assert not faults(copy)
-
-
-def test_a_deleted_graph_of_every_layer_is_rebuilt_to_the_same_kept_queries(tmp_path):
-    list(write(plan(tmp_path / "root", [(120, 8)], 0, "none"), 1))
-    store = Store(tmp_path / "store")
-    load(find_root(tmp_path / "root"), store, LoadRules(), 1)
-    (sequence,) = store.manifest().sequences
-    given = {"sequence": sequence, "frame": 60, "track": 0}
-
-    def answers():
-        with Graph.open(store.graph_path, read_only=True) as graph:
-            return {
-                name: graph.query(query.text, query.values({k: given[k] for k in query.types if k in given}))
-                for name, query in named_queries("cypher").items()
-                # Queries for a run need the world tables, queries with a range of ids the keyframe layer.
-                if "run" not in query.types and "$low" not in query.text
-            }
-
-    before = answers()
-    assert sum(table.num_rows > 0 for table in before.values()) >= len(before) - 4
-    store.graph_path.unlink()
-    assert "does not exist" in faults(store)["graph"]
-    with pytest.raises(StoreError, match="load --rebuild"):
-        answers()
-    rebuild(store, LoadRules())
-    assert answers() == before
-    assert not faults(store)
+    assert not faults(copy) and copy.manifest().graph == before

@@ -113,21 +113,6 @@ def test_no_statement_changes_the_scene(world, way):
         world.write([(CHANGES[way], {})])
 
 
-def test_the_ways_round_are_ways_where_nobody_guards(tmp_path):
-    """What is refused would have told of the scene: most of the statements above do run on the plain graph."""
-    told = 0
-    with beside_scene(tmp_path):
-        pass
-    with Graph.open(tmp_path / "graph.kuzu") as graph:
-        for cypher in AROUND.values():
-            try:
-                graph.query(cypher, ordered=False)
-            except QueryError:
-                continue
-            told += 1
-    assert told > len(AROUND) / 2
-
-
 def test_statements_on_the_world_tables_pass(world):
     believed = world.query(
         "// who was seen\nMATCH (:Episode {id: $id})-[:Holds]->(n:Entity)-[s:Sighted]->(o:Observation) "

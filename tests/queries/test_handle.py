@@ -348,7 +348,7 @@ def test_a_damaged_graph_is_noticed_at_open_and_says_how_to_rebuild(path, damage
         ("", "no readable graph.kuzu.json"),
         (
             '{"storage_version":1,"size":4096,"sha256":"","rows":{}}',
-            f"version 1 of the tables, this is {STORAGE_VERSION}",
+            f"version 1 of the tables, this program has {STORAGE_VERSION}",
         ),
     ],
 )

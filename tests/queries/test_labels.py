@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import duckdb
 import pytest
-from environment import DOCS, REAL, ROOT
+from environment import DOCS, ROOT
 
-from jrdb_avr.loaders.load import load
-from jrdb_avr.loaders.root import find_root
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.labels import normal_action
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS
 
@@ -119,28 +114,3 @@ def test_no_example_takes_what_may_hold_for_a_label():
     naming = {name for name, texts in statements.items() if re.search(r"\b(May[A-Z]|possible_)", " ".join(texts))}
     # It takes a closed gap for no change.
     assert naming == {"group_changes.cypher"}
-
-
-@pytest.mark.filterwarnings("ignore::jrdb_avr.AvrWarning")
-@pytest.mark.skipif(not REAL.exists(), reason="the slice of real data is not here")
-@pytest.mark.slow
-def test_real_labels_are_the_edges_of_the_graph(tmp_path):
-    store = Store(tmp_path / "store")
-    load(find_root(REAL), store, LoadRules(), 1)
-    expected = {
-        (path.stem, int(record["label_id"].split(":")[1]), normal_action(action), int(frame.split(".")[0]))
-        for path in (REAL / "labels" / "labels_2d_stitched").glob("*.json")
-        for frame, records in json.loads(path.read_bytes())["labels"].items()
-        for record in records
-        for action in record.get("action_label") or ()
-    }
-    with Graph.open(store.graph_path, read_only=True) as graph:
-        found = {
-            (sequence, track, action, frame)
-            for sequence in store.manifest().sequences
-            for track, action, first, last, _ in edges(graph, "Performs", "p.track, x.name", sequence)
-            for frame in range(first, last + 1, 15)
-        }
-    assert found == expected
-    running = [label[:2] for label in found if label[2] == "running"]
-    assert len(running) == 15 and len(set(running)) == 6

@@ -252,17 +252,6 @@ def test_no_two_plans_share_a_text_and_each_is_read_back(form):
             assert (template, canonical(back)) == (template_of(form), plan)
 
 
-@settings(max_examples=examples(25))
-@given(plans(), KEYS, st.booleans())
-def test_every_stated_time_has_its_frame_and_its_second(case, key, about):
-    form, plan = case
-    text = render(template_of(form), plan, key, about)
-    for time in plan.times.values():
-        if time.frame is not None:
-            assert f"{time.frame / 15:.1f} s (frame {time.frame})" in text
-    assert text.count("(frame ") == len(wording.stated_frames(plan)) == STATED[form]
-
-
 OWN = r"\b([A-D]|that person)'s (?:front |back )?(?:left|right)\b"
 ROBOTS = r"\bto the robot's (?:left|right)\b"
 SEEN = r"\bto the (?:left|right) of [A-D] as seen from the robot\b"

@@ -191,8 +191,8 @@ def seeing_rows(server, store):
     yield "A picture that is none", said(server.client(), "What is this?", Picture("none", b"no picture"))
     cut = {}
     for name in ("max_tokens", "max_completion_tokens"):
-        client = Client(server.url, SEEING, EndpointOptions(max_tokens=1, token_parameter=name), convention=convention)
-        cut[name] = said(client).finish_reason == "length"
+        client = Client(server.url, SEEING, EndpointOptions(max_tokens=16, token_parameter=name), convention=convention)
+        cut[name] = said(client, "Count from 1 to 100.").finish_reason == "length"
     yield "Token parameter", ", ".join(f"`{name}` {'kept' if kept else 'ignored'}" for name, kept in cut.items())
     yield "`finish_reason`", "`stop`, and `length` where cut off" if any(cut.values()) else "`stop` alone"
     named = Client(server.url, "another", EndpointOptions(), convention=convention)

@@ -1,7 +1,6 @@
 """Small worlds loaded without what a test does not look at: the graph, the manifest, or the files of the tables.
 
-store = quick_store(tmp_path, world)    # all that searching a sequence reads
-store = memory_store(tmp_path, world)   # the same, the tables in memory
+store = memory_store(tmp_path, world)   # all that searching a sequence reads, the tables in memory
 store, report = reported_store(tmp_path, layers)    # the same of one sequence, and what the load reports
 store, found = read_store(tmp_path, layers) # the same, and what its files gave; intervals are derived if looked at
 store = graphless_store(tmp_path, world)    # all that generation reads but the graph
@@ -29,19 +28,12 @@ from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 NAME = "yard-2020-01-01_0"
 
 
-def quick_store(folder, world):
-    """Write a world, load its sequences one by one, and return the store. Raises InputError for unusable worlds."""
-    store = Store(Path(folder) / "store")
-    with _instead(stage_scene=_nothing):
-        _load_each(folder, world, store)
-    return store
-
-
 def memory_store(folder, world):
-    """As `quick_store`; its tables are as their files would give them."""
+    """Write a world, load its sequences one by one, and return the store. Raises InputError for unusable worlds."""
     store = MemoryStore(Path(folder) / "store")
     with kept_in(store):
-        _load_each(folder, world, store)
+        for files in find_root(write_root(Path(folder) / "root", world)).sequences:
+            load_shard(Shard(files, str(store.path), LoadRules()))
     return store
 
 
@@ -147,11 +139,6 @@ def _as_read(tables, key, schema):
     if table.schema != schema or table.schema.metadata:
         table = tables[key] = table.select(schema.names).cast(schema).replace_schema_metadata(None)
     return table
-
-
-def _load_each(folder, world, store):
-    for files in find_root(write_root(Path(folder) / "root", world)).sequences:
-        load_shard(Shard(files, str(store.path), LoadRules()))
 
 
 @contextlib.contextmanager

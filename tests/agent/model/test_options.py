@@ -12,6 +12,7 @@ from jrdb_avr.agent.model.limits import RateLimit
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.prices import Price, read_price
+from jrdb_avr.engine.run.options import QuestionSelection, RunOptions
 from jrdb_avr.schema.errors import EndpointError, InputError, RunStoppedError
 
 ASK = [Message("user", ("hello",))]
@@ -274,6 +275,25 @@ def test_prices_come_from_a_file(tmp_path):
         read_price(path, "x")
     with pytest.raises(InputError, match="cannot read the prices"):
         read_price(tmp_path / "none", "x")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [
+        (EndpointOptions, "thinking", "maybe"),
+        (EndpointOptions, "retries", -1),
+        (EndpointOptions, "timeout_s", float("nan")),
+        (EndpointOptions, "max_tokens", True),
+        (QuestionSelection, "limit", 0),
+        (QuestionSelection, "families", "x"),
+        (QuestionSelection, "shard", (1,)),
+        (RunOptions, "concurrency", 65),
+    ],
+)
+def test_a_value_that_the_declaration_excludes_is_refused(kind, name, value):
+    with pytest.raises(InputError, match=r"^--[a-z-]+: ") as caught:
+        kind(**{name: value})
+    assert caught.value.field == name
 
 
 def test_a_cost_without_a_price_is_told():

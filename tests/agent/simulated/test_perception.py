@@ -114,21 +114,6 @@ def test_a_matrix_gives_each_label_its_share():
     assert {mark.gender for mark in marks(Knobs(confuse={"pose": {"standing": row}}))} == {"female"}
 
 
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        {"colour": {}},
-        {"pose": {"flying": {}}},
-        {"pose": {"standing": {"flying": 0.1}}},
-        {"pose": {"standing": {"standing": 0.1}}},
-        {"pose": {"standing": {"walking": 0.6, "sitting": 0.6}}},
-    ],
-)
-def test_a_matrix_of_other_labels_or_shares_is_refused(matrix):
-    with pytest.raises(ValueError, match=r"no attribute|is called|must hold"):
-        Knobs(confuse=matrix)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("knob", ["wrong_attribute", "confuse"])
 @pytest.mark.parametrize("correlated", [0.0, 0.6, 1.0])

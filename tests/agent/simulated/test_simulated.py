@@ -27,8 +27,6 @@ from jrdb_avr.agent.preflight import CORNER_LINE
 from jrdb_avr.agent.simulated.knobs import Knobs
 from jrdb_avr.agent.simulated.play import STAGES
 from jrdb_avr.agent.simulated.server import Server, marker_server
-from jrdb_avr.schema.answers import FrameAnswer, Span, frames_iou
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.markers import Mark
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
@@ -70,25 +68,6 @@ class Play:
     def change(self, world, conditions, t0=15, t1=150):
         spec = AnswerSpec(mode="multiple_choice", read="action", of="a", at="t1")
         return self.ask(world, "change", conditions, spec, {"t0": t0, "t1": t1}, POSES)
-
-    def presence(self, world, conditions, t0, t1, t2):
-        spec = AnswerSpec(mode="multiple_choice", read="presence", of="a", at=("t1", "t2"))
-        return self.ask(world, "presence", conditions, spec, {"t0": t0, "t1": t1, "t2": t2}, PRESENCE_ANSWERS)
-
-    def distance(self, world, conditions, t0=15, t1=150):
-        spec = AnswerSpec(mode="multiple_choice", read="distance_change", of="a", at=("t0", "t1"))
-        return self.ask(world, "distance", conditions, spec, {"t0": t0, "t1": t1}, DISTANCE_ANSWERS)
-
-    def start(self, world, conditions, action, t0=15):
-        spec = AnswerSpec(mode="frame", read="start", of="a", at="t1")
-        t1 = Time(event="start", of="a", action=action, after="t0")
-        return self.ask(world, "start", conditions, spec, {"t0": t0, "t1": t1})
-
-    def span(self, world, conditions, action, t0=15):
-        spec = AnswerSpec(mode="span", read="span", of="a", at=("t1", "t2"))
-        t1 = Time(event="start", of="a", action=action, after="t0")
-        t2 = Time(event="end", of="a", action=action, after="t1")
-        return self.ask(world, "span", conditions, spec, {"t0": t0, "t1": t1, "t2": t2})
 
 
 @pytest.fixture
@@ -143,64 +122,6 @@ def test_nobody_readable_is_no_box(play):
     assert prediction.evidence is None
     assert prediction.answer is not None
     assert any("mark unreadable" in reason for reason in play.missing())
-
-
-@pytest.mark.parametrize("there", [(True, True), (True, False), (False, True), (False, False)])
-def test_presence(play, there):
-    def box(frame):
-        gone = (60 < frame < 180 and not there[0]) or (frame >= 180 and not there[1])
-        return None if gone else Box(3600 + frame * 0.8, 120, 70, 220)
-
-    prediction = play.presence(play.world([who(box), *CROWD]), (pose("standing"),), 15, 120, 240)
-    expected = {(True, True): 1, (True, False): 2, (False, True): 3, (False, False): 4}[there]
-    assert prediction.answer.choice == expected
-    check_evidence(prediction, box)
-
-
-@pytest.mark.parametrize(("later", "expected"), [(30, 1), (70, 2), (53, 3), (None, 4)])
-def test_distance(play, later, expected):
-    def box(frame):
-        return Box(-20, 120, 70, 220) if frame < 60 or later is not None else None
-
-    actor = Actor(box, lambda f: Mark(7, pose="standing", distance_dm=50 if f < 60 else later))
-    prediction = play.distance(play.world([actor, *CROWD]), (pose("standing"),))
-    assert prediction.answer.choice == expected
-    check_evidence(prediction, box)
-
-
-@pytest.mark.parametrize("step", [1, 5, 15])
-@pytest.mark.parametrize(("first", "last"), [(60, 95), (75, 300), (303, 333), (480, 600)])
-def test_start(play, first, last, step):
-    frames = tuple(range(0, 601, step))
-
-    def box(frame):
-        return Box(1700 + frame, 120, 70, 220)
-
-    actor = Actor(
-        box,
-        lambda f: Mark(
-            7, pose="standing", gender="female", actions=("reading",) if first <= f <= last or f < 10 else ()
-        ),
-    )
-    prediction = play.start(play.world([actor, *CROWD[:3]], frames), (FEMALE,), "reading", 15)
-    assert isinstance(prediction.answer, FrameAnswer)
-    assert abs(prediction.answer.frame - first) <= 15, play.missing()
-    check_evidence(prediction, box)
-
-
-@pytest.mark.parametrize(("first", "last"), [(61, 95), (75, 300), (250, 420)])
-def test_span(play, first, last):
-    def box(frame):
-        return Box(1500 - frame, 120, 70, 220)
-
-    actor = who(box)
-    actor.mark = lambda f: Mark(7, pose="sitting" if first <= f <= last else "standing", gender="female")
-    prediction = play.span(play.world([actor, CROWD[0]]), (FEMALE,), "sitting", 15)
-    assert frames_iou(prediction.answer, Span(first, last)) >= 0.5
-    check_evidence(prediction, box)
-
-
-# -- parts ------------------------------------------------------------------------------------------------------------
 
 
 # -- the server -------------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from keyframe_layers import search
-from loaded_stores import quick_store
+from loaded_stores import graphless_store
 from random_worlds import SEQUENCE, build
 from worlds import person
 
@@ -15,7 +15,7 @@ from jrdb_avr.schema.templates import FORMS
 
 def kept(tmp_path, world, template):
     """The kept candidates of a template, by stated seconds."""
-    store = quick_store(tmp_path, world)
+    store = graphless_store(tmp_path, world)
     rules = Rules(max_per_person=1000, near_duplicate_s=0.0, near_presence_s=0.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sequence, "FORMS", {template: FORMS[template]})

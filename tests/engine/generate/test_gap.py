@@ -8,7 +8,7 @@ from collections import Counter
 import msgspec
 import pyarrow.parquet as pq
 from keyframe_layers import search
-from loaded_stores import quick_store
+from loaded_stores import graphless_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate.candidates import RULES as RULES_OF_CANDIDATES
@@ -72,7 +72,7 @@ def busy_world(rng):
 
 def test_forms_are_judged_together(tmp_path, monkeypatch):
     monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
-    store = quick_store(tmp_path, busy_world(random.Random(9)))
+    store = graphless_store(tmp_path, busy_world(random.Random(9)))
     file = tmp_path / "candidates.parquet"
     rules = msgspec.structs.replace(RULES, max_per_person=2)
     found = search(store, NAME, rules, file)
@@ -105,12 +105,12 @@ def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypat
     for rows in world[NAME]["2d"].values():
         for row in rows:
             del row["action_label"]
-    found = search(quick_store(tmp_path, world), NAME, RULES)
+    found = search(graphless_store(tmp_path, world), NAME, RULES)
     assert found.lacking == {} and found.counts["gap", "candidates"] > 0
 
 
 def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
     monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
-    store = quick_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
+    store = graphless_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
     found = search(store, NAME, RULES)
     assert found.lacking == {"gap": ("2d",)} and found.counts == {} and len(found.pool) == 0

@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from environment import REAL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keyframe_layers import layer_rows, layers_in_memory, visible_share
@@ -97,17 +96,6 @@ def rows(made):
 
 
 # -- what is published ----------------------------------------------------------------------------------------
-
-
-def test_templates_have_questions(rows):
-    # Longer chains and events far away need more than these few people and seconds.
-    found = {row["template"] for row in rows}
-    assert {"start", "span", "change", "presence", "distance", "two_hop"} <= found
-    assert found <= {template.name for template in TEMPLATES.values()}
-
-
-def test_sequences_lists_all_loaded_ones(made):
-    assert made[0].questions("sequences")["sequence"].to_pylist() == sorted(NAMES)
 
 
 def test_true_choices_stand_at_every_place(rows):
@@ -318,17 +306,3 @@ def test_single_view_tries_every_angle_that_matters(boxes):
     every = np.arange(3760.0)[:, None]
     best = bool(np.any(np.all(views.shares(x[None, :], w[None, :], every) >= 0.5, axis=1)))
     assert views.single_view(x, w, 0.5) == best
-
-
-@pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")
-def test_real_sequences(tmp_path, in_memory):
-    labels = REAL / "labels" / "labels_2d_stitched"
-    chosen = sorted(labels.glob("*.json"), key=lambda path: path.stat().st_size)[:2]
-    world = {path.stem: {"2d": path.read_bytes()} for path in chosen}
-    store = graphless_store(tmp_path, world)
-    report = generate(store, Rules(), **HOW)
-    assert report.faults == ()
-    assert {row["template"]: row["skipped"] for row in report.shortfalls if row["skipped"]} == {
-        "distance": "the layer 3d is missing"
-    }
-    assert store.questions("questions").num_rows > 0

@@ -5,11 +5,9 @@ import os
 import random
 import shutil
 import signal
-import time
 
 import msgspec
 import pytest
-from environment import examples
 from keyframe_layers import layer_rows
 from processes import run, run_program, started
 from question_files import question_files
@@ -25,7 +23,7 @@ from jrdb_avr.loaders.load import rebuild
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.beliefs.record import drop_world
 from jrdb_avr.queries.graph.database import engine
-from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.keyframes import layer_stamp
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import QueryError
@@ -163,19 +161,6 @@ def test_a_rebuild_leaves_no_layer_and_what_searches_makes_it_again(made, made_r
     assert code == 0, err
     assert files(store) == files(made)
     assert layer_rows(store) == made_rows
-
-
-@pytest.mark.slow
-def test_a_dropped_world_model_does_not_stop_generate(made, tmp_path):
-    """Dropping leaves a file of the same size and other bytes: it is read whole, and is sound."""
-    store = copied(made, tmp_path)
-    with Graph.open(store.graph_path) as graph:
-        graph.execute("CREATE (:Episode {id: 'r/q'})")
-    with build_graph(store.graph_path, extend=True):
-        pass
-    with Graph.open(store.graph_path) as graph:
-        graph.execute("MATCH (e:Episode) DELETE e")
-    assert ensure_layer(store, Rules(), 1) == stamp(made)[0]
 
 
 # -- who has the graph --------------------------------------------------------------------------------------------
@@ -322,14 +307,4 @@ def check_survived(store, made, made_rows):
 def test_a_kill_while_the_graph_is_published_leaves_a_sound_one(loaded, made, made_rows, tmp_path, step):
     store = copied(loaded, tmp_path)
     assert run_program(KILLED, store.path, step).returncode == -signal.SIGKILL
-    check_survived(store, made, made_rows)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("moment", range(examples(1)))
-def test_a_kill_at_any_moment_leaves_a_sound_graph(loaded, made, made_rows, tmp_path, moment):
-    store = copied(loaded, tmp_path)
-    building = store.path / ".graph.kuzu.building"
-    with started(KILLED, store.path, 0, until=lambda _: building.exists()):
-        time.sleep(random.uniform(0, 0.6))
     check_survived(store, made, made_rows)

@@ -206,20 +206,6 @@ def test_start_and_span_at_fifteen_frames_per_second():
     assert [(n.frame, n.decisive) for n in outcome.needed] == [(15, False), (100, True), (199, True)]
 
 
-def test_short_gaps_are_closed_at_fifteen_frames_per_second_only():
-    on = [f for f in range(100, 200) if not 140 <= f < 147]
-    assert span(phone_call(1, on)).answer == '{"start_frame":100,"end_frame":199}'
-    assert start(phone_call(1, [f for f in range(100, 200) if not 140 <= f < 148])).outcome == "unknown"
-    on = [f for f in range(90, 301) if f != 180]
-    assert start(phone_call(15, on)).outcome == "unknown"
-    annotations = phone_call(1, [f for f in range(100, 200) if not 140 <= f < 147]).read()
-    assert [annotations.state(1, "reading", f) for f in (99, 100, 139, 140, 146, 147)] == [0, 1, 1, 2, 2, 1]
-
-
-def test_a_closed_gap_may_hold_frames_without_a_box():
-    assert start(phone_call(1, range(100, 200), missing=range(150, 155))).answer == '{"frame":100}'
-
-
 @pytest.mark.parametrize(
     "broken",
     [

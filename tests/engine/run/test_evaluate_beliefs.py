@@ -47,7 +47,7 @@ def jrdb_avr(*arguments):
 @pytest.fixture(scope="module")
 def template(tmp_path_factory):
     """A store with a scene of one sequence, and two runs in its graph."""
-    store = load_world(tmp_path_factory.mktemp("world"), lively_world(random.Random(5), "yard-1_0"))
+    store = load_world(tmp_path_factory.mktemp("world"), lively_world(random.Random(0), "yard-1_0"))
     run(store, "one")
     run(store, "two", ASKED[3:4])
     return store
