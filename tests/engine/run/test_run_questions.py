@@ -113,14 +113,10 @@ def test_what_cannot_be_asked_is_counted(images):
 
 
 def test_a_shard_needs_all_its_panoramas_and_no_others(images):
-    def shard(number, **options):
-        return select_questions(WORDS, QuestionSelection(shard=(number, 3), **options), images)
-
-    limited = {row.question_id for row in WORDS[:9]}
-    assert {row.question_id for number in (1, 2) for row in shard(number, limit=9)} < limited
-    assert [row.sequence for row in shard(2, limit=9)] == ["b"] * 3
+    shards = [select_questions(WORDS, QuestionSelection(shard=(n, 3), limit=9), images) for n in (1, 2)]
+    assert [[row.sequence for row in rows] for rows in shards] == [["a"] * 3, ["b"] * 3]
     with pytest.raises(StoreError, match="sequence c of this shard has no panoramas"):
-        shard(3, limit=9)
+        select_questions(WORDS, QuestionSelection(shard=(3, 3), limit=9), images)
 
 
 METHOD = """
@@ -145,18 +141,7 @@ def evaluate(store, tmp_path):
     def call(*options):
         log = tmp_path / "mine.py.log"
         log.write_text("")
-        ask = (
-            "evaluate",
-            "--store",
-            store.path,
-            "--method",
-            f"{file}:Mine",
-            "--model",
-            "none",
-            "--run-id",
-            "r",
-            "--json",
-        )
+        ask = f"evaluate --store {store.path} --method {file}:Mine --model none --run-id r --json".split()
         code, out, err = run(*ask, *options)
         return code, json.loads(out) if out else None, err, log.read_text().split()
 
