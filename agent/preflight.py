@@ -7,8 +7,8 @@
     panoramas, crops   the server takes the largest number of pictures that a method sends, with the method's own
               schema, and the model finds the marked rectangle among them
     plan      the server takes the schema of a plan (only if schemas are sent)
-    thinking  replies hold thinking if it is declared on, and none if it is declared off
-    finish    replies state why they ended: a reply that was cut off must not look like any other
+    thinking  replies hold thinking if the options declare it on, and no thinking if they declare it off
+    finish    replies state why they ended, so that a reply that was cut off can be recognized
     tokens    the server counts tokens (a warning: the run's counts would be 0)
     model     replies name the requested model (a warning: the run records the name)
 

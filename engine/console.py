@@ -49,7 +49,7 @@ def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> 
 
     Args:
         rows: The rows. None becomes an empty cell. Lists and dictionaries become JSON.
-        columns: Names of the columns; if empty, all keys of the rows.
+        columns: Names of the columns. If empty, all keys of the rows.
 
     Returns:
         The CSV text, with a newline after each line.

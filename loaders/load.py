@@ -92,7 +92,7 @@ def load(
         root: folder of a JRDB root, or a root that `find_root` has returned.
         store: store or its folder. The folder is made if it does not exist.
         rules: load rules, or None for the defaults.
-        workers: number of processes that share the sequences, or an executor. The result does not depend on it.
+        workers: number of processes that share the sequences, or an executor. Every choice gives the same result.
         layer_dirs: by layer, folders that replace the layer's usual folders. Relative paths start at the root. An
             empty list leaves the layer out.
         progress: display of the progress.

@@ -76,7 +76,7 @@ class Root:
 
     path: Path
     image_root: str | None
-    """Folder that has a folder of panoramas for each sequence, or None."""
+    """Folder that has a folder of panoramas for each sequence, or None if the root has no panoramas."""
     sequences: tuple[SequenceFiles, ...]
     """Sequences, sorted by name."""
     problems: tuple[Problem, ...]

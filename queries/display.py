@@ -27,7 +27,7 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
     The count 0 is reported at once.
 
     Args:
-        progress: Function that receives the reports; None for no reports.
+        progress: Function that receives the reports, or None for no reports.
         what: Name of the task.
         total: Number of all steps.
 

@@ -85,7 +85,7 @@ _EXAMPLES: Final = {"text": "TEXT", "integer": "INTEGER", "number": "NUMBER"}
 
 
 def _checked(name: str, kind: str, value: Any) -> Any:
-    """Return a parameter's value if it has the type `kind`; a number counts as text. Raise QueryError otherwise."""
+    """Return a parameter's value if it has the type `kind`. A number counts as text. Raise QueryError otherwise."""
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
     value = unwrap_scalar(value)

@@ -46,7 +46,7 @@ def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[s
 
     Args:
         folder: Folder of the store.
-        runs: Ids of the runs to include; None for all runs.
+        runs: Ids of the runs to include, or None for all runs.
 
     Yields:
         The name of the view, its schema, and its files in alphabetical order.

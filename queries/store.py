@@ -2,7 +2,7 @@
 
     STORE/
       annotations/<layer>/<sequence>.parquet    the label files as tables
-      intervals/<kind>/<sequence>.parquet       intervals derived from them
+      intervals/<kind>/<sequence>.parquet       intervals derived from annotations
       store.json                                the manifest, which `load` writes last
       graph.kuzu                                a graph of the intervals, which can be built again from them
       questions/*.parquet                       questions, and the private tables with answers and evidence
@@ -66,7 +66,7 @@ def write_json(path: Path, value: msgspec.Struct) -> None:
 
 
 class Store(Displayed):
-    """Store in a folder. The constructor checks nothing; `manifest()` raises StoreError if nothing is loaded."""
+    """Store in a folder. The constructor checks nothing. `manifest()` raises StoreError if nothing is loaded."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -402,8 +402,8 @@ def _write(
 def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
     """Return the options of the Parquet writer.
 
-    They disable dictionaries for floats and min/max statistics for strings. Readers use neither of them, but they cost
-    20 % of the time to write.
+    The options disable dictionaries for floats and min/max statistics for strings. Readers use neither
+    of these, but both together cost 20 % of the writing time.
     """
     measured = [field.name for field in schema if pa.types.is_floating(field.type) or pa.types.is_nested(field.type)]
     return {

@@ -132,7 +132,7 @@ def _connect(address: str) -> Iterator[Any]:
     try:
         ray.init(address=None if address == "ray" else address, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
-        # If the user has a token, Ray starts clusters with it. Ray joins such a cluster only in the mode "token".
+        # If the user has a token, Ray starts clusters with it. Ray joins such clusters only in the mode "token".
         reason = str(error).splitlines()[0].rstrip(".")
         raise InputError(
             f"no Ray cluster answers at {address}: {reason}; if the cluster has a token, set RAY_AUTH_MODE=token",

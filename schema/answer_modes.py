@@ -63,12 +63,12 @@ class Mode:
     Attributes:
         name: Name of the mode, as in the column `answer_mode` of questions.
         type: Struct that stores an answer.
-        parts: Values of an answer, in the order of the struct's fields. A reply gives a choice as a bare number; other
+        parts: Values of an answer, in the order of the struct's fields. A reply gives a choice as a bare number. Other
             modes need an object with the keys of the parts.
         same: Scoring rule. It is called with the given answer, the true answer and the number of frames per second, and
             returns whether the given answer is right.
         asks: Name of the requested value in tables, such as "seconds".
-        words: Format string that shows a stored answer to a person; the struct's fields are in braces.
+        words: Format string that shows a stored answer to a person. The struct's fields are in braces.
         aim: Maximum share of right answers that a blind guesser should reach, 0 to 1.
         guessers: Names of the blind guessers that can give an answer of this mode.
         smallest_read: Read (requested value) of the plan that is used if no other plan could be made.
@@ -118,7 +118,7 @@ class Mode:
         """Return an answer of this mode from values for all modes. Values that the mode does not need are ignored.
 
         Args:
-            frames: Frames for the frame fields, in order; at least as many as the mode has frame fields.
+            frames: Frames for the frame fields, in order: at least as many frames as the mode has frame fields.
             angle_deg: Panorama angle in degrees.
             value: Number of seconds or people.
 
@@ -297,7 +297,7 @@ def same_answer(given: Answer | None, truth: Answer, second: int = round(FPS)) -
     """Return whether a method's answer is right. Every tolerance includes its bound.
 
     Args:
-        given: Answer of a method; None is never right.
+        given: Answer of a method, or None, which is never right.
         truth: True answer.
         second: Number of frames per second.
 

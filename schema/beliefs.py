@@ -143,8 +143,8 @@ class SlotRow(_NodeRow, frozen=True):
     """Row of `Slot`, which is one part of the agent's plan. The edge `Asks` from the episode is written with the row.
 
     A part is a node (a person to find), a condition on a node, an edge between two nodes, or the read (the value that
-    answers the question). The column `kind` says which. A text column that does not apply to the kind is "". The column
-    `frame` is -1 if the part has no stated time.
+    answers the question). The column `kind` names which of these the part is. A text column that does not apply to the
+    kind is "". The column `frame` is -1 if the part has no stated time.
     """
 
     number: int

@@ -56,7 +56,7 @@ SOURCES: Final = (
 )
 """JRDB and its extensions.
 
-The footer of their website states the licence. The maintainers of JRDB's toolkit confirm it
+The footer of the JRDB website states the licence. The maintainers of JRDB's toolkit confirm it
 (https://github.com/JRDB-dataset/jrdb_toolkit/issues/9). If the website states further terms, those take precedence.
 """
 

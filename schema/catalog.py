@@ -25,8 +25,8 @@ class CatalogTable:
         part: Group that the table belongs to. The graph has the groups "scene", "keyframes" and "beliefs".
             The store has the groups "annotations", "intervals", "questions" and "runs".
         columns: Type of each column by name.
-        meanings: Meaning of each column by name; empty for tables of the graph.
-        ends: For a relationship, the names of the tables at its start and of the tables at its end; else None.
+        meanings: Meaning of each column by name. Empty for tables of the graph.
+        ends: For a relationship, the names of the tables at its start and of the tables at its end. Otherwise None.
     """
 
     name: str

@@ -40,7 +40,7 @@ class Question:
         question_id: Id of the question.
         sequence: Name of the sequence, opaque if the run hides names.
         question: Text of the question.
-        choices: Texts of the four choices; empty if the answer is not a choice. Answers count the choices from 1.
+        choices: Texts of the four choices, empty if the answer is not a choice. Answers count the choices from 1.
         answer_mode: Name of the answer mode, which decides the form of the answer.
     """
 
@@ -140,7 +140,7 @@ class Prediction:
         evidence: Box that shows the person in stitched pixels of one frame, or None if there is none.
         raw: Last text that the model wrote.
         reason: Reason why the model's last output was refused, "" if it was accepted.
-        verdict: Support of the world model for the answer; None if the method has no world model.
+        verdict: Support of the world model for the answer, or None if the method has no world model.
         n_observations: Number of crops and panoramas that the method looked at.
         n_model_calls: Number of model calls.
         prompt_tokens: Number of tokens sent to the model.

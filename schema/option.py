@@ -34,10 +34,10 @@ def option(
         default: Default value. If it is a mapping, it must be empty.
         text: Help text.
         flag: Name of the option on the command line, without dashes. If it is "", the name of the field is used.
-        minimum: Smallest allowed number; None for no limit.
-        maximum: Largest allowed number; None for no limit.
+        minimum: Smallest allowed number, or None for no limit.
+        maximum: Largest allowed number, or None for no limit.
         choices: Allowed texts. If there are none, every text is allowed.
-        metavar: Placeholder for the value in help texts; None for the default of the command line.
+        metavar: Placeholder for the value in help texts, or None for the default of the command line.
 
     Returns:
         The dataclass field, with all arguments except `default` as metadata.

@@ -24,9 +24,9 @@ class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         kind: Kind of the proof, such as `time.shift`.
         variant: Name of the change, because a kind may have several changes.
-        holds: Whether the proof succeeded; None if it was not run.
+        holds: Whether the proof succeeded, or None if it was not run.
         outcome: Comparison of the changed plan's answer with the question's answer, such as "different".
-        answer: Answer of the changed plan; None if there is none.
+        answer: Answer of the changed plan, or None if there is none.
     """
 
     kind: str
@@ -112,7 +112,7 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def answer_text(self) -> str:
-        """Text of the true choice, or the JSON of the answer if it is not a choice. "" if the choice does not exist."""
+        """Text of the true choice, or the JSON of another answer. The text is "" if the choice does not exist."""
         answer = decode_answer(self.answer_mode, self.answer)
         if not isinstance(answer, Choice):
             return self.answer

@@ -208,7 +208,7 @@ ABOUT: Final[dict[str, str]] = {}
 
 
 def _schema(view: str, columns: str) -> pa.Schema:
-    """Return the schema of a view. `columns` is a text of column names; a `?` after a name allows nulls."""
+    """Return the schema of a view. `columns` is a text of column names. A `?` after a name allows nulls."""
     names = [(name.rstrip("?"), name.endswith("?")) for name in columns.split()]
     return pa.schema([pa.field(name, column(view, name)[0], nullable) for name, nullable in names])
 

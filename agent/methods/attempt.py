@@ -127,7 +127,7 @@ class Attempt:
 
     task: Task
     chat: Chat | None
-    """The model. None if a player answers, who makes no calls through this object."""
+    """The model. None if a player makes the moves, because a player makes no model calls."""
 
     convention: Convention
     looks: int = 0
@@ -188,8 +188,8 @@ class Attempt:
         """Make a model call. If its reply cannot be read, make a second call that states the error.
 
         Args:
-            messages: Called before each call with lines about an unreadable reply (none before the first call). Returns
-                the chat.
+            messages: Returns the chat of a call. Its argument is the lines about an unreadable reply, which are empty
+                for the first call.
             schema: The JSON Schema of the reply.
             read: Reads the reply, or raises DecodeError.
 
@@ -234,7 +234,7 @@ class Attempt:
             The frame, and the angle in degrees.
 
         Raises:
-            DecodeError: If a part cannot be read, or the frame is not legal.
+            DecodeError: If a part cannot be read, or if the frame is not a legal frame.
         """
         frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
         if frame not in self.task.sequence.frames:

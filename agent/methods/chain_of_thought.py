@@ -64,7 +64,7 @@ def read_facts(reply: dict[str, Any]) -> tuple[str, ...]:
         The facts. Each is one line, in which words are separated by single blanks.
 
     Raises:
-        DecodeError: If there are no facts or too many, or one is empty or too long.
+        DecodeError: If there are no facts or too many facts, or if a fact is empty or too long.
     """
     facts = decode.only_keys(reply, ("reasoning",), "the reply")["reasoning"]
     if not isinstance(facts, list) or not 1 <= len(facts) <= MOST_FACTS:

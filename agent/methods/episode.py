@@ -27,7 +27,7 @@ BUDGET: Final = 24
 
 LOOK: Final = "Look at a frame in a direction: a picture 46 degrees wide; 180 is ahead, 90 left, 0 behind, 270 right."
 SUBMIT: Final = "Give the final answer, with one box round the person in the newest picture, in thousandths of it."
-"""Description of the tool `submit_answer` for a model; `LOOK` describes `observe`."""
+"""Description of the tool `submit_answer` for a model. `LOOK` describes the tool `observe`."""
 
 
 def most_moves(budget: int) -> int:
@@ -146,7 +146,7 @@ class Episode:
             The crop.
 
         Raises:
-            RefusedError: If the look is refused, and the move is spent.
+            RefusedError: If the look is refused. The move counts nevertheless.
             ObserveError: If the picture is broken.
         """
         frame_id = f"{frame:06d}" if isinstance(frame, int) else frame

@@ -1,8 +1,8 @@
 """ReAct: the model looks, thinks, looks again, and answers. Every turn sends the whole history.
 
 The rules are those of `Episode`, and each turn is a move of it. After a malformed turn, the next turn states the error.
-Each request has all earlier crops, or the newest ones, with their metadata. Servers may therefore be stateless, and a
-finished call can be repeated from its request alone.
+Each request has all earlier crops, or only the newest crops, with their metadata. Servers may therefore be stateless,
+and a finished call can be repeated from its request alone.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Search, then recognize: propose a box of the person, refine the box in one crop, and choose the answer.
+"""Search, then recognize: propose a person's box, refine the box in one crop, and choose the answer.
 
 Each of the three stages is one call, or two calls if the first reply cannot be used. The evidence is the refined box,
 or the proposed box if the second stage gives no usable box. If there is no proposed box, the method answers from the

@@ -46,9 +46,9 @@ class Calls:
         self._lock = threading.Lock()
         self._file: io.FileIO | None = None
         self._lines: dict[str, tuple[int, int]] = {}
-        """The first byte and the length of each request's line."""
+        """The position of the first byte and the number of bytes of each request's line."""
         self._unread: set[str] = set()
-        """Requests with lines that this process has appended and not yet indexed."""
+        """Requests with lines that this process has appended but not indexed."""
         self._indexed = self._prompt_tokens = self._completion_tokens = 0
 
     def digest(self, request: Mapping[str, Any]) -> str:

@@ -41,7 +41,7 @@ LEAST_READABLE: Final = 0.5
 CLEAR: Final = 0.4
 """Minimum share of a key's replies that, under the chosen reading, have an IoU of at least 0.5 with the known box."""
 LEAD: Final = 0.2
-"""Minimum difference between that share and the same share under any reading that gives other boxes."""
+"""Minimum difference between this share under the chosen reading and under any reading that gives other boxes."""
 _SAME: Final = 0.9
 _IN_FLIGHT: Final = 8
 
@@ -193,7 +193,7 @@ class _Tried(NamedTuple):
 
 
 def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple[list[Score], str]:
-    """Return the score of every reading, which states whether it is chosen, and the reason if none may be chosen."""
+    """Return a score per reading, in which the chosen readings are marked, and the reason if none may be chosen."""
     scores: list[Score] = []
     reasons = []
     for key in KEYS:

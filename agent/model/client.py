@@ -66,7 +66,7 @@ class Chat(Protocol):
     """A model that completes a chat."""
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
-        """Return the reply to a chat; `schema` is the JSON Schema that it should follow."""
+        """Return the reply to a chat. The reply should follow `schema`, a JSON Schema."""
         ...
 
 
@@ -121,7 +121,7 @@ class Client:
         self._credentials = Credentials(options.api_key_env, options.headers)
         self._limit = RateLimit(options.rpm, options.tpm, clock, pause)
         self._spent = 0.0
-        """Dollars that the calls of this client, and the stored ones of earlier clients, have cost."""
+        """Cost in dollars of the calls of this client and of the stored calls of earlier clients."""
         if options.price is not None and self._calls is not None:
             self._spent = options.price.cost(*self._calls.tokens())
         self._longer_name = False
@@ -239,7 +239,7 @@ class Client:
             return repeating(lambda: waiting(self._try, body, timeout_s))
         except _BrokenError as broken:
             passing = isinstance(broken, _PassingError)
-            # If no other call got through meanwhile, the next question would fare no better.
+            # If no other call succeeded in this time, the calls of the next question would fail too.
             kind = RunStoppedError if passing and self._replies == replies else EndpointError
             tries = (waiting if passing else repeating).statistics["attempt_number"]
             # A probe belongs to no run that could be resumed.
@@ -266,7 +266,7 @@ class Client:
         except httpx2.HTTPError as error:
             raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
         try:
-            # A server may echo its request, and replies are stored.
+            # Keys are hidden, because a server may repeat its request in the reply, and replies are stored.
             reply = read_completion(self._credentials.hide_in_json(data), response.status_code)
         except ErrorReply as error:
             raise self._refusal(error, response.headers.get("retry-after", "")) from None

@@ -44,8 +44,8 @@ class Convention:
     that has numbers in another unit than thousandths. thinking: the opening and the closing delimiter of thinking, in
     pairs. thinks: whether the chat template makes the model think by default, None if unknown. switches: whether
     `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple, image_pixels: how the model resizes
-    images: both sides become multiples of `multiple` pixels, and the image has at most `image_pixels` pixels (0:
-    unknown). calibrated: whether `calibrate` found the orders and scales.
+    images. Both sides become multiples of `multiple` pixels, and the image gets at most `image_pixels` pixels in total
+    (0 if unknown). calibrated: whether `calibrate` found the orders and scales.
     """
 
     name: str

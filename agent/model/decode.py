@@ -1,10 +1,10 @@
 """Decode a model's reply. The rules are strict, and the same for every method.
 
-A reply must be one JSON object. A code fence around the object and thinking before it are allowed, if the thinking is
-in the declared delimiters. A box is four numbers under a key. The model's convention, which is fixed before the first
-reply, says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are not
-swapped. An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded independently, so
-one of them can be valid if the other is not. No function here gets a true answer or a true box.
+A reply must be one JSON object. The object may be in a code fence. Thinking may come before the object if it is in the
+declared delimiters. A box is four numbers under a key. The model's convention, which is fixed before the first reply,
+says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are not swapped.
+An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded independently, so one of
+them can be valid if the other is not. No function here gets a true answer or a true box.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def read_box(
         what: The name of the box in errors.
 
     Returns:
-        The box in pixels of the image. Corners that are up to 2 % of a side outside the image are moved to its edge.
+        The box in pixels of the image. A corner outside the image by at most 2 % of a side is moved to the edge.
 
     Raises:
         DecodeError: If the value is not four numbers, or the box is outside, reversed or empty.
@@ -122,14 +122,14 @@ def write_box(box: Box, size: Size) -> list[int]:
         size: Width and height of the image in pixels.
 
     Returns:
-        Left, top, right and bottom in thousandths of the image, clipped to it.
+        Left, top, right and bottom in thousandths of the image. They are clipped to the image.
     """
     corners = zip((box.x, box.y, box.x + box.w, box.y + box.h), size * 2, strict=True)
     return [min(max(round(v * SCALE / side), 0), SCALE) for v, side in corners]
 
 
 VERSION: Final = 1
-"""Version of the contract in every run's manifest. It is raised when the way of reading replies changes."""
+"""Version of the contract in every run's manifest. It is increased when the way of reading replies changes."""
 
 # -- the reply as one object ------------------------------------------------------------------------------------------
 
@@ -141,7 +141,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
 
     Args:
         reply: The reply.
-        convention: The convention, for the delimiters of thinking.
+        convention: The convention of the model, which declares the delimiters of thinking.
 
     Returns:
         The object.
@@ -195,7 +195,7 @@ def _object(text: str) -> dict[str, Any]:
 
 
 def only_keys(value: object, keys: Collection[str], what: str) -> dict[str, Any]:
-    """Check that a value is an object with exactly these keys.
+    """Check that a value is an object with exactly the given keys.
 
     Args:
         value: A value of a reply.
@@ -228,7 +228,7 @@ def _plain(text: str) -> str:
 
 
 def read_each(*parts: Callable[[], Any]) -> tuple[tuple[Any, ...], tuple[str, ...]]:
-    """Read the parts of a reply independently.
+    """Decode the parts of a reply independently.
 
     Args:
         parts: One function per part. Each reads its part and may raise DecodeError.
@@ -363,7 +363,7 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
 
     Args:
         value: The part of the reply.
-        frames: The frames of the images at hand.
+        frames: The frames of the images to which the box may refer.
         size: Width and height of these images in pixels.
         convention: The backbone's convention.
 

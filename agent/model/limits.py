@@ -37,7 +37,7 @@ class RateLimit:
         self._tokens = self._replies = 0
 
     def admit(self) -> Sent:
-        """Wait until a request may be sent, and count it.
+        """Wait until a request may be sent, and count the request.
 
         Returns:
             The record of the request, for `count`.
@@ -58,10 +58,10 @@ class RateLimit:
             self._pause(wait)
 
     def count(self, sent: Sent, tokens: int) -> None:
-        """Replace the estimated number of tokens of a request by the true number, when its reply has arrived.
+        """Replace the estimated number of tokens of a request by the true number.
 
         Args:
-            sent: The record of the request.
+            sent: The record of the request, as `admit` returned it.
             tokens: The number of tokens in the request and in its reply.
         """
         with self._lock:

@@ -91,7 +91,7 @@ def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Me
 
     Args:
         messages: A chat.
-        most: Maximum number of pictures; None keeps all.
+        most: Maximum number of pictures. None keeps all pictures.
 
     Returns:
         The chat. The text lines before the omitted pictures stay.

@@ -75,7 +75,7 @@ class EndpointOptions(Options):
     max_cost: float | None = option(
         None,
         "Stop the run when its calls have cost this much at --prices. Requests in progress may add to the cost. "
-        "--resume and a higher maximum continue the run. The cost of replies that were cut off or refused then lapses.",
+        "--resume with a higher maximum continues the run, without the cost of replies that were cut off or refused.",
         minimum=0,
         metavar="DOLLARS",
     )
@@ -110,7 +110,7 @@ class EndpointOptions(Options):
         Args:
             model: The id of the model.
             convention: The convention of the model.
-            schema: The JSON schema of the reply, or None if the reply is free text.
+            schema: The JSON schema of the reply. None if the reply is free text.
 
         Returns:
             The values by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.

@@ -1,9 +1,9 @@
 """Drawn pictures that test a server. Their contents are known, and no picture belongs to a question.
 
-Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name, and
-holds a mark of `schema.markers`. The black and white grid of the mark distinguishes the rectangle from the plain shapes
-around it. A person, a model and the simulated model can all see it. The pictures depend only on a seed. The simulated
-model recognizes the prompt of such a picture by the last line of the prompt.
+Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name.
+Inside it is a mark of `schema.markers`. The black and white grid of the mark distinguishes the rectangle from the plain
+shapes around it. A person, a model and the simulated model can all see it. The pictures depend only on a seed. The
+simulated model recognizes the prompt of such a picture by the last line of the prompt.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Read a server's reply: its fields, the reason of an error, and its text with and without thinking."""
+"""Read a server's reply: its fields, the reason if it reports an error, its text, and its thinking."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Connections:
 
         self._bounds = bounds
         self._exchanges = threading.local()
-        """The end of the calling thread's exchange, in seconds of `time.monotonic`."""
+        """The deadline of the exchange of the calling thread, in seconds of `time.monotonic`."""
         environment = not _is_loopback(base_url)
         try:
             self._http = httpx2.Client(

@@ -118,7 +118,7 @@ def field_options(kind: Any, *names: str) -> Callable[[_C], _C]:
 
     Args:
         kind: The options class.
-        names: Names of the fields to add; if none is given, all fields are added.
+        names: Names of the fields to add. If no name is given, all fields are added.
 
     Returns:
         A decorator. The command gets one value per field. `build` makes the options object from these values.

@@ -34,7 +34,7 @@ def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None
 
 
 def store_option(required: bool = True) -> Callable[[_C], _C]:
-    """Add the option `--store`; the command gets a Store. The environment variable `JRDB_AVR_STORE` is its default."""
+    """Add the option `--store`, with the environment variable `JRDB_AVR_STORE` as default. The command gets a Store."""
     return click.option(
         "--store",
         "-s",

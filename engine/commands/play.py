@@ -29,8 +29,8 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
     The person can do what the method react can do: look at an angle of a frame, draw a box in the newest picture, and
     answer. The command prints the address of the page. The address contains a token. Ctrl-C ends the command.
 
-    To measure how well people agree, start the command for each person with a different --name and otherwise equal
-    options. 'report --table people' then shows the agreement.
+    To measure how well people agree, start the command once per person, each time with a different --name and otherwise
+    with the same options. 'report --table people' then shows the agreement.
     """
     from jrdb_avr.engine.local_server import LocalServer
     from jrdb_avr.engine.pages.page import render

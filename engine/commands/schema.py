@@ -14,7 +14,7 @@ from jrdb_avr.engine.console import RowFormat, print_rows
 @click.option("--mermaid", is_flag=True, help="Print a Mermaid diagram of the tables.")
 @form_option
 def command(what: str, names: tuple[str, ...], mermaid: bool, form: RowFormat) -> None:
-    """Print the tables of the graph, which 'cypher' queries, or the tables of the store, which 'sql' queries.
+    """Print the tables of the graph (for queries with 'cypher') or the tables of the store (for queries with 'sql').
 
     If NAMEs are given, the command prints the columns of these tables. A NAME is a table, or a part that stands for all
     tables in it. The parts of the graph are scene, keyframes and beliefs. The parts of the store are annotations,

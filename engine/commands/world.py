@@ -23,9 +23,9 @@ def command() -> None:
     """Add the world models of runs to the graph of the store, or drop them from the graph.
 
     A world model holds what an agent believes about the people and the scene. The file runs/RUN/world.parquet records
-    the world model of a run. A run writes its world model to the graph, unless 'evaluate --world-db' names another
-    graph file. 'load' makes a new graph and adds the recorded world models of all runs. 'cypher --list' lists queries
-    of world models.
+    the world model of a run. A run writes its world model to the graph of the store, unless 'evaluate --world-db' names
+    another graph file. 'load' makes a new graph and adds the recorded world models of all runs. 'cypher --list' lists
+    queries of world models.
 
     Examples:
       jrdb-avr world merge agent-marker --store S

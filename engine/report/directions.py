@@ -1,7 +1,7 @@
 """Directions of the ablation: whether active observation and the world model change scores as they do in the paper.
 
 The ablation has four cells: active observation on or off, times world model on or off. Two neighbouring cells differ in
-one of the two. A direction is the sign of the change of one score between neighbouring cells.
+exactly one of the two factors. A direction is the sign of the change of one score between neighbouring cells.
 """
 
 from __future__ import annotations

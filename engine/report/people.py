@@ -25,8 +25,8 @@ def agreement_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[dict
 
     Returns:
         One row per pair of runs, in percent of their n common questions. `same_answer` is the share of questions with
-        equal answers: each of the two answers would score if the other were the true answer. `answer`, `evidence` and
-        `combined` are the shares of questions that both runs have right or both have wrong.
+        equal answers: each answer would score if the answer of the other person were the true answer. `answer`,
+        `evidence` and `combined` are the shares of questions that both runs have right or both have wrong.
     """
     people = sorted((run for run in runs if run.manifest.method == HUMAN), key=lambda run: run.manifest.run_id)
     rows = []

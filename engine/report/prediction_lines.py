@@ -38,7 +38,7 @@ _Id = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class PredictionLine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The prediction for one question. The keys after `evidence` describe how it was made, such as its costs."""
+    """The prediction for one question. The keys after `evidence` describe how it was made, and at what costs."""
 
     question_id: _Id
     status: Status = "answered"

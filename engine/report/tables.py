@@ -96,7 +96,8 @@ def interval_label(sequences: int) -> str:
         sequences: Number of sequences that the row's questions are about.
 
     Returns:
-        `INTERVALS`, or `TOO_FEW` if there are fewer than `LEAST_CLUSTERS` sequences. Printed tables then omit bounds.
+        `INTERVALS`, or `TOO_FEW` if there are fewer than `LEAST_CLUSTERS` sequences. Printed tables omit the bounds of
+        rows with `TOO_FEW`.
     """
     return INTERVALS if sequences >= LEAST_CLUSTERS else TOO_FEW
 

@@ -33,7 +33,7 @@ class Bench:
         sequences: All sequences of the store, by name or opaque name.
         observed: The sequences that have a question, sorted by real name.
         observer: The source of the pictures of the sequences in `observed`.
-        folders: The real name of each sequence by its opaque name. None if names are not opaque.
+        folders: The real name of each sequence, by opaque name. None if names are not opaque.
         synthetic: Whether at least one question is about the sample world.
     """
 
@@ -144,7 +144,7 @@ _LABELS_BESIDE: Final = ("image_stitched", "images")
 
 
 def root_of_images(images: str | Path) -> Path:
-    """Return JRDB's root folder, given the folder of panoramas in it. Return the folder itself if it is elsewhere."""
+    """Return JRDB's root folder if it contains the given folder of panoramas. Otherwise return the given folder."""
     root = Path(images).resolve()
     for name in _LABELS_BESIDE:
         root = root.parent if root.name == name else root

@@ -53,7 +53,7 @@ class Endpoint:
             base_url: The address of the server.
             options: The options of the requests.
             cache: The file that stores finished calls. None stores none.
-            method: The name of the method, which decides which checks must pass. If None, all checks must pass.
+            method: The name of the method. Only checks that this method needs must pass. If None, all checks must pass.
             strict: Whether a failed check that must pass is an error. Otherwise it is a warning.
 
         Raises:
@@ -88,7 +88,7 @@ class Endpoint:
         }
 
     def changed(self) -> str:
-        """Return a line that names the models of later replies if they differ from the first reply's, otherwise ""."""
+        """Return a line on the models of later replies if they differ from the first reply's model, or ""."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
         return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
 

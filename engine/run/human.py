@@ -91,7 +91,7 @@ class HumanDesk:
         return self._state(error)
 
     def _record(self) -> None:
-        """Add the question to the run if it has ended. Raise StoreError if writing fails; the next request retries."""
+        """Add the question to the run if the question has ended. Raise StoreError if writing fails."""
         play = self._play
         if play is not None and play.episode.over and play.episode.question.question_id in self._due:
             play.record(self._run)

@@ -29,7 +29,7 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
     """Import a file of predictions as a run.
 
     The file has one prediction per line, as JSON (`report.prediction_lines`). The questions of the run are the
-    questions that the lines name. If an import was killed, a second import of the same file finishes it.
+    questions that the lines name. If an import was killed, another import of the same file finishes the run.
 
     Args:
         store: The store, or its folder.
@@ -88,6 +88,6 @@ def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
         ):
             return True
     elif not any(not path.name.startswith(".") for path in store.run_path(run_id).glob("*")):
-        # The folder is missing, or it has only hidden files, which a killed import may have left.
+        # The folder is missing or has only hidden files. A killed import may have left hidden files.
         return False
     raise StoreError(f"run {run_id!r} exists: give the predictions another run id")

@@ -1,4 +1,4 @@
-"""Keep the journal of a run, which stores each finished question on disk, and write the tables of the run from it.
+"""Store each finished question of a run in a journal on disk, and write the tables of the run from the journal.
 
     runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced to disk at once
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
@@ -52,7 +52,7 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.string(): str,
     pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
     pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
-    # A float cannot represent every larger whole number, and Arrow refuses larger ones.
+    # A float cannot represent every larger whole number, and Arrow refuses larger numbers.
     pa.float64(): Annotated[float, msgspec.Meta(gt=-(2.0**53), lt=2.0**53)],
     pa.bool_(): bool,
 }
@@ -126,7 +126,7 @@ def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
     """Return a row of a table of `RUNS` without the run id. Columns that are not in `given` come from the record."""
     names = [name for name in RUNS[table].names if name not in given and name != "run_id"]
     values = {name: getattr(record, name) for name in names}
-    # UTF-8 cannot hold lone surrogates, so they are escaped in long texts. In a name they are an error, found later.
+    # UTF-8 cannot hold lone surrogates, so they are escaped in long texts. A later check refuses them in names.
     texts = {
         name: value.encode("utf-8", "backslashreplace").decode()
         for name, value in values.items()
@@ -209,7 +209,7 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
     Args:
         folder: The folder of the journal.
-        doing: Text at the end of the error message, such as a further remedy.
+        doing: Text to append to the error message, such as a further remedy.
 
     Raises:
         LockedError: If another process holds the lock.
@@ -375,7 +375,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
 
 def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
-    """Yield groups of at most `_GROUP` questions. A group joins whole parts; only a part above the limit is cut."""
+    """Yield groups of at most `_GROUP` questions. Only a part that is larger than a group is divided."""
     group: list[str] = []
     for part in parts:
         if len(group) + len(part) > _GROUP and group:

@@ -2,9 +2,10 @@
 
     python -m jrdb_avr.engine.run.judge STORE
 
-The child process reads the answers. Each line of its standard input is a row of `predictions` as JSON. For each row it
-prints four digits: answer, evidence and combined score, and 1 if the output of the model could not be read. If the
-child cannot read the answers, it prints one line with the reason. It ends when its standard input closes.
+The child process reads the answers. Each line of its standard input is a row of `predictions` as JSON. For each row,
+the child prints four digits: the answer score, the evidence score, the combined score, and 1 if the output of the model
+could not be read (else 0). If the child cannot read the answers, it prints one line with the reason. It ends when its
+standard input closes.
 """
 
 from __future__ import annotations

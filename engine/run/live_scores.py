@@ -46,7 +46,7 @@ def report_scores(
     Yields:
         A function to call with each entry that finishes. If a question has several entries, the last one counts.
     """
-    # The queue may grow if judging is slow, so it has no transcripts, which are large.
+    # The queue may grow if judging is slow. It has no transcripts, because transcripts are large.
     entries: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
     for entry in before:
         entries.put(entry.prediction)

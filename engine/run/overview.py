@@ -24,7 +24,7 @@ _REASONS: Final = 3
 
 
 _TRASH: Final = ".removed-"
-"""Prefix of folders that are being deleted. If a process is killed meanwhile, the next removal deletes the rest."""
+"""Prefix of folders that are being deleted. If a deletion is killed, the next removal of a run deletes the rest."""
 
 
 class _Line(msgspec.Struct):
@@ -42,8 +42,8 @@ def list_runs(store: Store | str | Path) -> list[dict[str, Any]]:
 
     Returns:
         One row per run, sorted by run id: method, model, label, state, number of questions, number of questions of each
-        status, and start time. The state is "complete", "unfinished", "damaged", or "other questions". The last one
-        means that the questions of the store have changed since the run.
+        status, and start time. The state is "complete", "unfinished", "damaged", or "other questions". The state "other
+        questions" means that the questions of the store have changed since the run.
     """
     store = Store.of(store)
     if not run_ids(store):
@@ -161,7 +161,7 @@ def _idle(folder: Path) -> Iterator[None]:
 
 
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
-    """Return the status and the reason of each finished question, from the predictions or else from the journal."""
+    """Return the status and the reason of each finished question. Without predictions, read them from the journal."""
     folder = store.run_path(run_id)
     path = folder / "predictions.parquet"
     try:

@@ -105,8 +105,8 @@ def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.
 class Distinct(dict[Any, int]):
     """Dictionary from distinct values to codes 0, 1, 2, ... in the order of first use.
 
-    A lookup of an unknown value adds the value. It raises InputError if there are `MAX_DISTINCT` values already. The
-    limit keeps a broken file from filling the memory.
+    A lookup of an unknown value adds the value. The lookup raises InputError if there are `MAX_DISTINCT` values
+    already. The limit keeps a broken file from filling the memory.
     """
 
     def __missing__(self, value: Any) -> int:

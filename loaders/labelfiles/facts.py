@@ -130,7 +130,7 @@ class Decoded:
     values: list[Value] = field(default_factory=list)
     issues: list[Issue] = field(default_factory=list)
     whole: bool = True
-    """True if no part of the value was refused. Then each label that the value lacks is known to be false."""
+    """True if no part of the value was refused. In that case each label that the value lacks is known to be false."""
 
     def refuse(self, reason: str, name: str, value: object) -> None:
         """Report that `value` is unusable. The content is then no longer whole."""
@@ -185,7 +185,7 @@ class ColumnFacts(NamedTuple):
     """True for each row of the column that has a raw object without a refused part."""
 
     def tally(self, name: Callable[[Value], tuple[str, str] | None]) -> Counter[tuple[str, str]]:
-        """Return the number of facts by key. `name` returns the key of a content, or None to leave its facts out."""
+        """Return the number of facts by key. `name` returns the key of a content, or None to skip its facts."""
         counts: Counter[tuple[str, str]] = Counter()
         for value, n in zip(self.values, np.bincount(self.code, minlength=len(self.values)).tolist(), strict=True):
             key = name(value)

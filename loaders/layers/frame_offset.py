@@ -4,12 +4,12 @@ Files of the train sequences use two numberings that are two frames apart, and n
 of a layer at frame f are compared with the 2D boxes at frame f + s. There are two tests:
 
 - Equal boxes, for layers that repeat the 2D boxes. The shift is the s with the most equal boxes.
-- Motion, for 3D boxes. A 3D box cannot equal a 2D box. It may even be too far left or right by a fixed distance in
-  every frame. A shift of frames moves only people who walk, and the faster they walk, the more. So the horizontal
-  distance between a person's 3D box and 2D box is regressed on the person's horizontal speed. The intercept takes the
-  fixed distance, and the slope is the shift in frames. The standard error of the slope is estimated twice: from blocks
-  of frames of each person, and from blocks of frames of all people. The larger estimate is used. A small slope is no
-  shift, because camera and lidar are read up to 40 ms apart.
+- Motion, for 3D boxes. A 3D box cannot equal a 2D box, and a fixed distance may separate the two boxes in every frame.
+  A shift of frames moves only people who walk, and the faster they walk, the more. So the horizontal distance between a
+  person's 3D box and 2D box is regressed on the person's horizontal speed. The intercept takes the fixed distance, and
+  the slope is the shift in frames. The standard error of the slope is estimated twice: from blocks of frames of each
+  person, and from blocks of frames of all people. The larger estimate is used. Camera and lidar are read up to 40 ms
+  apart, so a slope of this size is no evidence of a shift.
 
 The column of a person is the horizontal centre of the person in pixels of the panorama. The column of a 3D box at the
 azimuth a is 3760 * (0.5 - a / 2 pi).

@@ -51,9 +51,9 @@ class SharedDatabase:
 
     Attributes:
         database: Database object of the engine.
-        path: Graph file; None if the database is in memory.
+        path: Graph file, or None if the database is in memory.
         read_only: Whether the database is open for reading only.
-        lock: Open lock file; None if the database is in memory.
+        lock: Open lock file, or None if the database is in memory.
         users: Number of open sessions.
         writer: Lock that a session holds while it writes.
         plans: Plans of statements that were already checked, by text of the statement.
@@ -159,8 +159,8 @@ def translate_error(
     Args:
         error: Exception of the engine.
         text: Statement that failed.
-        timeout_s: Maximum time of the statement in seconds; None for no limit.
-        path: Graph file; None if the database is in memory.
+        timeout_s: Maximum time of the statement in seconds, or None for no limit.
+        path: Graph file, or None if the database is in memory.
 
     Returns:
         A StoreError if the file or the disk is at fault, otherwise a QueryError. The message says what the user can do.

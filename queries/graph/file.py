@@ -30,7 +30,7 @@ ENGINES: Final = {b"KUZU": "kuzu", b"LBUG": "ladybug"}
 """Names of the engines' Python modules, by the first four bytes of the files that the engine writes."""
 
 ENGINE: Final = os.environ.get("JRDB_AVR_ENGINE") or "kuzu"
-"""Name of the Python module of the engine in use. `ladybug` is a fork of `kuzu`; tests use it (docs/graph.md)."""
+"""Name of the Python module of the engine in use. Tests use `ladybug`, a fork of `kuzu` (docs/graph.md)."""
 
 STORE_GRAPH: Final = "graph.kuzu"
 """Name of the graph file in a store."""

@@ -1,7 +1,7 @@
 """Cypher statements of users, which may only read and run in a child process.
 
 The engine reads and writes files at the request of a statement (LOAD FROM, COPY TO, EXPORT, ATTACH), even if the
-database is open for reading only. It does not report whether a statement does so. So there are three safeguards:
+database is open for reading only. The engine does not report such requests. So there are three safeguards:
 
 - The keywords of the statement are checked. Clauses that write, load, attach, install, call or control transactions are
   refused, and so is a second statement.

@@ -153,7 +153,7 @@ class Graph:
             cypher: Statement. `$name` stands for the value of the parameter `name`.
             params: Values of the parameters, by name. Pass many rows as an Arrow table: `LOAD FROM $rows WITH ...`.
             ordered: Whether to refuse the statement if it returns several rows without an ORDER BY.
-            timeout_s: Maximum time in seconds, after which the statement is stopped; None for no limit.
+            timeout_s: Maximum time in seconds, after which the statement is stopped, or None for no limit.
 
         Returns:
             The rows that the statement returns.
@@ -190,7 +190,7 @@ class Graph:
         """Return the number of rows of each table.
 
         Args:
-            timeout_s: Maximum time in seconds to count the rows of one table; None for no limit.
+            timeout_s: Maximum time in seconds to count the rows of one table, or None for no limit.
 
         Returns:
             Number of rows by the name of the table.
@@ -394,8 +394,8 @@ _left_open: dict[Path, Graph] = {}
 def hold_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
     """Return a context manager that keeps a graph open in this process if the process handles all sequences itself.
 
-    Then the file is opened only once. With several workers, the context manager does nothing, because an open graph
-    takes 150 MB of memory. Raises the errors of `Graph.open`.
+    In that case the file is opened only once. With several workers, the context manager does nothing, because an open
+    graph takes 150 MB of memory. Raises the errors of `Graph.open`.
     """
     return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()
 

@@ -4,7 +4,6 @@ import pytest
 from readings import HARD, SEQUENCE, World, toward
 
 from jrdb_avr.loaders.intervals.derive import derive
-from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import LoadRules
 
 EVERY = range(301)
@@ -80,10 +79,10 @@ def test_what_has_a_clear_start_is_a_segment(fine, first, last, closed):
     assert segments(EVERY, **fine) == [(first, last, first, last, closed)]
 
 
-@pytest.mark.parametrize("before", [pose for pose in POSES if pose != "standing"])
-def test_a_posture_starts_when_any_other_one_ends(before):
-    world = World(EVERY).see(1, range(100), [before]).see(1, range(100, 301), ["standing"])
-    assert [row["first"] for row in derived(world, "segments") if row["action"] == "standing"] == [100]
+@pytest.mark.parametrize(("before", "after"), [("walking", "sitting"), ("lying", "standing")])
+def test_a_posture_starts_when_the_other_one_ends(before, after):
+    world = World(EVERY).see(1, range(100), [before]).see(1, range(100, 301), [after])
+    assert [row["first"] for row in derived(world, "segments") if row["action"] == after] == [100]
 
 
 def test_a_longer_gap_parts_what_is_then_no_segment():
