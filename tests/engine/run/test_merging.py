@@ -59,9 +59,8 @@ def rows(store, run_id):
     found = {}
     for name in ("predictions", "steps", "world"):
         table = pq.read_table(store.run_path(run_id) / f"{name}.parquet")
-        found[name] = table.drop_columns(
-            [own for own in ("run_id", "seconds") if own in table.column_names]
-        ).to_pylist()
+        columns = [column for column in table.column_names if column not in ("run_id", "seconds")]
+        found[name] = table.select(columns).to_pylist()
     for row in found["world"]:
         row["fact"] = row["fact"].replace(f'"{run_id}/', '"R/').replace(f'"run":"{run_id}"', '"run":"R"')
     return found
