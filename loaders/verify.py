@@ -1,9 +1,9 @@
 """Check that the files of a store are the files that `load` wrote.
 
 The manifest holds the hash of each Parquet file. The fingerprint beside the graph file holds the hash of that file. A
-run writes its world models into the graph file, which changes the hash. After a run, only the size of the file and the
-numbers of rows of the graph's tables can be compared. Rows are counted in a separate process, because a damaged graph
-can crash the engine.
+run writes its world models into the graph file, so the hash of the file changes. After a run, only the size of the file
+and the row counts of the graph's tables can be compared. Rows are counted in a separate process, because a damaged
+graph can crash the engine.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Check:
     fault: str
     """First fault, or "" if there is none."""
     reload: bool = False
-    """True if a fault of this part needs a new load. Otherwise a rebuild repairs it."""
+    """True if only a new load repairs a fault of this part, False if a rebuild repairs the fault."""
 
 
 def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None) -> list[Check]:
@@ -114,7 +114,7 @@ def _graph_fault(path: Path) -> str:
         return f"{path.name} has {rows} rows of {wrong[0]} instead of {instead}"
     if path.stat().st_size % PAGE:
         return f"{path.name} is not a complete graph file"
-    # A world model that was deleted leaves no rows, but the file of its run.
+    # A deleted world model leaves no rows in the graph, but leaves the file of its run.
     written = differ or any(path.parent.glob("runs/*/world.parquet"))
     return "" if written else f"{path.name} is not the file that was built, and no run has written into it"
 

@@ -230,7 +230,7 @@ def test_a_layer_takes_a_reader_a_table_and_their_names(copy, tmp_path):
     copy.insert("schema/tables.py", '    *("timestamps", "images"),\n', '    "toys",\n')
     copy.insert(
         "schema/tables.py",
-        '    "groups": ("Group of each person.',
+        '    "groups": ("Group of each person at each frame.',
         '    "toys": ("Toys that people hold.", "sequence frame track"),\n',
     )
     assert all(any(name.startswith(place) for place in listed("a layer")) for name in copy.edited)

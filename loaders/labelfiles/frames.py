@@ -254,7 +254,7 @@ def gather(
 
 
 def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[str, int, msgspec.Raw]]:
-    """Yield the key, the frame number and the raw list of each frame with a usable key. Count the rest."""
+    """Yield the key, the index and the raw list of each frame with a usable key. Count all other frames as problems."""
     form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     listed: set[int] = set()
     keys: set[str] = set()

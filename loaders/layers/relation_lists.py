@@ -6,9 +6,9 @@ each distinct pair and each distinct object of labels gets a code and is decoded
 
 A list is *whole* if no part of the list was refused. Every relation that a whole list lacks is known to be false. An
 entry is refused if its pair cannot be read or is the person itself, or if its labels are not an object. A label
-"impossible" gives no fact, and its list is not whole. A list with a label outside the vocabulary is not whole either,
-because the label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as an unknown
-fact.
+"impossible" gives no fact, and the list with this label is not whole. A list with a label outside the vocabulary is not
+whole either, because the label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as
+an unknown fact.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Relations:
     """Decoded relations of one kind, from the lists of the kept records. Refused parts are counted.
 
     facts: facts with the content (label, label as written, difficulty). The row of a fact is an index of `people`.
-    ends: partner or thing of each fact, by the columns of `RelationKind.ends`.
+    ends: track of the partner, or track and category id of the thing, of each fact, by column of `RelationKind.ends`.
     present: mask of the kept records that have a list. refused: mask of the kept records with a list that is not whole.
     """
 
