@@ -28,6 +28,7 @@ from jrdb_avr.queries.keyframes import layer_stamp
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.tables import RUNS
 from jrdb_avr.schema.templates import FORMS
 
 NAME = "yard-2020-01-01_0"
@@ -270,6 +271,8 @@ def test_a_world_model_that_was_dropped_is_no_damage(made, tmp_path):
     with WorldGraph.open(store.graph_path) as world:
         believe(world)
         drop_world(world.graph, "run")
+    # The record of the run says that the graph has been written into.
+    store.write_run("run", "world", RUNS["world"].empty_table())
     assert ensure_layer(store, Rules(), 1) == {NAME: 0}
 
 
