@@ -5,13 +5,9 @@ from __future__ import annotations
 import os
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jrdb_avr.engine.commands._options import STORE_VARIABLE
 from jrdb_avr.queries.manifest import is_public
-
-if TYPE_CHECKING:
-    from jrdb_avr.queries.store import Store
 
 
 def next_steps(folder: Path) -> list[str]:
@@ -38,11 +34,11 @@ def next_steps(folder: Path) -> list[str]:
     return [line for place in stores for line in _of_store(place, folder, named)]
 
 
-def scoring_steps(store: Store, *runs: str) -> str:
+def scoring_steps(store: Path, *runs: str) -> str:
     """Return the commands that lead to the scores of runs. A public store has no answers, so it exports the runs."""
-    if is_public(store.path):
-        return " && ".join(f"jrdb-avr export {run} --jsonl {run}.jsonl --store {store.path}" for run in runs)
-    return f"jrdb-avr score --store {store.path} {' '.join(runs)}"
+    if is_public(store):
+        return " && ".join(f"jrdb-avr export {run} --jsonl {run}.jsonl --store {store}" for run in runs)
+    return f"jrdb-avr score --store {store} {' '.join(runs)}"
 
 
 def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:

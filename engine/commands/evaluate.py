@@ -113,7 +113,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
         sys.exit(1)
     if not form:
         ids = [run.run_id for run in results]
-        names, steps = " ".join(ids), scoring_steps(store, *ids)
+        names, steps = " ".join(ids), scoring_steps(store.path, *ids)
         if len(results) > 1 and all(evaluation.options.selection.shard for evaluation, _ in epochs):
             steps = f"jrdb-avr runs merge {names} --run-id RUN --store {store.path}"
         elif not is_public(store.path):

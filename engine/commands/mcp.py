@@ -59,4 +59,4 @@ def command(store: Store, port: int | None, trusted: bool, model: str, **options
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with warnings_as_notes():
         run = serve(store, port=port, trusted=trusted, model=model, ready=ready, **options)
-    note(f"next: {scoring_steps(store, run)}")
+    note(f"next: {scoring_steps(store.path, run)}")

@@ -53,4 +53,4 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
         note("open this address in a browser; Ctrl-C ends, and --resume goes on")
         server.serve_forever()
     if run.finished:
-        note(f"next: {scoring_steps(store, run_id)}")
+        note(f"next: {scoring_steps(store.path, run_id)}")

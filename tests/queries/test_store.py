@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import textwrap
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from processes import run, run_program
+from processes import run
 from worlds import person, write_root
 
 from jrdb_avr.queries.files import write_atomic
@@ -42,32 +41,6 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
         write_atomic(path, broken)
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
-
-
-@pytest.mark.slow
-def test_a_full_disk_is_one_error_and_nothing_is_half_written(tmp_path):
-    code = textwrap.dedent(
-        f"""
-        import resource, signal, sys
-        import pyarrow as pa
-        from pathlib import Path
-        from jrdb_avr.queries.store import write_table
-        from jrdb_avr.schema.errors import StoreError
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-        schema = pa.schema([pa.field("a", pa.string())])
-        table = pa.table({{"a": [str(i ** 7) for i in range(50000)]}})
-        try:
-            write_table(Path({str(tmp_path / "t.parquet")!r}), table, schema)
-        except StoreError as error:
-            print(error)
-            sys.exit(7)
-        """
-    )
-    done = run_program(code)
-    assert done.returncode == 7, done.stderr
-    assert b"cannot write" in done.stdout
-    assert not list(tmp_path.iterdir())
 
 
 @given(st.text(max_size=20))
