@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import msgspec
 
-from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.store import Store, write_json
 from jrdb_avr.schema.errors import StoreError, did_you_mean
+from jrdb_avr.schema.tables import GENERATION_KEY
 
 
 class RunManifest(msgspec.Struct, frozen=True):
@@ -18,7 +19,7 @@ class RunManifest(msgspec.Struct, frozen=True):
         run_id: Id of the run, which is also the name of its folder.
         method: Name of the method.
         model: Id of the model at its server.
-        questions_sha256: Hash of the store's file of questions when the run began.
+        questions_sha256: Hash of the store's questions when the run began (`questions_hash`).
         question_ids: Ids of the questions of the run.
         synthetic: Whether the run used the simulated model or a sample world. All score tables mark such runs.
         settings: Other settings of the run, such as the budget, the sampling and the box convention, as plain JSON.
@@ -41,14 +42,21 @@ class RunManifest(msgspec.Struct, frozen=True):
 
 
 def questions_hash(store: Store) -> str:
-    """Return the sha256 of the store's file of questions, in hex. Raises StoreError if the store has no questions."""
-    path = store.question_path("questions")
-    try:
-        return file_hash(path)
-    except FileNotFoundError:
-        raise StoreError(f"{store.path} has no questions yet: run 'jrdb-avr generate --store {store.path}'") from None
-    except OSError as error:
-        raise StoreError(f"cannot read {path}: {error.strerror}") from None
+    """Return the sha256 of the generation and the ids of a store's questions. A public store has the same hash.
+
+    Args:
+        store: Store with questions.
+
+    Returns:
+        The hash in hexadecimal digits.
+
+    Raises:
+        StoreError: If the store has no questions, or the file of questions is broken.
+    """
+    table = store.questions("questions", ["question_id"])
+    generation = (table.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
+    ids = table["question_id"].combine_chunks().sort().to_pylist()
+    return hashlib.sha256("\n".join([generation, *ids]).encode()).hexdigest()
 
 
 def write_run_manifest(store: Store, manifest: RunManifest) -> None:

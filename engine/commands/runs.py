@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -95,7 +96,9 @@ def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
     from jrdb_avr.engine.run.merging import merge_runs
 
     predictions = merge_runs(store, run_ids, run_id)
-    note(f"wrote {store.run_path(run_id)}: {len(predictions)} predictions")
+    counts = Counter(predictions["status"].to_pylist())
+    by_status = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+    note(f"wrote {store.run_path(run_id)}: {len(predictions)} predictions{f' ({by_status})' if counts else ''}")
 
 
 @command.command(

@@ -114,7 +114,7 @@ def bundle_submission(store: Store, bundle: Bundle) -> Submission:
         The run's manifest and predictions.
 
     Raises:
-        StoreError: If the questions file of the run differs from the questions file of the store.
+        StoreError: If the run answered other questions than the store has.
     """
     if bundle.run.questions_sha256 != questions_hash(store):
         raise StoreError(f"{bundle.folder} belongs to another questions file: score it in its own store")

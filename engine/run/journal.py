@@ -46,10 +46,7 @@ class Finished(msgspec.Struct, frozen=True):
 # Made at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 _FINISHED: Final = msgspec.json.Decoder(Finished)
 
-_DAMAGE: Final = (
-    *(msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError),
-    pa.ArrowException,
-)
+_DAMAGE: Final = (msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError, pa.ArrowException)
 
 _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.string(): str,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import shutil
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -14,12 +14,14 @@ import pyarrow as pa
 
 from jrdb_avr.engine.run.journal import Finished, world_rows
 from jrdb_avr.engine.run.methods import WORLD_METHODS
-from jrdb_avr.engine.run.run import Run, find_difference
+from jrdb_avr.engine.run.options import QuestionSelection
+from jrdb_avr.engine.run.run import Run, add_world_counts, find_difference
+from jrdb_avr.engine.run.selection import draw_questions, matching
 from jrdb_avr.queries.beliefs.graph import open_graph
 from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.files import write_atomic
 from jrdb_avr.queries.questions import read_question_rows
-from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, write_run_manifest
+from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
@@ -39,60 +41,68 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
         The table `predictions` of the new run.
 
     Raises:
-        StoreError: If a shard is missing or unfinished, or if shards differ in questions, method, model or settings.
+        StoreError: If a shard is missing or unfinished, if shards differ in questions, method, model or settings, if
+            the shards together do not have the selected questions of the store, or if the new run exists.
         LockedError: If another process uses a shard, or uses the graph of the store.
     """
     store = Store.of(store)
     names = list(dict.fromkeys(run_ids))
     manifests = [read_run_manifest(store, name) for name in names]
     selection = _check_shards(store, manifests)
-    if (store.run_path(run_id) / "predictions.parquet").exists():
-        raise StoreError(f"run {run_id!r} exists: give another --run-id")
+    if store.run_path(run_id).exists():
+        # Its answers may come from another model, even if its settings are equal.
+        raise StoreError(f"run {run_id!r} exists: give another --run-id, or delete it by 'runs remove'")
     with contextlib.ExitStack() as stack:
         answers = [stack.enter_context(Run(store, name)).finished for name in names]
         for manifest, finished in zip(manifests, answers, strict=True):
             if missing := set(manifest.question_ids) - set(finished):
                 raise StoreError(f"run {manifest.run_id!r} lacks {len(missing)} answers: finish it with --resume")
-        run = stack.enter_context(Run(store, run_id))
-        owners = {
-            name: (manifest.run_id, finished)
-            for manifest, finished in zip(manifests, answers, strict=True)
-            for name in manifest.question_ids
-        }
-        ids = [row.question_id for row in read_question_rows(store) if row.question_id in owners]
         first, synthetic = manifests[0], any(manifest.synthetic for manifest in manifests)
-        merged = run.start(first.method, first.model, ids, first.settings, synthetic, selection)
-        counts = sum((Counter(manifest.world) for manifest in manifests), Counter[str]())
-        write_run_manifest(store, msgspec.structs.replace(merged, world=dict(counts)))
-        # If an earlier merge was killed, the new run already has some of the answers.
-        for name in ids:
-            if name not in run.finished:
-                owner, finished = owners[name]
-                run.append(_rename_world(finished[name], owner, run_id))
+        # The graph is opened before the run, because a graph in use must not leave an unfinished run.
+        has_world = first.method in WORLD_METHODS and store.graph_path.exists()
+        graph = stack.enter_context(open_graph(store.graph_path)) if has_world else None
+        run = stack.enter_context(Run(store, run_id))
+        ids = [name for manifest in manifests for name in manifest.question_ids]
+        run.start(first.method, first.model, ids, first.settings, synthetic, selection)
+        for manifest, finished in zip(manifests, answers, strict=True):
+            add_world_counts(store, run_id, manifest.world)
+            for name in manifest.question_ids:
+                run.append(_rename_world(finished[name], manifest.run_id, run_id))
         _join_calls([store.run_path(name) for name in names], store.run_path(run_id))
-        if first.method in WORLD_METHODS and store.graph_path.exists():
-            with open_graph(store.graph_path) as graph:
-                merge_world(graph, run_id, world_rows(run_id, run.finished))
+        if graph is not None:
+            merge_world(graph, run_id, world_rows(run_id, run.finished))
         return run.finish()
 
 
 def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, Any]:
     """Return the selection of the whole run. Raise StoreError if the runs are not all shards of one run."""
-    first = manifests[0]
-    selections = [dict(manifest.selection) for manifest in manifests]
-    shards = [tuple(selection.pop("shard", ())) for selection in selections]
-    for manifest, selection, shard in zip(manifests, selections, shards, strict=True):
-        if not shard:
-            raise StoreError(f"run {manifest.run_id!r} is not a shard: evaluate with --shard I/N")
+    first, shards = manifests[0], [_shard(manifest) for manifest in manifests]
+    whole, (_, count) = shards[0]
+    for manifest, (selection, (_, shard_count)) in zip(manifests, shards, strict=True):
         if manifest.questions_sha256 != questions_hash(store):
             raise StoreError(f"run {manifest.run_id!r} has other questions than the store has now")
-        what = "selection" if selection != selections[0] else find_difference(first, manifest)
-        if what or shard[1] != shards[0][1]:
-            raise StoreError(f"run {manifest.run_id!r} has another {what or 'number of shards'} than {first.run_id!r}")
-    numbers, count = sorted(shard[0] for shard in shards), shards[0][1]
-    if numbers != list(range(1, count + 1)):
+        sizes = "selection" if selection != whole else "number of shards" if shard_count != count else ""
+        if what := find_difference(first, manifest) or sizes:
+            hint = ": copy opaque.key of one store to each store before the shards run" if what == "opaque.key" else ""
+            raise StoreError(f"runs {first.run_id!r} and {manifest.run_id!r} differ in the {what}{hint}")
+    numbers = sorted(number for _, (number, _) in shards)
+    if len(numbers) != count or numbers != list(range(1, count + 1)):
         raise StoreError(f"the runs are the shards {', '.join(map(str, numbers))} of {count}: give each shard once")
-    return selections[0]
+    ids = sorted(name for manifest in manifests for name in manifest.question_ids)
+    if ids != sorted(row.question_id for row in draw_questions(matching(read_question_rows(store), whole), whole)):
+        raise StoreError("the shards together have other questions than their selection has on this store")
+    return whole.record()
+
+
+def _shard(manifest: RunManifest) -> tuple[QuestionSelection, tuple[int, int]]:
+    """Return the selection of the whole run, and the number of the shard with the number of all shards."""
+    try:
+        selection = msgspec.convert(manifest.selection, QuestionSelection)
+    except msgspec.ValidationError as error:
+        raise StoreError(f"the selection in run.json of run {manifest.run_id!r} is invalid: {error}") from None
+    if selection.shard is None:
+        raise StoreError(f"run {manifest.run_id!r} is not a shard: evaluate with --shard I/N")
+    return dataclasses.replace(selection, shard=None), selection.shard
 
 
 def _rename_world(entry: Finished, old: str, new: str) -> Finished:

@@ -64,9 +64,7 @@ class Run(Journal):
         if self.finished and not has_manifest(store, run_id):
             self.close()
             # Without a manifest, the answers may come from another model.
-            raise StoreError(
-                f"{store.run_path(run_id)} has answers but no run.json: delete the folder, or give another --run-id"
-            )
+            raise StoreError(f"{folder} has answers but no run.json: delete the folder, or give another --run-id")
 
     def start(
         self,
@@ -152,7 +150,9 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
         return
     before = read_run_manifest(store, manifest.run_id)
     if what := find_difference(before, manifest):
-        raise StoreError(f"run {manifest.run_id!r} had another {what}: resume it as it was, or give another --run-id")
+        raise StoreError(
+            f"run {manifest.run_id!r} differs in the {what}: resume it as it was, or give another --run-id"
+        )
     if set(before.question_ids) != set(manifest.question_ids):
         # A run without the table `predictions` counts as unfinished. Its answers remain in the journal.
         for name in ("scores", "predictions"):
@@ -198,7 +198,8 @@ def _shaping(manifest: RunManifest) -> dict[str, Any]:
     return {
         "method": manifest.method,
         "model": manifest.model,
-        "settings": settings.pop("method", {}),
+        "method settings": settings.pop("method", {}),
+        "opaque.key": settings.pop("opaque", ""),
         "request settings": {name: value for name, value in endpoint.items() if name not in _ACCESS},
         **{name.replace("_", " "): value for name, value in settings.items()},
     }

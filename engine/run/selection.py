@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Sequence
+from itertools import count
 from operator import itemgetter
 from pathlib import Path
 from typing import Final
@@ -29,7 +30,7 @@ def select_questions(
     """Select questions that have panoramas.
 
     Questions without panoramas are left out first, with a warning. The options `limit` and `per_template` then count
-    only the remaining questions.
+    only the remaining questions. A shard leaves out no question, because machines may have different panoramas.
 
     Args:
         questions: All questions of the store, in the order of the questions file.
@@ -44,24 +45,44 @@ def select_questions(
     Raises:
         InputError: If the selection names a question, family, template or sequence that the store lacks, or if it
             selects by a column that a public store leaves out.
-        StoreError: If no question matches, or if no matching question has panoramas.
+        StoreError: If no question matches, if no matching question has panoramas, or if a question of a shard has none.
     """
-    if selection.per_template is not None:
-        _check_columns(questions, "template")
-    chosen = _with_panoramas(matching(questions, selection), image_root)
-    if selection.seed is not None:
-        chosen.sort(key=lambda question: _draw(selection.seed, question))
-    if selection.per_template is not None:
-        counts: Counter[str] = Counter()
-        ranked = sorted(((_count(counts, row.template), row) for row in chosen), key=itemgetter(0))
-        chosen = [row for rank, row in ranked if rank <= selection.per_template]
-    chosen = chosen[: selection.limit]
     if selection.shard is None:
-        return chosen
+        return draw_questions(_with_panoramas(matching(questions, selection), image_root), selection)
     # Count all sequences of the store, so that selecting more questions moves no sequence to another shard.
     index, shards = selection.shard
     members = set(sorted({row.sequence for row in questions})[index - 1 :: shards])
-    return [row for row in chosen if row.sequence in members]
+    chosen = [row for row in draw_questions(matching(questions, selection), selection) if row.sequence in members]
+    if without := _without_panoramas(chosen, image_root):
+        raise StoreError(f"sequence {without[0]} of this shard has no panoramas: add them, or give --images")
+    return chosen
+
+
+def draw_questions(questions: Sequence[QuestionRow], selection: QuestionSelection) -> list[QuestionRow]:
+    """Apply the seed and the limits of a selection to the questions that match it.
+
+    Args:
+        questions: The result of `matching`, or a part of it.
+        selection: The options of the selection. Its shard is ignored.
+
+    Returns:
+        The selected questions, in the order that `select_questions` describes.
+
+    Raises:
+        InputError: If the selection has `per_template`, and the store is public.
+        StoreError: If `questions` is empty.
+    """
+    if not questions:
+        raise StoreError("no question matches all selected families, templates and sequences: select by fewer options")
+    chosen = list(questions)
+    if selection.seed is not None:
+        chosen.sort(key=lambda question: _draw(selection.seed, question))
+    if selection.per_template is not None:
+        _check_columns(questions, "template")
+        ranks: defaultdict[str, count[int]] = defaultdict(count)
+        ranked = sorted(((next(ranks[row.template]), row) for row in chosen), key=itemgetter(0))
+        chosen = [row for rank, row in ranked if rank < selection.per_template]
+    return chosen[: selection.limit]
 
 
 def matching(questions: Sequence[QuestionRow], selection: QuestionSelection) -> list[QuestionRow]:
@@ -102,26 +123,22 @@ def _check_columns(questions: Sequence[QuestionRow], column: str) -> None:
         )
 
 
-def _count(counts: Counter[str], name: str) -> int:
-    counts[name] += 1
-    return counts[name]
-
-
 def _draw(seed: int | None, question: QuestionRow) -> bytes:
     """Return the sort key of a question in a seeded draw. The key does not depend on any other question."""
     return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 
-def _with_panoramas(questions: Sequence[QuestionRow], image_root: str | None) -> list[QuestionRow]:
+def _without_panoramas(questions: Sequence[QuestionRow], image_root: str | None) -> list[str]:
     sequences = sorted({question.sequence for question in questions})
-    without = [name for name in sequences if image_root is None or not any(Path(image_root, name).glob("*.jpg"))]
+    return [name for name in sequences if image_root is None or not any(Path(image_root, name).glob("*.jpg"))]
+
+
+def _with_panoramas(questions: Sequence[QuestionRow], image_root: str | None) -> list[QuestionRow]:
+    without = _without_panoramas(questions, image_root)
     complete = [question for question in questions if question.sequence not in without]
-    if not questions:
-        raise StoreError("no question matches all selected families, templates and sequences: select by fewer options")
-    lacking = (
-        f"{len(without)} sequences have no panoramas ({', '.join(without[:3])}{', ...' if len(without) > 3 else ''})"
-    )
-    if not complete:
+    names = ", ".join(without[:3]) + (", ..." if len(without) > 3 else "")
+    lacking = f"{len(without)} sequences have no panoramas ({names})"
+    if without and not complete:
         raise StoreError(f"no selected question can be asked: {lacking}; select others, or give --images")
     if without:
         left = f"{len(questions) - len(complete)} of {len(questions)} questions are left out: {lacking}"

@@ -112,9 +112,8 @@ def test_a_bundle_scores_like_its_run(store, bundle):
     assert sorted(path.name for path in bundle.iterdir()) == ["SHA256SUMS", "predictions.jsonl", "run.json"]
     assert not [path for path in bundle.iterdir() if ADDRESS in path.read_text()]
     assert read_bundle(bundle).run.settings == {"endpoint": {"seed": 3}, "method": {"panoramas": 8}}
-    subprocess.run(
-        ["sha256sum", "--strict", "--check", "SHA256SUMS"], cwd=bundle, check=True, stdout=subprocess.DEVNULL
-    )
+    command = ["sha256sum", "--strict", "--check", "SHA256SUMS"]
+    subprocess.run(command, cwd=bundle, check=True, stdout=subprocess.DEVNULL)
 
 
 def test_a_bundle_needs_a_folder_of_its_own(store, bundle):
@@ -138,10 +137,8 @@ def test_one_changed_character_is_refused(store, bundle, name):
 
 def resummed(bundle):
     """Sums that fit again: whoever alters a bundle can do that too."""
-    lines = [
-        f"{hashlib.sha256((bundle / name).read_bytes()).hexdigest()}  {name}\n"
-        for name in ("run.json", "predictions.jsonl")
-    ]
+    names = ("run.json", "predictions.jsonl")
+    lines = [f"{hashlib.sha256((bundle / name).read_bytes()).hexdigest()}  {name}\n" for name in names]
     (bundle / "SHA256SUMS").write_text("".join(lines))
 
 
@@ -202,9 +199,8 @@ def another(store, name, wrong=0, ids=None, **changes):
     manifest = read_run_manifest(store, "r")
     ids = manifest.question_ids if ids is None else ids
     write_run_manifest(store, msgspec.structs.replace(manifest, run_id=name, question_ids=tuple(ids), **changes))
-    rows = [
-        row for row in read_table(store.run_path("r") / "predictions.parquet").to_pylist() if row["question_id"] in ids
-    ]
+    predictions = read_table(store.run_path("r") / "predictions.parquet").to_pylist()
+    rows = [row for row in predictions if row["question_id"] in ids]
     for row in rows:
         row |= {"run_id": name} | ({"answer": '{"choice":2}'} if row["question_id"] in ids[:wrong] else {})
     store.write_run(name, "predictions", pa.Table.from_pylist(rows, RUNS["predictions"]))
@@ -224,9 +220,7 @@ def test_bundles_are_ranked_among_those_of_the_same_questions(store, tmp_path):
     assert board.sets[0][0].question_set != board.sets[1][0].question_set
     for entry in (entry for entries in board.sets for entry in entries):
         (row,) = score_bundles(store, [entry.bundle.folder]).rows
-        assert {name: entry.row[name] for name in row if name != "label"} == {
-            k: v for k, v in row.items() if k != "label"
-        }
+        assert {name: entry.row[name] for name in row} | {"label": row["label"]} == row
 
 
 def test_what_cannot_be_scored_is_left_out_of_a_leaderboard(store, bundle, tmp_path):

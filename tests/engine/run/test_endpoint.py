@@ -48,11 +48,11 @@ def test_a_run_is_resumed_with_a_server_that_once_did_not_tell_its_version(tmp_p
     check_manifest(store, terms(""))
     check_manifest(store, terms("0.12.0"))
     check_manifest(store, terms("", lines=["picture: 2 of 4 drawn pictures were seen right"]))
-    with pytest.raises(StoreError, match="another served model"):
+    with pytest.raises(StoreError, match="differs in the served model"):
         check_manifest(store, terms("", ""))
     (tmp_path / "runs" / "r" / "run.json").unlink()
     check_manifest(store, terms("0.12.0"))
-    with pytest.raises(StoreError, match="another server version"):
+    with pytest.raises(StoreError, match="differs in the server version"):
         check_manifest(store, terms("0.13.0"))
 
 

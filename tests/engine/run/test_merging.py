@@ -2,12 +2,14 @@
 
 import json
 import shutil
+from operator import attrgetter
 
 import pyarrow.parquet as pq
 import pytest
 from painted import FRAMES, SEQUENCE, question, write_answers, write_public, write_store
 from processes import run
 
+from jrdb_avr.engine.run.merging import merge_runs
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph
 from jrdb_avr.queries.runs import read_run_manifest
@@ -16,6 +18,7 @@ from jrdb_avr.schema.errors import StoreError
 
 NAMES = (SEQUENCE, "second", "third")
 ASKED = [question(t0, t1, name) for name in NAMES for t0, t1 in ((0, 90), (15, 105))]
+ASKED.sort(key=attrgetter("question_id"))
 
 
 @pytest.fixture
@@ -40,11 +43,15 @@ def evaluate(store, *options):
     return json.loads(out)[0]
 
 
-def collect(store, *names):
-    for name in names:
-        number = name.partition("of")[0][-1]
-        shutil.copytree(Store(store.path.parent / number).run_path(name), store.run_path(name))
-    return names
+def shard(origins, whole, *options):
+    """Evaluate each shard in its store, copy it into the store `whole`, and return the run ids and sizes."""
+    sizes = {}
+    for number, store in enumerate(origins, 1):
+        part, name = f"{number}/{len(origins)}", f"r-{number}of{len(origins)}"
+        sizes[name] = evaluate(store, "--method", "react", "--run-id", "r", "--shard", part, *options)["n"]
+        if store is not whole:
+            shutil.copytree(store.run_path(name), whole.run_path(name))
+    return list(sizes), list(sizes.values())
 
 
 def rows(store, run_id):
@@ -52,9 +59,8 @@ def rows(store, run_id):
     found = {}
     for name in ("predictions", "steps", "world"):
         table = pq.read_table(store.run_path(run_id) / f"{name}.parquet")
-        found[name] = table.drop_columns(
-            [own for own in ("run_id", "seconds") if own in table.column_names]
-        ).to_pylist()
+        columns = [column for column in table.column_names if column not in ("run_id", "seconds")]
+        found[name] = table.select(columns).to_pylist()
     for row in found["world"]:
         row["fact"] = row["fact"].replace(f'"{run_id}/', '"R/').replace(f'"run":"{run_id}"', '"run":"R"')
     return found
@@ -64,9 +70,8 @@ def rows(store, run_id):
 def test_merged_shards_are_the_whole_run(stores, method):
     whole = stores["whole"]
     evaluate(whole, "--method", method, "--run-id", "all")
-    sizes = [evaluate(stores[n], "--method", method, "--run-id", "r", "--shard", f"{n}/3")["n"] for n in "123"]
+    names, sizes = shard([stores[n] for n in "123"], whole, "--method", method)
     assert sizes == [2, 2, 2]
-    names = collect(whole, *(f"r-{n}of3" for n in "123"))
     code, _, err = run("runs", "merge", *names, "--run-id", "r", "--store", whole.path)
     assert code == 0, err
     assert rows(whole, "r") == rows(whole, "all")
@@ -86,9 +91,8 @@ def test_merged_shards_are_the_whole_run(stores, method):
 
 def test_an_empty_shard_merges(stores):
     whole = stores["whole"]
-    only = ("--method", "react", "--run-id", "r", "--sequence", SEQUENCE)
-    assert sorted(evaluate(stores[n], *only, "--shard", f"{n}/3")["n"] for n in "123") == [0, 0, 2]
-    names = collect(whole, *(f"r-{n}of3" for n in "123"))
+    names, sizes = shard([stores[n] for n in "123"], whole, "--sequence", SEQUENCE)
+    assert sorted(sizes) == [0, 0, 2]
     assert run("runs", "merge", *names, "--run-id", "r", "--store", whole.path)[0] == 0
     assert len(rows(whole, "r")["predictions"]) == 2
 
@@ -104,16 +108,16 @@ def test_shards_that_do_not_fit_are_refused_in_a_line(stores):
         assert code == 1 and err.count("\n") == 1 and not whole.run_path("m").exists()
         return err
 
-    assert "another request settings than 'r-1of2'" in refusal("--max-tokens", "99")
-    assert "another settings than" in refusal("--history", "3")
-    assert "another marker than" in refusal("--marker", "seed=3", "--marker", "wrong_box=0.1")
-    assert "another model than" in refusal("--model", "simulated:noisy")
-    assert "another method than" in refusal("--method", "monolithic")
-    assert "another selection than" in refusal("--limit", "3")
+    assert "differ in the request settings" in refusal("--max-tokens", "99")
+    assert "differ in the method settings" in refusal("--history", "3")
+    assert "differ in the marker" in refusal("--marker", "seed=3", "--marker", "wrong_box=0.1")
+    assert "differ in the model" in refusal("--model", "simulated:noisy")
+    assert "differ in the method" in refusal("--method", "monolithic")
+    assert "differ in the selection" in refusal("--limit", "3")
     evaluate(whole, "--method", "react", "--run-id", "r", "--shard", "2/3")
     evaluate(whole, "--method", "react", "--run-id", "plain")
     for others, why in (
-        (["r-2of3"], "another number of shards"),
+        (["r-2of3"], "differ in the number of shards"),
         (["plain"], "'plain' is not a shard"),
         ([], "the runs are the shards 1 of 2: give each shard once"),
     ):
@@ -123,13 +127,42 @@ def test_shards_that_do_not_fit_are_refused_in_a_line(stores):
     assert "other questions" in run("runs", "merge", "r-1of2", "--run-id", "m", "--store", whole.path)[2]
 
 
-def test_an_unfinished_shard_is_refused(stores):
-    whole = stores["whole"]
-    for number in "12":
-        evaluate(whole, "--method", "react", "--run-id", "r", "--shard", f"{number}/2")
-    for path in (whole.run_path("r-1of2") / "journal").glob("*.jsonl"):
-        path.write_bytes(b"")
-    with pytest.raises(StoreError, match="'r-1of2' lacks 4 answers: finish it with --resume"):
-        from jrdb_avr.engine.run.merging import merge_runs
+def test_shards_and_bundles_of_an_opaque_public_store_fit_the_full_store(stores, tmp_path):
+    whole, public = stores["whole"], Store(tmp_path / "public")
+    assert run("export", "--store", whole.path, "--public", public.path, "--opaque")[0] == 0
+    shard([public, public], whole, "--limit", "5")
+    code, _, err = run("runs", "merge", "r-1of2", "r-2of2", "--run-id", "r", "--store", whole.path)
+    assert code == 0 and "5 predictions (" in err, err
+    size = len(read_run_manifest(public, "r-1of2").question_ids)
+    assert run("submit", "--store", public.path, "r-1of2", tmp_path / "bundle")[0] == 0
+    code, out, err = run("score", "--store", whole.path, "--json", "--bundle", tmp_path / "bundle")
+    assert code == 0 and json.loads(out)[0]["n"] == size, err
 
+
+def test_a_merge_makes_the_whole_run_or_none(stores):
+    whole = stores["whole"]
+    shard([whole, whole], whole)
+    evaluate(whole, "--method", "react", "--run-id", "r", "--limit", "2")
+    (whole.run_path("r") / "predictions.parquet").unlink()
+    with pytest.raises(StoreError, match="run 'r' exists"):
+        merge_runs(whole, ["r-1of2", "r-2of2"], "r")
+    path = whole.run_path("r-1of2") / "run.json"
+    manifest = json.loads(path.read_text())
+    path.write_text(json.dumps(manifest | {"question_ids": manifest["question_ids"][1:]}))
+    with pytest.raises(StoreError, match="other questions than their selection"):
         merge_runs(whole, ["r-1of2", "r-2of2"], "m")
+    for hostile in ([3], None, 3, {"3": 3}, [3.0, 3], [3, 10**15]):
+        path.write_text(json.dumps(manifest | {"selection": {"shard": hostile}}))
+        with pytest.raises(StoreError):
+            merge_runs(whole, ["r-1of2"], "m")
+    path.write_text(json.dumps(manifest))
+    for journal in (whole.run_path("r-1of2") / "journal").glob("*.jsonl"):
+        journal.write_bytes(b"")
+    with pytest.raises(StoreError, match="'r-1of2' lacks 4 answers: finish it with --resume"):
+        merge_runs(whole, ["r-1of2", "r-2of2"], "m")
+
+
+def test_shards_of_another_key_are_refused_with_the_remedy(stores):
+    shard([stores["1"], stores["2"]], stores["whole"], "--opaque")
+    with pytest.raises(StoreError, match=r"differ in the opaque\.key: copy opaque\.key of one store to each store"):
+        merge_runs(stores["whole"], ["r-1of2", "r-2of2"], "m")
