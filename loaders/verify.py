@@ -115,8 +115,9 @@ def _graph_fault(path: Path) -> str:
         return f"{path.name} has {rows} rows of {wrong[0]} instead of {instead}"
     if path.stat().st_size % PAGE:
         return f"{path.name} is not a complete graph file"
-    # A deleted world model leaves no rows in the graph, but leaves the file of its run.
-    written = differ or any(path.parent.glob("runs/*/world.parquet"))
+    # A killed run leaves rows in the graph, but no file. A deleted world model leaves no rows, but the file of its run.
+    believed = any(count for table, count in counts.items() if table not in _BUILT)
+    written = differ or believed or any(path.parent.glob("runs/*/world.parquet"))
     return "" if written else f"{path.name} is not the file that was built, and no run has written into it"
 
 
