@@ -46,7 +46,7 @@ class StoreError(AvrError):
 
 
 class LockedError(StoreError):
-    """The store or its graph is in use by another process or by this one. `holder` describes the process that does so."""
+    """The store or its graph is in use by another process or by this one. `holder` describes that process."""
 
     def __init__(self, message: str, *, holder: str = "") -> None:
         super().__init__(message)
