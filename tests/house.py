@@ -150,13 +150,16 @@ def room_of(name: str) -> str:
 
 def code_lines(text: str) -> int:
     """Count the lines that hold code, without docstrings and imports."""
-    silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
-    tokens = [one for one in tokenize.generate_tokens(io.StringIO(text).readline) if one.type not in silent]
-    lines = {line for one in tokens for line in range(one.start[0], one.end[0] + 1)}
+    numbered = enumerate(text.splitlines(), 1)
+    lines = {i for i, line in numbered if line.strip() and not line.lstrip().startswith("#")}
+    silent = set()
     for node in ast.walk(ast.parse(text)):
         if is_text(node) or isinstance(node, ast.Import | ast.ImportFrom):
-            lines -= set(range(node.lineno, node.end_lineno + 1))
-    return len(lines)
+            silent.update(range(node.lineno, node.end_lineno + 1))
+        elif isinstance(node, ast.Constant | ast.JoinedStr):
+            # Inside a string, blank lines and lines that begin with "#" are code.
+            lines.update(range(node.lineno, node.end_lineno + 1))
+    return len(lines - silent)
 
 
 def texts_of(text: str, nodes: list[ast.AST]) -> list[str]:

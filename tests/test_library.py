@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import environment
 import msgspec
 import pyarrow as pa
 import pytest
@@ -83,9 +84,11 @@ avr.evaluate(store, 5)
 @pytest.mark.slow
 def test_a_type_checker_sees_the_types(tmp_path):
     (tmp_path / "snippet.py").write_text(SNIPPET)
+    # Because mypy does not follow every kind of editable install.
+    (tmp_path / "jrdb_avr").symlink_to(ROOT)
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--config-file", ROOT / "pyproject.toml", tmp_path / "snippet.py"],
-        cwd=ROOT.parent,
+        [sys.executable, "-m", "mypy", "--config-file", environment.ROOT / "pyproject.toml", "snippet.py"],
+        cwd=tmp_path,
         capture_output=True,
         text=True,
     )
