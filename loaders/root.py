@@ -40,7 +40,7 @@ LAYER_FILES: Final = (*LABEL_DIRS, TIMESTAMPS, CALIBRATION)
 """Layers that have files, in the order of reading. The 2D layer must be first, because it is the reference."""
 
 BOXES_ELSEWHERE: Final = ("social", "reasoning")
-"""Layers whose files repeat the 2D records. If a sequence has no file of 2D boxes, its boxes are read from these."""
+"""Layers with files that repeat the 2D records. If a sequence has no 2D file, its boxes are read from these files."""
 
 CAMERAS_FILE: Final = "cameras.yaml"
 IMAGE_DIRS: Final = ("images/image_stitched", "image_stitched")
@@ -176,7 +176,7 @@ class _Search:
         return [folder / name for name in names.values()]
 
     def sequence(self, file: Path) -> str | None:
-        """Return the sequence of a label file. Refuse a file whose name cannot be a sequence name, and return None."""
+        """Return the sequence of a label file. Refuse a file with an impossible sequence name, and return None."""
         try:
             return safe_sequence(file.stem)
         except InputError:
