@@ -123,8 +123,8 @@ def load(
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: their boxes of permitted size "
-                "all count as clear views, even of hidden people; generate --require-occlusion skips these sequences",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes, so every box of permitted "
+                "size counts as a clear view, even of hidden people; generate --require-occlusion skips such sequences",
                 AvrWarning,
                 stacklevel=2,
             )
