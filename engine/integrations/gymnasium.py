@@ -9,8 +9,8 @@ picture, and the meaning of `numbers` depends on the answer mode: a choice, one 
 and an angle, or a value (1 is `LARGEST`).
 
 A refused action costs a move, and `info` has the reason. The reward is always 0, unless the environment was made with
-the argument `reward`, which names a score. The reward of the last step is then this score of the prediction. Needs the
-extra `gym`.
+the argument `reward`, which names a score. The reward of the last step is then this score of the prediction. This
+module needs the extra `gym`.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ class QuestionEnv(gymnasium.Env):
             images: The folder of panoramas. Default: the folder that the store names.
             opaque: Whether to replace the names of sequences by opaque names.
             budget: Maximum number of looks per question.
-            reward: The score to return as the reward of the last step. The store must have answers. None gives 0.
+            reward: Name of the score that becomes the reward of the last step. The store must then have answers. If it
+                is None, every reward is 0.
             render_mode: The render mode, as in Gymnasium.
 
         Raises:

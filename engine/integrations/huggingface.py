@@ -1,4 +1,4 @@
-"""Export of a question set as two folders. Hugging Face's `datasets` can load them.
+"""Export of a question set as two folders that Hugging Face's `datasets` can load.
 
     DIR/public/README.md                      the dataset card, which names the files for `load_dataset`
     DIR/public/croissant.json                 the same description in the format Croissant
@@ -7,7 +7,8 @@
     DIR/private/data/answers.parquet, evidence.parquet, names.parquet
 
 The answers need a private folder, because every file of a published folder can be downloaded. In the public folder,
-sequences have opaque names. The private table `names` gives the recording of each. Neither folder has pictures.
+sequences have opaque names. The private table `names` gives the real name for each opaque name. Neither folder has
+pictures.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def export_folders(
 
     Args:
         store: The store, or its folder.
-        folder: The folder that gets both folders. It must be missing or empty.
+        folder: The folder to make both folders in. It must be missing or empty.
         creator: Name of the publisher of the questions.
         url: Address of the publication.
         published: Day of the publication. None means today (UTC).
@@ -91,7 +92,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     about = _columns(_PRIVATE) | {"names": _ABOUT_NAMES}
     write_bytes(private / "README.md", _render("private_card.md", head=_front(_configs(about)), tables=about, **shared))
 
-    # Sorted by ids and opaque names, because an order by real names would help to guess the real names.
+    # Rows are sorted by ids and opaque names, because an order by real names would help to guess the real names.
     tables = {
         "questions": rename_sequences(questions, names).sort_by("question_id"),
         "sequences": rename_sequences(sequences, names).sort_by("sequence"),

@@ -7,10 +7,10 @@
     jrdb_avr/method   solver: a method of this benchmark, as in `--solver jrdb_avr/method -S name=NAME -S store=STORE`
     jrdb_avr/judged   scorer: answer, evidence, combined and hallucination
 
-The target of each sample is empty, so that solvers and logs never have the answer. The scorer sends each prediction to
+The target of each sample is empty, so that solvers and logs never get the answer. The scorer sends each prediction to
 a separate process (`Judge`), which returns only the scores. On a machine without answers, run `inspect eval
 --no-score`. Then run `inspect score LOG --scorer jrdb_avr/judged -S store=STORE` on the machine that has the answers.
-Needs the extra `inspect`.
+This module needs the extra `inspect`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,10 @@ from jrdb_avr.schema.errors import AvrError, InputError, RefusedError, StoreErro
 from jrdb_avr.schema.method import Observation, Prediction, Question
 
 PREDICTION: Final = "jrdb_avr:prediction"
-"""Key of a sample's current prediction, a row of `predictions`, in the store that Inspect keeps for the sample."""
+"""Key of a sample's current prediction in the store that Inspect keeps for the sample.
+
+The prediction has the form of a row of the table `predictions`.
+"""
 
 _GO_ON: Final = "Your last turn called no tool, and cost a turn. Call observe, or submit_answer."
 _AT_ONCE: Final = 64
@@ -65,7 +68,7 @@ _AT_ONCE: Final = 64
 
 _SCORES: Final = ("answer", "evidence", "combined")
 _STOPPED: Final = {"max_tokens": "length", "model_length": "length", "tool_calls": "stop", "unknown": ""}
-"""Finish reason of the chat-completions format for each stop reason of Inspect that has another name."""
+"""Finish reasons of the chat-completions format, by stop reason of Inspect. Reasons with equal names are left out."""
 
 
 # -- tasks ------------------------------------------------------------------------------------------------------------
@@ -145,7 +148,7 @@ def method(name: str, store: str, images: str | None = None, opaque: bool = Fals
         names = ", ".join(method_name for method_name in METHODS if method_name not in WORLD_METHODS)
         raise InputError(f"{name!r} is not one of {names}", field="name")
     bench = _bench(store, images, opaque)
-    # A separate limit, so that methods that wait for a model take no threads from Inspect's own pool.
+    # Methods have a separate limit, so that methods that wait for a model take no threads from Inspect's own pool.
     threads = anyio.CapacityLimiter(_AT_ONCE)
 
     async def solve(state: TaskState, generate: Generate) -> TaskState:
@@ -249,7 +252,7 @@ class _InspectChat:
 
     def complete(self, messages: Sequence[Message], schema: Mapping[str, Any] | None = None) -> Reply:
         sent = [_message(message) for message in messages]
-        # The schema is always sent on, because a server decodes differently without it.
+        # The schema is always forwarded, because a server decodes differently without a schema.
         form = None if schema is None else ResponseSchema(name="reply", json_schema=JSONSchema(**schema), strict=True)
         config = GenerateConfig(response_schema=form)
         output = anyio.from_thread.run(lambda: self._model.generate(sent, config=config))

@@ -1,8 +1,8 @@
 """Server of questions for any agent that speaks MCP. Its tools are `next_question`, `observe` and `submit_answer`.
 
-The moves of the agent become a run of the store. There are no sessions: each call carries the opaque token of its
-question. Only the public files of the store are read. The tools return a question's text, its legal frames, crops with
-their frame and angle, and the reasons for refused moves. Needs the extra `mcp`.
+The moves of the agent are recorded as a run of the store. There are no sessions. Instead, each call carries the opaque
+token of its question. Only the public files of the store are read. The tools return a question's text, its legal
+frames, crops with their frame and angle, and the reasons for refused moves. This module needs the extra `mcp`.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ METHOD: Final = "mcp"
 """Name of the method in runs of this server. Such a run has the agent's name as the name of its model."""
 
 MOST_OPEN: Final = 64
-"""Maximum number of questions that are begun and not finished."""
+"""Maximum number of questions that the agent has begun but not finished."""
 
 _HOW: Final = (
     "Answer questions about a video. Call next_question for a question, observe to look at the video, and "
     "submit_answer with your answer and the box that proves it; then next_question again, until none is left."
 )
 
-# These types only document the arguments. They accept any value, so that the episode can count and explain a wrong one.
+# These types only document arguments. They accept any value, so that the episode can count and explain a wrong value.
 _FrameId = Annotated[Any, WithJsonSchema(FRAME_ID_SCHEMA)]
 _Angle = Annotated[Any, WithJsonSchema({"type": "number"})]
 _Answer = Annotated[Any, WithJsonSchema({"description": "as the question's answer_schema has it"})]
@@ -73,7 +73,7 @@ class Desk:
         """Return an MCP server that has these tools."""
         server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
         server.add_tool(self.next_question)
-        # Not structured, because MCP has no structured form for a list that has a picture.
+        # The output is not structured, because MCP has no structured form for a list that has a picture.
         server.add_tool(self.observe, description=LOOK, structured_output=False)
         server.add_tool(self.submit_answer, description=SUBMIT)
         return server
@@ -133,7 +133,7 @@ class Desk:
     def _finish(self, token: str, play: Play) -> None:
         with self._lock:
             if token in self._open:
-                # If writing fails, the question stays begun, and the agent's next call writes it again.
+                # If writing fails, the question stays open, and the agent's next call tries to write it again.
                 play.record(self._run)
                 del self._open[token]
 
@@ -161,7 +161,7 @@ def serve(
         port: Port of an HTTP server on 127.0.0.1. 0 takes a free port, and None uses standard input and output.
         trusted: Whether to allow standard input and output even if the agent could read answers or labels.
         model: Name of the agent.
-        run_id: Id of the run. Default: made of the names of the method and the agent.
+        run_id: Id of the run. Default: an id that is made of the names of the method and the agent.
         limit: Maximum number of questions. None sets no maximum.
         resume: Whether to continue the run if it exists.
         images: The folder of panoramas. Default: the folder that the store names.
@@ -201,7 +201,7 @@ def private_parts(store: Store, images: str | Path | None) -> list[str]:
         images: The folder of panoramas. Default: the folder that the store names.
 
     Returns:
-        Files and folders of the store, as paths relative to it, and folders of labels next to the panoramas.
+        Paths of the store's files and folders, relative to the store, and paths of label folders next to the panoramas.
     """
     labels = (store.graph_path, store.path / "annotations", store.path / "intervals")
     paths = [*map(store.question_path, PRIVATE), *labels, *store.path.glob("runs/*/scores.parquet")]
@@ -223,7 +223,7 @@ def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None])
 
 
 def _with_token(app: Any, token: str) -> Any:
-    """Return an ASGI application that passes requests with the token on to `app`, and answers others with 401."""
+    """Return an ASGI application that forwards requests with the token to `app`, and answers all others with 401."""
     expected = f"Bearer {token}".encode()
 
     async def checked(scope: Any, receive: Any, send: Any) -> None:

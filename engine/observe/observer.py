@@ -1,7 +1,7 @@
 """Crops of stitched panoramas, selected by sequence, frame and angle.
 
 An `Observer` reads only public data: the image folder, and the list of frames of each sequence. Text from a caller
-never becomes part of a path, because sequence and frame must be known before any file is read.
+never becomes part of a path, because a file is read only for a sequence and a frame that the observer knows.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from jrdb_avr.schema.method import Image, Observation, Panorama, SequenceInfo
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, HEIGHT, WIDTH, crop_left
 
 CACHED_PANORAMAS: Final = 16
-"""Default maximum number of decoded panoramas in memory, 5.4 MB each."""
+"""Default maximum number of decoded panoramas in memory. Each takes 5.4 MB."""
 
 CACHED_FILES: Final = 128
-"""Maximum number of panorama files in memory, about half a megabyte each."""
+"""Maximum number of panorama files in memory. Each takes about half a megabyte."""
 
 _TILE: Final = 235
 """Width of a tile in columns. Sixteen tiles form a panorama."""
@@ -39,11 +39,12 @@ _SIZE_MARKERS: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 class Observer:
-    """Source of crops and panoramas. Safe for several threads.
+    """Source of crops and panoramas. Several threads may use the same observer.
 
     Panoramas are read from `image_root/<sequence>/<six digits>.jpg`. Memory holds at most `cached` decoded panoramas
-    and `CACHED_FILES` undecoded files. The least recently used ones are dropped first. `folders` gives the folder name
-    of a sequence if it differs from the sequence's name. Messages about such a sequence do not show the path.
+    and `CACHED_FILES` undecoded files. The least recently used panoramas and files are dropped first. `folders` gives
+    the folder name of each sequence that has a folder with another name. Messages about such a sequence do not show
+    the path.
     """
 
     def __init__(
@@ -129,7 +130,7 @@ class Observer:
             frame_index: Index of a frame that has an image.
 
         Returns:
-            The panorama with the bytes of its file. The file has been decoded once, to check it.
+            The panorama with the bytes of its file. The file has been decoded once to check that it is not broken.
 
         Raises:
             ObserveError: If sequence or frame is invalid, or if the image is missing or broken.
@@ -185,8 +186,9 @@ class Observer:
 class _Strip:
     """A panorama that is decoded on first use. Crops are copies, so that no crop keeps a panorama in memory.
 
-    The first crop is cut from the whole panorama. The second use copies the panorama into contiguous tiles. Crops from
-    tiles are faster (10,000 per second instead of 6,000), because the rows of a crop are 11 kB apart in a panorama.
+    The first crop is cut from the whole panorama. At the second use, the panorama is copied into contiguous tiles.
+    Crops from tiles are faster (10,000 per second instead of 6,000), because in a whole panorama the rows of a crop are
+    11 kB apart.
     """
 
     def __init__(self, decode: Callable[[], Image]) -> None:
@@ -219,9 +221,10 @@ class _Strip:
         return image
 
     def _laid_out(self) -> Image:
-        """Return the tiles from left to right (count, 480, width, 3). On the first use, one tile is the whole panorama.
+        """Return the tiles from left to right (count, 480, width, 3).
 
-        If decoding fails, nothing is cached, because the file may exist at the next use.
+        At the first use, the whole panorama is the only tile. If decoding fails, nothing is cached, because the file
+        may exist at the next use.
         """
         with self._lock:
             if self._tiles is None:
@@ -289,7 +292,7 @@ def _angle(angle_deg: float) -> float:
         angle = math.nan
     if not math.isfinite(angle):
         raise ObserveError(f"angle {_short(angle_deg)} is no finite number of degrees (180 is ahead, 90 left)")
-    # The first modulo rounds a tiny negative angle to 360. The second modulo makes 0 of it.
+    # The first modulo rounds a tiny negative angle to 360. The second modulo turns 360 into 0.
     return angle % 360.0 % 360.0
 
 

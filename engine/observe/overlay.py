@@ -22,7 +22,7 @@ def draw_people(
         image: A panorama or a crop (height, width, 3).
         sightings: Rows of the people in the frame, with boxes in stitched pixels, pose and group.
         poses: Rows of the table `poses` for the frame.
-        left: Left column of the crop in stitched pixels. 0 for a panorama.
+        left: Left column of the crop in stitched pixels, or 0 for a panorama.
 
     Returns:
         The copy, with boxes, labels and skeletons.

@@ -1,5 +1,5 @@
-// `select[data-filter=NAME]` hides each element that has another value in `data-NAME`. Rows of pairs have a second
-// value, `data-NAME-too`, and are hidden only if both differ.
+// `select[data-filter=NAME]` hides each element that has another value in `data-NAME`. A row about two runs has a
+// second value in `data-NAME-too`. Such a row is hidden only if both values differ from the selected value.
 const filters = [...document.querySelectorAll("select[data-filter]")];
 
 /** Hide the elements that do not match all filters, and show the others. */

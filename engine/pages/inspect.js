@@ -40,7 +40,7 @@
     show();
   };
 
-  /** Return the index of the next visible question, from an index on and in the direction of the step. */
+  /** Return the index of the nearest visible question from `place` on. A step of 1 searches forwards, -1 backwards. */
   const visible = (place, step) => {
     while (articles[place]?.hidden) place += step;
     return articles[place] ? place : undefined;
@@ -65,12 +65,12 @@
     const left = articles.filter((article) => !article.hidden).length;
     byId("found").textContent = left < articles.length ? `${left} of ${articles.length} shown` : "";
   };
-  /** Make a question the current one. If filters hide it, take the next visible question in this direction, if any. */
+  /** Make a question the current one. If filters hide the question, take the next visible one, if there is one. */
   const go = (place, step = 1) => {
     const next = visible(place, step);
     if (next === undefined) return;
     current = next;
-    // The focus moves too, so that Tab next reaches the buttons of this question.
+    // The focus moves too, so that the next press of Tab reaches the buttons of this question.
     articles[current].focus({ preventScroll: true });
     articles[current].scrollIntoView({ block: "start" });
     show();

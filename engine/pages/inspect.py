@@ -28,15 +28,16 @@ from jrdb_avr.schema.questions import QuestionRecord
 
 _STRIP: Final = (2820, 360)
 _AROUND: Final = (1880, 240)
-"""Width and height in pixels of a panorama on the page, and of the panoramas one second before and after it. They are
-small enough for a page of twenty questions, and large enough to see people when the page is zoomed.
+"""Width and height in pixels of a panorama on the page (`_STRIP`), and of the panoramas one second earlier and later.
+
+The sizes are small enough for a page of twenty questions, and large enough to see people when the page is zoomed.
 """
 
 CLOSE_UP: Final = 220
-"""Side of a square close-up of a person in pixels."""
+"""Side in pixels of the square close-up of a person."""
 
 _LEAST_CLOSE_UP: Final = 110.0
-"""Minimum side of the panorama's part that a close-up shows, in stitched pixels. Small people get some surroundings."""
+"""Minimum side, in stitched pixels, of the area that a close-up shows. It leaves surroundings around small people."""
 
 
 # -- questions --------------------------------------------------------------------------------------------------------
@@ -48,7 +49,7 @@ def choose_questions(store: Store, ids: Sequence[str], sample: int | None, seed:
     Args:
         store: The store.
         ids: Ids of questions to inspect.
-        sample: Number of questions to draw at random instead of `ids`. None takes `ids`.
+        sample: Number of questions to draw at random instead of `ids`. If it is None, `ids` is used.
         seed: Seed of the random draw.
 
     Returns:
@@ -82,7 +83,7 @@ def inspect_questions(store: Store, ids: Sequence[str]) -> list[Inspected]:
     *tables, infos = store.question_tables("questions", "answers", "sequences")
     questions, answers = (_by_id(table, ids) for table in tables)
     sequences = {row["sequence"]: row for row in infos.to_pylist()}
-    # Only one sequence is kept in memory, because its tables may be large. Consecutive questions mostly share it.
+    # Consecutive questions mostly share a sequence. Only one is kept in memory, because its tables may be large.
     read: SequenceTables | None = None
     inspected = []
     for name in ids:
@@ -166,7 +167,7 @@ def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
     Args:
         frame: Index of the frame.
         frames: Indexes of the annotated frames.
-        step: Distance between annotated frames. If labels come once per second, events are half a step from a label.
+        step: Distance between annotated frames. An event may be up to half a step away from the nearest label.
 
     Returns:
         The nearest annotated frame if it is within half a step, otherwise the frame itself.
@@ -197,8 +198,8 @@ class View(NamedTuple):
         width: Width of the coordinate system of the boxes.
         height: Height of the coordinate system of the boxes.
         boxes: Boxes of people.
-        missing: The reason if there is no picture.
-        plate: Height of the plates that have the names of people.
+        missing: Reason why there is no picture, or an empty text.
+        plate: Height of the plates that show the names of people.
         near: Close-ups of the people in a panorama.
         around: The panoramas one second earlier and later, as (-1 or 1, picture).
     """
@@ -223,7 +224,7 @@ def inspect_page(
         questions: The questions.
         observer: Source of the pictures.
         questions_sha256: Hash of the questions file. The stored decisions refer to it.
-        advance: Called with 1 after each question.
+        advance: Called with 1 after each question of the page is rendered.
 
     Returns:
         The HTML.
@@ -266,7 +267,7 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
 
 
 def _times(plan: Plan) -> list[str]:
-    """Return the times that a plan names in words, one text per time."""
+    """Return one text per time of a plan, which describes the time in words."""
     texts = []
     for name, time in plan.times.items():
         if time.frame is not None:
@@ -278,13 +279,16 @@ def _times(plan: Plan) -> list[str]:
 
 
 def _reads(plan: Plan) -> str:
-    """Return in words what the answer of a plan is: a property of a person at certain times."""
+    """Describe the answer of a plan in words: the property, the person and the times."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 
 
 def _perturbation(question: Inspected, name: str | None) -> str:
-    """Return the name of the perturbation under which a wrong choice is true, with the role of its person if any."""
+    """Return the name of the perturbation under which a wrong choice is true.
+
+    If the perturbation concerns a person, the person's role comes before the name.
+    """
     stop = re.fullmatch(r"hop\.stop\((\d)\)", name or "")
     roles = list(question.people)
     if stop is not None and int(stop[1]) < len(roles):
@@ -305,7 +309,7 @@ def _strip(question: Inspected, frame: int, observer: Observer) -> View:
     near = tuple(close_up(role, box, image, frame) for role, box in question.boxes[frame] if role in question.people)
     around = []
     for sign, neighbour, boxes in question.around[frame]:
-        # The panoramas before and after are optional, so those that are missing or broken are left out.
+        # The panoramas before and after are optional, so a missing or broken panorama is left out.
         with contextlib.suppress(ObserveError):
             panorama = observer.panorama(question.record.sequence, neighbour)
             around.append((sign, _panorama(f"{sign:+d} s, frame {neighbour}", panorama, _AROUND, boxes)))

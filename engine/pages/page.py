@@ -32,7 +32,7 @@ _TEXT_DIRECTION: Final = {code: f"[U+{code:04X}]" for code in (*range(0x202A, 0x
 
 
 def render(name: str, **values: Any) -> str:
-    """Render a template of this folder. The page has its styles and scripts inside.
+    """Render a template of this folder. The page contains its styles and scripts.
 
     Args:
         name: File name of the template.
@@ -83,7 +83,8 @@ def on_strip(box: Box, width: float) -> list[Box]:
         width: Width of the scaled panorama in pixels.
 
     Returns:
-        The scaled box. If the box crosses the seam, two boxes, one at each end of the panorama.
+        A list with the scaled box. For a box that crosses the seam, a list of two boxes, one at each end of the
+        panorama.
     """
     scale = width / WIDTH
     shifts = [shift for shift in (-WIDTH, 0, WIDTH) if box.x + shift < WIDTH and box.x + shift + box.w > 0]
@@ -92,7 +93,7 @@ def on_strip(box: Box, width: float) -> list[Box]:
 
 @functools.cache
 def environment() -> Environment:
-    """Return the Jinja environment of the pages. It escapes all values, and an unknown name is an error."""
+    """Return the Jinja environment of the pages. It escapes all values, and an undefined variable raises an error."""
     import jinja2
     from markupsafe import Markup
 
@@ -119,7 +120,7 @@ def _text(name: str) -> str:
 
 
 def _json(value: object) -> Markup:
-    """Return a value as JSON for a <script> element. No character of it can end the element or begin a comment."""
+    """Return a value as JSON for a <script> element. The JSON cannot end the element or begin a comment."""
     from markupsafe import Markup
 
     text = msgspec.json.encode(value).decode()

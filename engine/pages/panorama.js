@@ -1,5 +1,5 @@
-// Wheel, keys and buttons zoom every `.zoomable > svg`. The buttons are in the element `.zoom` beside it. Dragging
-// turns the panorama, which has no ends.
+// Wheel, keys and buttons zoom every `.zoomable > svg`. The buttons are in the element `.zoom` beside the picture.
+// Dragging turns the panorama, which has no ends.
 // The picture becomes higher when it is zoomed. `--unit` is the length of a screen pixel in units of the picture.
 (() => {
   const MOST = 10;

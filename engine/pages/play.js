@@ -48,7 +48,7 @@
     strip.setPointerCapture(event.pointerId);
     const start = pointed(event);
     const off = Math.abs(((start - angle + 540) % 360) - 180);
-    // If the drag begins inside the window, the window follows the pointer. Otherwise the window first jumps to it.
+    // A drag that begins inside the window moves the window. A drag that begins outside first centres the window there.
     if (off > (CROP / WIDTH) * 180) angle = ((start % 360) + 360) % 360;
     dragged = { start, angle };
     aim();

@@ -28,7 +28,8 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
 
     Args:
         comparison: The scored runs.
-        links: The function `view.address`, if the page is part of `view` and links to the other pages. None otherwise.
+        links: The function `view.address` if `view` shows the page, so that the page links to the other pages of
+            `view`. Otherwise None.
 
     Returns:
         The HTML.
@@ -92,11 +93,14 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
 
 
 class Crossed:
-    """A breakdown as a table of runs against the values of a dimension. Whichever are fewer give the columns.
+    """A breakdown as a table with a cell for each run and each value of a dimension.
+
+    If there are fewer values than runs, the columns are the values. Otherwise the columns are the runs.
 
     Attributes:
-        counts: For each value, the number of its questions in most runs. A cell shows its own number if that differs.
-        values_across: Whether the columns are values and the rows are runs, or the reverse.
+        counts: For each value, the number of questions that most runs have. A cell shows its own number only if that
+            number differs.
+        values_across: True if the columns are the values, False if the columns are the runs.
         across: Names of the columns.
         rows: Name and cells of each row. A cell is a row of the breakdown, or None if the breakdown has no such row.
     """

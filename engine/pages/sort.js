@@ -1,9 +1,9 @@
 "use strict";
-// A click on a header of `table.sortable` sorts the rows by its column: numbers with the largest first, texts by the
-// alphabet. A second click reverses the order.
+// A click on a header of `table.sortable` sorts the rows by the column of the header. Numbers are sorted with the
+// largest first, texts by the alphabet. A second click reverses the order.
 for (const table of document.querySelectorAll("table.sortable")) {
   const heads = [...table.tHead.rows].at(-1).cells;
-  /** Return the sort key of a row: the first line of its cell, as a number in columns of numbers. null if it is empty. */
+  /** Return the sort key of a row: the first line of the row's cell, or a number in columns of numbers, or null. */
   const key = (row, head) => {
     const cell = row.cells[head.cellIndex];
     const text = cell.dataset.value ?? (cell.querySelector("b, a") ?? cell.firstChild)?.textContent.trim() ?? "";

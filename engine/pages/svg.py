@@ -17,13 +17,13 @@ _NODE_CHARACTERS: Final = 23
 _NODE_HEAD: Final = 24.0
 _NODE_LINE: Final = 13.0
 _GAP: Final = 150.0
-"""Distance between columns of nodes. The words of an edge fit into it."""
+"""Distance between columns of nodes. The words of an edge fit into this distance."""
 _WIDE_GAP: Final = 230.0
 _GAP_CHARACTERS: Final = 22
 _LANE_GAP: Final = 50.0
 
 SQUARE: Final = 380.0
-"""Side of the square scatter plot, with `_MARGIN` on each side of the plotted area."""
+"""Side of the square scatter plot. It includes the margin `_MARGIN` on each side of the plotted area."""
 _MARGIN: Final = 40.0
 _LETTER: Final = 6.9
 _LINE: Final = 12.0
@@ -122,14 +122,14 @@ class PlanGraph:
 
 
 def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:
-    """Return all conditions as lines of text. They are not shortened, because reviewers need them in full."""
+    """Return all conditions as lines of text. No condition is shortened, because reviewers need the full text."""
     # Spaces allow a line break at the slashes between the names of objects.
     texts = [_timed(_condition(condition).replace("/", " / "), condition.at, several) for condition in conditions]
     return tuple(line for text in texts for line in wrapped(text, _NODE_CHARACTERS)) or ("anybody",)
 
 
 def _timed(text: str, at: str | None, several: bool) -> str:
-    """Return the text of a condition, with its time if the plan has several times."""
+    """Return the text of a condition. If the plan has several times, add the time of the condition."""
     return f"{text}, {at}" if several and at else text
 
 
@@ -168,7 +168,7 @@ class Dot(NamedTuple):
 
 
 def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
-    """Lay out a scatter plot of the scores answer (to the right) and evidence (upwards).
+    """Lay out a scatter plot of two scores: answer on the horizontal axis, and evidence on the vertical axis.
 
     Args:
         rows: Rows of the table `main`. A row is left out if its answer or evidence is None.

@@ -18,14 +18,14 @@ from jrdb_avr.schema.tables import LABELED
 Record = Mapping[str, Any]
 
 _NEAR_MOMENTS: Final = frames_in(5.0)
-"""Maximum number of frames between a named time and an action, for the timeline to show the action."""
+"""Maximum distance in frames from the named times to an action. The timeline leaves out more distant actions."""
 
 _POSE_READS: Final = ("action", "next_action")
 """Kinds of answers (`plan.answer.read`) that are poses."""
 
 
 class Stretch(NamedTuple):
-    """A bar of a timeline row: the first and the last frame, the drawing style (`kind`), and whether it is certain."""
+    """A bar of a timeline row: first and last frame, drawing style (`kind`), and whether the shown fact is certain."""
 
     first: int
     last: int
@@ -54,7 +54,7 @@ class SequenceTables:
         self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
 
     def rows(self, table: str, column: str, value: int) -> list[dict[str, Any]]:
-        """Return the rows of a table that have a value in a column."""
+        """Return the rows of a table that have the given value in a column."""
         rows: list[dict[str, Any]] = self._tables[table].filter(pc.field(column) == value).to_pylist()
         return rows
 
@@ -112,7 +112,7 @@ def timeline_rows(
 
 
 def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
-    """Return a person's actions that the plan mentions, and all poses if the answer is the person's pose."""
+    """Return a person's actions that the plan mentions. If the answer is the person's pose, return all poses too."""
     actions = {c.action for node in plan.nodes if node.id == role for c in node.conditions if c.action}
     actions |= {time.action for time in plan.times.values() if time.of == role and time.action}
     if plan.answer.of == role and plan.answer.read in _POSE_READS:
@@ -123,7 +123,7 @@ def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
 def _labelled(
     role: str, kind: str, intervals: Iterable[tuple[str, Record]], in_plan: frozenset[str] | None = None
 ) -> list[TimelineRow]:
-    """Return one timeline row per label, those of the plan first. `in_plan` is None if the plan mentions all labels."""
+    """Return one timeline row per label, first the labels `in_plan`. None means that the plan mentions all labels."""
     spans: dict[str, list[Stretch]] = {}
     for label, row in intervals:
         spans.setdefault(label, []).append(Stretch(row["first"], row["last"], kind, row["certain"]))

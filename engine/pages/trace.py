@@ -34,13 +34,13 @@ _LONGEST: Final = 20_000
 """Maximum number of characters of a text. The middle of a longer text is left out."""
 
 _NAMED: Final = 16
-"""Maximum number of entities for the map to show their names."""
+"""Maximum number of entities with names on the map. If there are more entities, the map shows no names."""
 
 _FAR: Final = 450
-"""Maximum distance in frames between the run's answer and the other frames of the map, for the map to show it."""
+"""Maximum distance in frames from the map's other frames to the run's answer. The map leaves out a farther answer."""
 
 Names = Mapping[str, tuple[str, int]]
-"""Name and colour number of each entity of the world model by its key, in the order of creation."""
+"""Name and colour number of each entity of the world model, by the key of the entity. Keys are in order of creation."""
 
 
 def trace_page(trace: Trace, observer: Observer) -> str:
@@ -108,7 +108,7 @@ def _choice(answer: Answer | None) -> int | None:
 
 
 def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
-    """Return the range of frames on the map, its ticks, the frames of both answers, and the target's path."""
+    """Return the map: range of frames, ticks, frames of the true answer and of the run's answer, and target's path."""
     mode = trace.question["answer_mode"]
     true, predicted = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
     frames = [look.frame for look in trace.looks] + ([] if evidence is None else [evidence[0]]) + true
@@ -161,7 +161,7 @@ def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
             name, role = names[sighting.source]
             column = columns[sighting.source, sighting.frame] = (sighting.box.x + sighting.box.w / 2) % WIDTH
             mark = {"step": write.step, "role": role, "frame": sighting.frame, "column": column, "end": None}
-            # If there are few entities, their names are at their first sighting, on the first free line below it.
+            # If there are few entities, each name is drawn once, on the first free line below the first sighting.
             label = name[:12] if sighting.source not in labelled and len(names) <= _NAMED else ""
             left = column * _MAP_WIDTH / WIDTH
             beside = levels.setdefault(sighting.frame // 15, [])
@@ -200,7 +200,7 @@ class Card:
 
 
 def add_statement(statements: list[Statement], new: Statement) -> None:
-    """Add a statement. If an equal statement still holds, extend its time instead.
+    """Add a statement. If an equal statement still holds, extend the time of that statement instead.
 
     Args:
         statements: Statements about one entity. The list is changed in place.
@@ -284,7 +284,7 @@ def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
 
 
 def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
-    """Reserve an extent on the lowest level that is still free there, and return the index of the level."""
+    """Reserve a horizontal extent on the lowest level with free space for it, and return the index of the level."""
     for index, taken in enumerate(levels):
         if all(extent[1] < low or high < extent[0] for low, high in taken):
             taken.append(extent)
@@ -343,7 +343,7 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
 
 
 def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """Return the evidence box and the target's box in the same frame, for the panorama and for a crop around them."""
+    """Return the evidence box and the target's box in the same frame, with the panorama and a crop of the evidence."""
     target = Box(*trace.target[frame]) if frame in trace.target else None
     angle = float(center_angle(box.x, box.w))
     view: dict[str, Any] = {
@@ -365,7 +365,7 @@ def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callab
         return view | {"missing": str(error)}
 
 
-# -- texts of models, which may be anything ----------------------------------------------------------------------------
+# -- texts of models, which may contain anything -----------------------------------------------------------------------
 
 
 def _messages(text: str) -> str:

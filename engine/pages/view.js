@@ -28,7 +28,8 @@
         const group = drawn("g", { ...(own.kind.startsWith("role") && { class: own.kind }) });
         group.append(drawn("rect", { class: "edge", ...place }), drawn("rect", { class: `box ${own.kind}`, ...place }));
         group.append(drawn("title", {}, own.name));
-        // If two people are side by side, one name is below its box. If a person has several boxes, one has the name.
+        // If two people are side by side, one of their names is drawn below the box, so that the names do not overlap.
+        // If a person has several boxes close to each other, only the first shows the name.
         if (group.classList.length && !named.some(([name, left]) => name === own.name && Math.abs(left - x) < 200)) {
           const taken = named.some(([name, left, top]) => Math.abs(left - x) < 30 * name.length && Math.abs(top - y) < 60);
           const row = taken ? y + height + 70 : y;

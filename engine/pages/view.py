@@ -41,8 +41,8 @@ class ViewedRun:
     Attributes:
         manifest: The run's manifest.
         predictions: Row of the table `predictions` by question id.
-        scores: 0 or 1 for answer, evidence and combined, by question id. Empty if scores are not shown.
-        causes: Cause of each box that does not score, by question id. Empty if scores are not shown.
+        scores: By question id, the scores answer, evidence and combined, each 0 or 1. Empty if scores are not shown.
+        causes: Cause of each evidence box with the score 0, by question id. Empty if scores are not shown.
     """
 
     manifest: RunManifest
@@ -72,7 +72,7 @@ class ViewedRun:
         return sum(row["status"] == status for row in self.predictions.values())
 
     def share(self, score: int) -> float | None:
-        """Return the share of a score (given by its index in `SCORES`) in percent, or None if there are no scores."""
+        """Return the mean of a score in percent, or None if there are no scores. `score` is the index in `SCORES`."""
         return 100 * sum(scores[score] for scores in self.scores.values()) / len(self.scores) if self.scores else None
 
 
@@ -284,7 +284,7 @@ def _by_question(rows: Iterable[StoredRow]) -> dict[str, StoredRow]:
 
 
 def _fits(question: QuestionRow, filters: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
-    """Return whether a question matches all filters. One run must match both the outcome and the cause."""
+    """Return whether a question matches all filters. The outcome and the cause must match in the same run."""
     if any(getattr(question, name) != filters[name] for name in _PUBLIC if name in filters):
         return False
     private = {name: filters[name] for name in _PRIVATE if name in filters}

@@ -20,7 +20,7 @@ _LONGEST: Final = 4_000
 """Maximum number of characters of a step's text. The page `trace` shows longer texts."""
 
 _MOST: Final = 3_000
-"""Maximum number of beliefs, and also of steps. Built-in methods write fewer than that."""
+"""Maximum number of beliefs, of refused writes and of steps on a page. Built-in methods have fewer of each."""
 
 
 class Belief(NamedTuple):
@@ -31,7 +31,7 @@ class Belief(NamedTuple):
         role: Number of the entity's colour.
         text: The statement.
         step: Number of the step that wrote the statement.
-        until: Number of the step that replaced the statement. None if it still holds.
+        until: Number of the step that replaced the statement. None if the statement still holds.
         frame: Frame of the evidence, or None if there is no single frame.
         look: Number of the step of the look that gave the evidence, or None if it is unknown.
         votes: Number of readings for the statement, and number of readings against it.
@@ -66,7 +66,7 @@ def question_page(
         runs: The runs (`ViewedRun`) that have the question.
         chosen: The run to show in detail, or None.
         transcript: Record of the chosen run's work on the question. A `Trace` if scores may be shown.
-        missing: The reason if there is no transcript.
+        missing: Reason why there is no transcript, or an empty text.
         near: The previous and the next question of the store, or None at the ends.
         pictured: Whether the panoramas of the store are available.
         address: The function `view.address`, which returns the address of a page.
