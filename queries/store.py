@@ -250,8 +250,7 @@ class Store(Displayed):
     ) -> pa.Table:
         """Run a statement or a named query, as `cypher` and `sql` do, and return its rows.
 
-        The statement is stopped after `timeout_s` seconds. Raises QueryError if the statement is stopped, is refused or
-        fails.
+        The statement is stopped after `timeout_s` seconds. QueryError is raised if it is stopped, is refused or fails.
         """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
@@ -374,8 +373,7 @@ def write_groups(
 ) -> str:
     """Write several tables to one Parquet file atomically, and return the sha256 of the file in hexadecimal digits.
 
-    Each table becomes a row group of the file. Only one table is in memory at a time. `write_table` describes the other
-    arguments.
+    Each table becomes a row group. Only one table is in memory at a time. `write_table` describes other arguments.
     """
     return _write(path, groups, schema, schema, metadata)
 
