@@ -197,7 +197,7 @@ class Store(Displayed):
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
     def without_occlusion(self) -> list[str]:
-        """Return the sequences whose 2D boxes all lack occlusion attributes, so that they may count as clear views."""
+        """Return the sequences in which all 2D boxes lack occlusion attributes. Such boxes may count as clear views."""
         return [
             name
             for name in sorted(self.manifest().sequences)

@@ -99,7 +99,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
             that a second check of the plan returns at once.
         text: Statement.
         complaint: Function that returns the engine's error message for an invalid statement. It is called with
-            invalid variants of the statement, whose error messages name the types of columns.
+            invalid variants of `text`. Their error messages name the types of columns.
 
     Raises:
         QueryError: If the engine would answer wrongly. The message says how to change the statement.
