@@ -1,7 +1,7 @@
 """Construction of the graph's scene tables from the interval tables of a store.
 
-The graph is only an index. It holds the content of the folder `intervals/` with keys for traversal, so it can be built
-again at any time. It is built in two steps:
+The graph is only an index. It holds the content of the folder `intervals/` and adds keys for traversal. Therefore the
+graph can be built again from this folder at any time. The graph is built in two steps:
 
 1. The process that derives the interval tables of a sequence writes their rows to Parquet files, one per table of the
    graph. This is called staging.
@@ -9,9 +9,9 @@ again at any time. It is built in two steps:
    each table.
 
 A table of edges is copied with as few statements as possible, because every further COPY statement
-rewrites the table. For example, four statements for 950,000 sightings took twice as long as one statement. The rows
-are passed to the engine in files, because passing Arrow tables took half a gigabyte more memory. Key points of poses
-are left out, because they would be the largest part of the graph.
+rewrites the table. For example, four statements for 950,000 sightings took twice as long as one statement. The rows of
+edges are passed to the engine in files, because passing Arrow tables took half a gigabyte more memory. Key points of
+poses are left out, because they would be the largest part of the graph.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ RELS: Final = SCENE_RELS | KEYFRAME_RELS
 R = TypeVar("R")
 
 BATCH_ROWS: Final = 1_200_000
-"""Maximum rows per COPY statement. A larger file is copied alone. The engine needs about 700 bytes per row."""
+"""Maximum rows per COPY statement. A file with more rows gets its own statement. The engine needs 700 bytes per row."""
 
 
 def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[str, int | str]:
@@ -101,12 +101,12 @@ def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) 
 
 
 def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
-    """Write the rows of one sequence to a file in a stage. Write no file if there are no rows.
+    """Write the rows of one sequence to a file in the folder of staged rows. Write no file if there are no rows.
 
     Args:
         stage: folder of the staged rows.
-        source: name of a table of the graph, such as "Person". A table of edges is preceded by the table of nodes
-            from which the edges start: "Person SeenIn".
+        source: text that names a table of the graph. For nodes it is the name of the table, such as "Person". For
+            edges it is the table of nodes from which the edges start, and then the table: "Person SeenIn".
         sequence: name of the sequence.
         rows: rows with the columns of the table.
 
@@ -161,7 +161,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
 
 
 def write_graph(store: Store, write: Callable[[], R]) -> R:
-    """Run a function that writes a graph. It runs in a separate process, because the engine may abort its process.
+    """Run a function that writes a graph. Use a separate process, because a fault of the engine may end the process.
 
     Args:
         store: store of the graph. If the separate process dies, its unfinished graph files are deleted.
@@ -189,7 +189,7 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 
     Args:
         sizes: name and number of rows of each file.
-        most: maximum rows of a batch. A file with more rows is a batch alone.
+        most: maximum rows of a batch. A file with more rows is a batch of its own.
 
     Yields:
         The names of the files of a batch, and the total number of rows of these files.
@@ -207,14 +207,14 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 
 
 def column_names(table: str) -> list[str]:
-    """Return the column names of a table. Tables of nodes begin with the key, tables of edges with `from` and `to`."""
+    """Return the column names of a table. The key comes first for nodes, and `from` and `to` come first for edges."""
     if table in RELS:
         return ["from", "to", *(column.split()[0] for column in RELS[table][2])]
     return [column.split()[0] for column in NODES[table].split(", ")]
 
 
 def with_wide_integers(rows: pa.Table) -> pa.Table:
-    """Cast all columns of whole numbers to 64 bits, because the graph stores them so."""
+    """Cast all columns of whole numbers to 64 bits, because the graph stores whole numbers with 64 bits."""
     fields = [pa.field(f.name, pa.int64()) if pa.types.is_integer(f.type) else f for f in rows.schema]
     return rows.cast(pa.schema(fields))
 
@@ -222,7 +222,7 @@ def with_wide_integers(rows: pa.Table) -> pa.Table:
 # -- shapes ------------------------------------------------------------------------------------------------------
 
 Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
-"""Function that makes a column of a table of the graph from an interval table."""
+"""Function that takes an interval table and returns one column of a table of the graph."""
 
 
 def _number_key(name: str) -> Column:
@@ -231,12 +231,12 @@ def _number_key(name: str) -> Column:
 
 
 def _frame_key(rows: pa.Table) -> pa.ChunkedArray:
-    """Return the keys of frames, `<sequence>/<six digits>`."""
+    """Return the key of each row's frame: `<sequence>/<frame as six digits>`."""
     return pc.binary_join_element_wise(rows["sequence"], pc.utf8_lpad(rows["frame"].cast(pa.string()), 6, "0"), "/")
 
 
 def _object_key(rows: pa.Table) -> pa.ChunkedArray:
-    """Return the keys of things, `<sequence>/<category id>:<track>`."""
+    """Return the key of each row's thing: `<sequence>/<category id>:<track>`."""
     thing = pc.binary_join_element_wise(rows["category_id"].cast(pa.string()), rows["object"].cast(pa.string()), ":")
     return pc.binary_join_element_wise(rows["sequence"], thing, "/")
 
@@ -276,10 +276,10 @@ _SOURCES: Final[dict[str, tuple[str, dict[str, Column]]]] = {
     "Person MayHandle": ("possible_handles", _HANDLES),
     "Person Beside": ("beside", _PAIR),
 }
-"""By source: its interval table, and functions that make the columns that the interval table lacks.
+"""For each source, the name of an interval table, and functions for the columns that the interval table lacks.
 
-A source is a text, as in `stage_rows`. Sources of nodes come before sources of edges. `Action` is missing, because its
-rows come from all sequences together.
+Sources are named as in `stage_rows`. Sources of nodes come before sources of edges. `Action` is missing, because its
+rows are collected from all sequences.
 """
 
 

@@ -1,11 +1,11 @@
 """Load a JRDB root into a store, or rebuild a store's intervals and graph from its annotation tables.
 
 A load writes all tables into a staging folder inside the store. Then it builds the graph, and counts the rows of the
-graph. Finally it moves the new tables and then the manifest into the store. If a load fails, the old store is
-unchanged.
+graph. Finally it moves the new tables into the store, and after them the new manifest. If a load fails, the old store
+is unchanged.
 
-If a load is killed, the next load deletes the staging folder. If the load was killed while it moved the tables, the
-next writer finishes the moves. The tables therefore survive a kill at any moment.
+If a load was killed before it moved tables, the next load deletes the staging folder. If a load was killed while it
+moved tables, the next writer finishes the moves. The tables therefore survive a kill at any moment.
 
 The new graph also holds the world models of the store's finished runs.
 """
@@ -50,7 +50,7 @@ from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 STAGING: Final = ".loading"
-"""Folder inside the store for the new files of a load until they are moved."""
+"""Folder inside the store that holds the new files of a load until the load moves them."""
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,11 @@ def load(
 
     Args:
         root: folder of a JRDB root, or a root that `find_root` has returned.
-        store: store or its folder. The folder is made if it does not exist.
+        store: store to write, or its folder. The folder is made if it does not exist.
         rules: load rules, or None for the defaults.
         workers: number of processes that share the sequences, or an executor. Every choice gives the same result.
-        layer_dirs: by layer, folders that replace the layer's usual folders. Relative paths start at the root. An
-            empty list leaves the layer out.
+        layer_dirs: by layer, folders that replace the layer's usual folders. Relative paths start at the root. A layer
+            with an empty list is not loaded.
         progress: display of the progress.
 
     Returns:
@@ -123,8 +123,8 @@ def load(
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes: in these, every box of "
-                "permitted size counts as a clear view, even of hidden people; generate --require-occlusion skips them",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes, so every box of permitted "
+                "size counts as a clear view, even of hidden people; generate --require-occlusion skips such sequences",
                 AvrWarning,
                 stacklevel=2,
             )
@@ -150,7 +150,7 @@ def rebuild(
 
     Raises:
         StoreError: If an annotation file is missing, unreadable or changed since the load, if the store is public,
-            or if it cannot be written.
+            or if the store cannot be written.
         LockedError: If another process writes the store.
     """
     refuse_public(store.path, "labels")
@@ -174,7 +174,7 @@ def rebuild(
 def resume(store: Store) -> None:
     """Finish a load that was killed while it moved its tables. Do nothing if the store has no such load.
 
-    The graph is deleted, because it may be from the load before. `rebuild` makes it again.
+    The graph is deleted, because it may belong to an earlier load than the tables. `rebuild` makes a new graph.
 
     Raises:
         LockedError: If another process writes the store.
@@ -255,7 +255,7 @@ class RebuildShard:
 
     @property
     def weight(self) -> int:
-        """Return the bytes of the file of 2D boxes. It is a scheduling weight: larger sequences start first."""
+        """Return the size of the file of 2D boxes in bytes. Sequences with a larger weight are processed first."""
         path = Store(self.store).annotation_path("boxes_2d", self.sequence)
         return path.stat().st_size if path.exists() else 0
 
@@ -324,7 +324,10 @@ def _finish(
     entries: dict[str, SequenceEntry],
     parts: Sequence[str],
 ) -> list[str]:
-    """Build the graph, then move the staged parts and the manifest. Return a line per run that the graph leaves out."""
+    """Build the graph, then move the staged folders `parts` and the manifest into the store.
+
+    Return one line for each run that the graph leaves out.
+    """
     manifest = Manifest(image_root and store.relative(image_root), rules, rules_hash(rules), entries, {})
     left_out = write_graph(store, partial(_build, store, staging, manifest))
     _move(store, staging, parts)
@@ -351,7 +354,7 @@ def _finish_moves(store: Store) -> None:
 
 
 def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
-    """Build the graph, stage its manifest, and delete the old manifest. Return a line per run that is left out."""
+    """Build the graph, stage the new manifest, and delete the old one. Return a line for each run that is left out."""
     with build_graph(store.graph_path) as graph:
         rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
@@ -361,14 +364,14 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
 
 
 def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
-    """Fill a new graph. Return the number of rows by table of the graph, and a line per run that is left out."""
+    """Fill a new graph. Return the number of rows by table of the graph, and a line for each run that is left out."""
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))
 
 
 def _swap(path: Path, new: Path, old: Path) -> None:
-    """Rename `path`, if it exists, to `old`, and rename `new` to `path`."""
+    """Rename `path` to `old` if `path` exists. Then rename `new` to `path`."""
     if path.exists():
         path.rename(old)
     new.rename(path)
@@ -385,7 +388,7 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
 
 
 def _nothing(root: Root, reports: list[SequenceReport]) -> str:
-    """Return the message for a root without a loaded sequence, with the first problem."""
+    """Return the message that no sequence of a root could be loaded. The message states the first problem."""
     first = next((problem for report in reports for problem in report.problems), None)
     why = f"; first: {first.reason}" if first else ""
     return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"

@@ -28,15 +28,15 @@ class Heading(msgspec.Struct):
     """Check of the heading convention: people faster than 0.5 m/s should face their direction of motion."""
 
     moves: int
-    """Number of displacements over one second that were compared."""
+    """Number of compared displacements. Each displacement is over one second."""
     median_deg: float | None
     """Median angle between heading and displacement in degrees, or None if there are no displacements.
 
-    It is near 0 if the convention holds, and near 180 if it is reversed."""
+    The angle is near 0 if the convention holds, and near 180 if the file has the opposite convention."""
 
 
 class FrameRange(msgspec.Struct):
-    """First frame, last frame and number of frames that have labels or images. Frames in between may be missing."""
+    """Range of the frames that have labels, or that have images. Frames in between may be missing."""
 
     first: int
     last: int
@@ -48,7 +48,7 @@ class ShiftCheck(msgspec.Struct):
 
     layer: str
     result: str
-    """`agrees`, `shifted` (the layer is refused), or `not tested` (there is too little evidence for either)."""
+    """`agrees`, `shifted` (the layer is refused), or `not tested` (the evidence is too weak to decide)."""
     reason: str
     frames: float | None = None
     """Shift in frames that makes the layer fit the 2D layer, or None if it could not be estimated."""
@@ -68,7 +68,7 @@ class Stamps(msgspec.Struct):
 
 
 class Cameras(msgspec.Struct):
-    """Comparison of the cameras of a root with the constants for rows of the panorama. Lengths are in pixels."""
+    """Comparison of the cameras of a root with the constants for rows of the panorama. All lengths are in pixels."""
 
     cameras: int
     """Number of cameras."""
@@ -92,7 +92,7 @@ class Disagreement(msgspec.Struct):
     votes: dict[str, int]
     """Number of frames or records by value."""
     stated: int
-    """Number of frames or records with the attribute."""
+    """Number of frames or records that state a value of the attribute."""
 
 
 class SequenceReport(msgspec.Struct):
@@ -102,13 +102,15 @@ class SequenceReport(msgspec.Struct):
     """Name of the sequence, or "" for the root as a whole."""
     problems: list[Problem]
     layers: list[str] = []
-    """Layers with frames, as in the table `frames`. Empty if the sequence could not be loaded."""
+    """Layers that the table `frames` lists. The list is empty if the sequence could not be loaded."""
     steps: dict[str, int] = {}
-    """By layer of labels, the distance between annotated frames: 1 for every frame, 15 for one frame per second."""
+    """By layer of labels, the distance between annotated frames.
+
+    The distance is 1 if every frame is annotated, and 15 if one frame per second is annotated."""
     files: dict[str, str] = {}
-    """By layer, the folder and the name of the file."""
+    """By layer, the name of the file with the folder before it."""
     frames: int = 0
-    """Number of frames that at least one layer has."""
+    """Number of frames that are in at least one layer."""
     people: int = 0
     boxes: int = 0
     """Number of 2D boxes of people."""
@@ -126,7 +128,7 @@ class SequenceReport(msgspec.Struct):
     absent_partners: int = 0
     """Number of interactions that give no fact, because one of the two people has no 2D box in the frame."""
     warnings: list[str] = []
-    """Warnings for the user to check. They cause no refusal."""
+    """Warnings for the user to check. A warning refuses no data."""
 
     @property
     def refused(self) -> int:
@@ -142,12 +144,12 @@ def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
 def sequence_warnings(
     labels: FrameRange | None, images: FrameRange | None, heading: Heading | None, cameras: Cameras | None
 ) -> list[str]:
-    """Return the warnings that the user should check, from the checks of a sequence."""
+    """Return the warnings that follow from the checks of a sequence. The user should look at these warnings."""
     lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
         lines.append(
             f"labels span frames {labels.first}-{labels.last}, images {images.first}-{images.last}: in some copies of "
-            "the train sequences the two are off by 2 frames, and no file says so. Compare them with "
+            "the train sequences, labels and images are off by 2 frames, and no file says so. Compare both with "
             "observe --panorama --boxes"
         )
     if heading and heading.moves >= MIN_MOVES and heading.median_deg is not None and heading.median_deg > MAX_TURN_DEG:

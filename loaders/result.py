@@ -33,7 +33,7 @@ class LoadResult(Displayed):
         return rows
 
     def parts(self) -> Iterator[str | tuple[str, list[_Row]]]:
-        """Yield the parts of the displayed report in order: a line of text, or a title with the rows of its table."""
+        """Yield the parts of the displayed report in order. A part is a line of text, or a title and a table's rows."""
         loaded = [report for report in self.reports if report.sequence]
         yield "Loaded", [_summary(report) for report in loaded]
         for layers, names in _shared((_layers(report), report.sequence) for report in loaded):
@@ -68,7 +68,7 @@ class LoadResult(Displayed):
 
 
 def _shared(lines: Iterable[tuple[str, str]]) -> list[tuple[str, list[str]]]:
-    """Return each distinct text with the sequences that have it. `lines` holds pairs of text and sequence."""
+    """Return each distinct text with the sequences that share the text. `lines` holds pairs of text and sequence."""
     sequences: dict[str, list[str]] = {}
     for text, sequence in lines:
         sequences.setdefault(text, []).append(sequence)

@@ -40,7 +40,7 @@ LAYER_FILES: Final = (*LABEL_DIRS, TIMESTAMPS, CALIBRATION)
 """Layers that have files, in the order of reading. The 2D layer must be first, because it is the reference."""
 
 BOXES_ELSEWHERE: Final = ("social", "reasoning")
-"""Layers with files that also hold the 2D records. Such a file is read if a sequence has no file of 2D boxes."""
+"""Layers with files that repeat the 2D records. If a sequence has no 2D file, its boxes are read from these files."""
 
 CAMERAS_FILE: Final = "cameras.yaml"
 IMAGE_DIRS: Final = ("images/image_stitched", "image_stitched")
@@ -52,17 +52,17 @@ _ONE_CAMERA: Final = re.compile(r".+_(?:image|camera_)[0-9]")
 
 @dataclass(frozen=True)
 class SequenceFiles:
-    """Paths of one sequence's label files and panoramas. Paths are strings, so that workers can receive them."""
+    """Paths of one sequence's label files and panoramas. Paths are strings, which can be sent to worker processes."""
 
     sequence: str
     labels: dict[str, str]
-    """File by layer. For `timestamps` it is a folder. For `calibration` it is a file that all sequences share."""
+    """Path by layer. The path of `timestamps` is a folder. The path of `calibration` is a file for all sequences."""
     images: str | None
     """Folder of the panoramas, or None if the sequence has none."""
 
     @property
     def weight(self) -> int:
-        """Return the total bytes of the label files. It is a scheduling weight: larger sequences start first."""
+        """Return the total size of the label files in bytes. Sequences with a larger weight are processed first."""
         sizes = 0
         for path in self.labels.values():
             with contextlib.suppress(OSError):
@@ -90,8 +90,8 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
 
     Args:
         path: folder of the root.
-        layer_dirs: by layer, folders that replace the layer's usual folders. Relative paths start at the root. An
-            empty list leaves the layer out.
+        layer_dirs: by layer, folders that replace the layer's usual folders. Relative paths start at the root. A layer
+            with an empty list is not loaded.
 
     Returns:
         The sequences with their files, and the problems of the search.
@@ -176,7 +176,7 @@ class _Search:
         return [folder / name for name in names.values()]
 
     def sequence(self, file: Path) -> str | None:
-        """Return the sequence of a label file, or refuse it and return None if its name cannot be a sequence."""
+        """Return the sequence of a label file. Refuse a file with an impossible sequence name, and return None."""
         try:
             return safe_sequence(file.stem)
         except InputError:
@@ -184,7 +184,7 @@ class _Search:
             return None
 
     def is_folder(self, path: Path) -> bool:
-        """Return whether `path` is a folder. If it cannot be examined, report it and return False."""
+        """Return whether `path` is a folder. If the path cannot be examined, report the path and return False."""
         try:
             return path.is_dir()
         except OSError as error:
@@ -202,7 +202,7 @@ class _Search:
         return True
 
     def _listing(self, folder: Path) -> frozenset[str] | None:
-        """Return the names in a folder (empty if it is missing). If it is unreadable, report it and return None."""
+        """Return the names in a folder, or no names if the folder is missing. Report an unreadable folder as None."""
         try:
             with os.scandir(folder) as entries:
                 return frozenset(entry.name for entry in entries)

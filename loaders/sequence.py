@@ -51,8 +51,8 @@ NOT_LABELS: Final = ("timestamps", "images")
 class Annotated:
     """All annotation tables of a sequence, and the results of its checks for the load report.
 
-    tables: tables by name, with every table of `ANNOTATIONS`. A table is empty if no record for it was read.
-    frames: by layer, the frames and the number of records in each frame. It is empty if no label file was usable.
+    tables: annotation tables by name, one for each name in `ANNOTATIONS`. Tables without a record are empty.
+    frames: by layer, the frames and the number of records in each frame. Empty if no label file was usable.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ def stamps_of(table: pa.Table) -> Stamps | None:
 
 
 def annotate(files: SequenceFiles) -> Annotated:
-    """Read every file of a sequence. If a file as a whole cannot be used, it is counted as a problem and left out."""
+    """Read every file of a sequence. A file that cannot be used as a whole is counted as a problem and left out."""
     readings: dict[str, LayerTables] = {}
     problems: list[Problems] = []
     shifts: list[ShiftCheck] = []

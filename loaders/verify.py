@@ -1,9 +1,9 @@
 """Check that the files of a store are the files that `load` wrote.
 
-The manifest holds the hash of each Parquet file. The fingerprint beside the graph file holds the hash of that file. A
-run writes its world models into the graph file, so the hash of the file changes. After a run, only the size of the file
-and the row counts of the graph's tables can be compared. Rows are counted in a separate process, because a damaged
-graph can crash the engine.
+The manifest holds the hash of each Parquet file. The fingerprint, a file beside the graph file, holds the hash of the
+graph file. A run writes its world models into the graph file, so the hash of the graph file changes. After a run, only
+the size of the graph file and the row counts of the graph's tables can be compared. Rows are counted in a separate
+process, because a damaged graph can crash the engine.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Check:
     fault: str
     """First fault, or "" if there is none."""
     reload: bool = False
-    """True if only a new load repairs a fault of this part, False if a rebuild repairs the fault."""
+    """True if only a new load repairs a fault of this part, False if a rebuild is enough."""
 
 
 def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None) -> list[Check]:
@@ -76,7 +76,7 @@ def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None)
 
 
 def _check_files(store: Store, manifest: Manifest, part: str) -> Check:
-    """Compare the files of a part with their hashes. A further file is a fault too, because views would read it."""
+    """Compare the files of a part with their hashes. A file without a hash is a fault, because views would read it."""
     digests = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
     expected = {path: digest for path, digest in digests.items() if path.startswith(f"{part}/")}
     results = ((path, _file_fault(store.path / path, digest)) for path, digest in sorted(expected.items()))
@@ -115,7 +115,8 @@ def _graph_fault(path: Path) -> str:
         return f"{path.name} has {rows} rows of {wrong[0]} instead of {instead}"
     if path.stat().st_size % PAGE:
         return f"{path.name} is not a complete graph file"
-    # A killed run leaves rows in the graph, but no file. A deleted world model leaves no rows, but the file of its run.
+    # A killed run leaves rows in the graph, but no world.parquet. After the deletion of a world model, the graph has no
+    # rows of the run, but world.parquet remains.
     believed = any(count for table, count in counts.items() if table not in _BUILT)
     written = differ or believed or any(path.parent.glob("runs/*/world.parquet"))
     return "" if written else f"{path.name} is not the file that was built, and no run has written into it"

@@ -1,8 +1,9 @@
 """Answer modes, such as a choice or a span of frames: one record per mode with all properties that the program needs.
 
-A record says how an answer of its mode is stored, written in a model's reply, scored, balanced, guessed and shown. The
-prompt lines about a mode are in `agent/prompts/answer_<mode>.md`. The file `agent_reads_<mode>.md` in that folder tells
-an agent which reads of a plan give an answer of the mode.
+A record says how answers of its mode are stored, written in a model's reply, scored and shown. It also says how blind
+guessers guess them, and how the selection of questions balances them. The prompt lines about a mode are in
+`agent/prompts/answer_<mode>.md`. The file `agent_reads_<mode>.md` in that folder lists for an agent those reads
+(requested values) of a plan that give an answer of the mode.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ from jrdb_avr.schema.plan import Read
 from jrdb_avr.schema.rules import FPS
 
 Kind = Literal["choice", "frame", "angle", "decimal"]
-"""Kind of one value in an answer: number of a choice, frame, angle in degrees, or decimal number in quotes."""
+"""Kind of one value in an answer: position of a choice, frame, angle in degrees, or decimal number in quotes."""
 
 Guesser = Literal["uniform", "most_frequent", "by_choice", "constant", "offset"]
 """Name of a blind guesser, which sees no picture. `engine/generate/blind.py` defines the guessers."""
 
 _COLUMNS: Final = {"frame": "start", "start_frame": "start", "end_frame": "end", "angle_deg": "angle", "value": "value"}
-"""Name of the candidate column with the value of an answer field, by the name of the field."""
+"""Columns of candidates that hold the values of an answer, by the name of the answer's field."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +64,17 @@ class Mode:
     Attributes:
         name: Name of the mode, as in the column `answer_mode` of questions.
         type: Struct that stores an answer.
-        parts: Values of an answer, in the order of the struct's fields. A reply gives a choice as a bare number. Other
-            modes need an object with the keys of the parts.
+        parts: Values of an answer, in the order of the struct's fields. In a model's reply, a choice is a bare number.
+            An answer of another mode is a JSON object with the keys of its parts.
         same: Scoring rule. It is called with the given answer, the true answer and the number of frames per second, and
             returns whether the given answer is right.
-        asks: Name of the requested value in tables, such as "seconds".
-        words: Format string that shows a stored answer to a person. The struct's fields are in braces.
+        asks: Name of the requested value, such as "seconds". Tables show it.
+        words: Format string that shows an answer to a person. The names of the struct's fields are in braces.
         aim: Maximum share of right answers that a blind guesser should reach, 0 to 1.
         guessers: Names of the blind guessers that can give an answer of this mode.
-        smallest_read: Read (requested value) of the plan that is used if no other plan could be made.
-        bin_edges_s: Edges in seconds between bins of answers. Selection balances the number of questions per bin.
+        smallest_read: Read (requested value) of the fallback plan, which is used if no other plan could be made.
+        bin_edges_s: Edges, in seconds, between bins of answers. The selection of questions balances the number of
+            questions per bin.
     """
 
     name: AnswerMode
@@ -85,7 +87,7 @@ class Mode:
     guessers: tuple[Guesser, ...]
     smallest_read: Read
     bin_edges_s: tuple[float, ...] = ()
-    # Made at import, because msgspec crashes if two threads make the first decoder of a type at the same time.
+    # Created at import, because msgspec crashes if two threads make the first decoder of a type at the same time.
     _decoder: msgspec.json.Decoder[Any] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -93,7 +95,7 @@ class Mode:
 
     @property
     def is_choice(self) -> bool:
-        """Whether an answer of this mode is the number of a choice."""
+        """Whether an answer of this mode is a choice."""
         return self.parts[0].kind == "choice"
 
     @cached_property
@@ -115,15 +117,15 @@ class Mode:
         return struct(*fields)
 
     def make(self, frames: Sequence[int], angle_deg: float, value: float = 1.0) -> Answer:
-        """Return an answer of this mode from values for all modes. Values that the mode does not need are ignored.
+        """Return an answer of this mode. The caller gives values for every mode, and those not needed are ignored.
 
         Args:
-            frames: Frames for the frame fields, in order: at least as many frames as the mode has frame fields.
+            frames: Frames for the frame fields, in the order of the fields. There may be more frames than fields.
             angle_deg: Panorama angle in degrees.
             value: Number of seconds or people.
 
         Returns:
-            The answer. In the mode of choices, it is choice 1.
+            The answer. If the mode is multiple choice, the answer is choice 1.
         """
         rest = iter(frames)
         fixed: dict[Kind, float] = {"choice": 1, "angle": angle_deg, "decimal": value}
@@ -153,10 +155,11 @@ class Mode:
 
     @property
     def stored_json(self) -> tuple[str, ...] | None:
-        """Template of a stored answer's JSON: texts at even positions, names of candidate columns at odd positions.
+        """Template of a stored answer's JSON, or None if the answer is a choice.
 
-        The JSON of a candidate's answer has the value of the column in place of each name. The template is None if the
-        answer is a choice, because the order of the choices is drawn after the candidates are found.
+        The tuple has JSON texts at even positions, and names of columns of candidates at odd positions. To get the JSON
+        of a candidate's answer, replace each name by the candidate's value in that column. Choices have no template,
+        because the order of the choices is drawn after the candidates are found.
 
         >>> MODES["span"].stored_json
         ('{"start_frame":', 'start', ',"end_frame":', 'end', '}')
@@ -258,7 +261,7 @@ def mode_of(answer: Answer) -> Mode:
         answer: Answer of any mode.
 
     Returns:
-        The mode that stores its answers in the struct of this answer.
+        The mode that has answers of this type.
     """
     return _OF_TYPE[type(answer)]
 
@@ -294,7 +297,7 @@ def decode_answer(mode: str, text: str) -> Answer:
 
 
 def same_answer(given: Answer | None, truth: Answer, second: int = round(FPS)) -> bool:
-    """Return whether a method's answer is right. Every tolerance includes its bound.
+    """Return whether a method's answer is right. An answer exactly at the bound of a tolerance is right.
 
     Args:
         given: Answer of a method, or None, which is never right.

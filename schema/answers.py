@@ -16,14 +16,14 @@ import msgspec
 AnswerMode = Literal["multiple_choice", "frame", "span", "frame_viewpoint", "number"]
 
 TIE: Final = 1e-9
-"""Tolerance at inclusive bounds. Rounding may move an angle in degrees, or a share, slightly past its bound."""
+"""Tolerance at inclusive bounds. Rounding may move a value slightly past its bound, for example an angle in degrees."""
 
 _FRAME_LIMIT: Final = 10_000_000
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=_FRAME_LIMIT)]
 
 
 class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Answer to a multiple-choice question: the number of a choice, counted from 1."""
+    """Answer to a multiple-choice question: the position of a choice, counted from 1."""
 
     choice: Annotated[int, msgspec.Meta(ge=1, le=1000)]
 
@@ -58,7 +58,7 @@ Answer = Choice | FrameAnswer | Span | FrameViewpoint | Number
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Box round the person that the answer is about: (x, y, w, h) in stitched pixels of one frame."""
+    """Box around the person that the answer is about, in one frame. `box` is (x, y, w, h) in stitched pixels."""
 
     frame: _Frame
     box: tuple[float, float, float, float]
@@ -70,7 +70,7 @@ def encode_answer(answer: Answer) -> str:
 
 
 def frames_iou(a: Span, b: Span) -> float:
-    """Return the number of frames in both spans, divided by the number of frames in either span.
+    """Return the number of frames that both spans contain, divided by the number that at least one span contains.
 
     The result is 0 if a span ends before it starts.
     """

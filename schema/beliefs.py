@@ -1,9 +1,9 @@
-"""Tables of an agent's world model in the graph: its observations and its beliefs about the people it saw.
+"""Tables of an agent's world model in the graph: the agent's observations, and its beliefs about what it saw.
 
 Every row belongs to one episode, which is one question of one run. An *entity* is a person or thing that the agent
 named. A *belief* is an edge that begins at an entity and refers to one observation of the same episode. There are three
-kinds: a sighting (`Sighted`) and an attribute (`Has`) end at the observation. A relation (`Related`) ends at another
-entity, and its column `observation` has the key of the observation.
+kinds of beliefs. A sighting (`Sighted`) or an attribute (`Has`) ends at the observation. A relation (`Related`) ends at
+another entity, and its column `observation` has the key of the observation.
 
 A belief holds at the frame of its observation (`first` = `last`). Gender and age hold at every frame (0 to `ALWAYS`). A
 belief stays in the graph if a later write replaces it: `current` becomes false, and `until` becomes the step of that
@@ -11,13 +11,13 @@ write. So an edge was believed at step k if `step <= k AND until > k`. If severa
 combined, each reading is an edge, and `current` marks the edge with the result. A reading that the result contradicts
 was never believed, so its `until` equals its `step`.
 
-Keys of nodes: `Episode` has `<run>/<question>`. `Observation` has `<episode>/o<number>`. `Entity` has
-`<episode>/<name>` with the name that the agent chose. `Slot` and `Write` have `<episode>/<number>`. `Hypothesis` has
-`<episode>/h<rank>`.
+The nodes have these keys: an `Episode` has `<run>/<question>`. An `Observation` has `<episode>/o<number>`. An `Entity`
+has `<episode>/<name>`, with a name that the agent chose. A `Slot` or a `Write` has `<episode>/<number>`. A `Hypothesis`
+has `<episode>/h<rank>`.
 
-`Observation` and `Entity` also have a hash of the episode's key, and their edges have the names of the entities at
-their ends. Without the hash and the names, half of the engine's work would go to edges of other episodes, because
-agents read and write after almost every observation.
+`Observation` and `Entity` also have a hash of the episode's key, and edges of beliefs have the names of the entities at
+both ends. The reads and writes of an agent use the hash and the names to find its own edges. Without them, the engine
+would spend half of its work on edges of other episodes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ TIMELESS: Final = frozenset({"gender", "age"})
 
 
 def free_value(text: str) -> str:
-    """Return the normal form of a free attribute's value, which beliefs and plans compare: lower case, single blanks.
+    """Return the value of a free attribute in the form that beliefs and plans compare: lower case, with single blanks.
 
     >>> free_value("Dark  Red")
     'dark red'
@@ -62,13 +62,13 @@ class Write:
     `Episode` node.
 
     Attributes:
-        number: Position of the write in its episode, from 0.
-        step: Number of the model call that made the write.
+        number: Index of the write in its episode, from 0.
+        step: Index of the model call that made the write.
         tool: Tool that the agent called.
         arguments: Arguments of the tool, as JSON.
-        accepted: Whether the world model took the write.
+        accepted: Whether the world model accepted the write.
         reason: Reason of the refusal, "" if the write was accepted.
-        fact: `Fact` as JSON with the rows that the write added or changed, "" if there are none.
+        fact: JSON of a `Fact`: the rows that the write added or changed, "" if there are none.
     """
 
     number: int
@@ -112,10 +112,11 @@ class _NodeRow(_Row, frozen=True):
 
 
 class ObservationRow(_NodeRow, frozen=True):
-    """Row of `Observation` without its hash. The edge `Made` from the episode is written together with the row.
+    """Row of `Observation`, without the column `episode_hash`.
 
-    A crop covers the columns [left, left + width) of the panorama, which continue at column 0 after column 3759. A
-    whole panorama covers all 3760 columns.
+    The edge `Made` from the episode to the observation is written together with the row. A crop covers the columns
+    [left, left + width) of the panorama, which continue at column 0 after column 3759. A whole panorama covers all 3760
+    columns.
     """
 
     number: int
@@ -127,9 +128,10 @@ class ObservationRow(_NodeRow, frozen=True):
 
 
 class EntityRow(_NodeRow, frozen=True):
-    """Row of `Entity` without its hash. The edge `Holds` from the episode is written together with the row.
+    """Row of `Entity`, without the column `episode_hash`.
 
-    A later write may change `kind` and `node`, and no other column.
+    The edge `Holds` from the episode to the entity is written together with the row. A later write may change the
+    columns `kind` and `node`, but no other column.
     """
 
     name: str
@@ -140,11 +142,12 @@ class EntityRow(_NodeRow, frozen=True):
 
 
 class SlotRow(_NodeRow, frozen=True):
-    """Row of `Slot`, which is one part of the agent's plan. The edge `Asks` from the episode is written with the row.
+    """Row of `Slot`, which is one part of the agent's plan.
 
-    A part is a node (a person to find), a condition on a node, an edge between two nodes, or the read (the value that
-    answers the question). The column `kind` names which of these the part is. A text column that does not apply to the
-    kind is "". The column `frame` is -1 if the part has no stated time.
+    The edge `Asks` from the episode to the slot is written together with the row. A part is a node (a person to find),
+    a condition on a node, an edge between two nodes, or the read (the value that answers the question). The column
+    `kind` says which of these four the part is. A text column that does not apply to the kind is "". The column `frame`
+    is -1 if the part has no stated time.
     """
 
     number: int
@@ -159,10 +162,11 @@ class SlotRow(_NodeRow, frozen=True):
 class HypothesisRow(_NodeRow, frozen=True):
     """Row of `Hypothesis`, which is one assignment of entities to the nodes of the plan.
 
-    The edge `Ranks` from the episode is written with the row. Hypotheses are written with the episode's answer.
+    The edge `Ranks` from the episode to the hypothesis is written together with the row. The hypotheses are written
+    when the episode gets its answer.
 
     Attributes:
-        step: Number of the model call after which the hypothesis was written.
+        step: Index of the model call after which the hypothesis was written.
         rank: Rank by likelihood. The episode's answer is the answer of rank 1, the likeliest hypothesis.
         entity: Name of the entity that is assigned to the target of the question.
         nodes: Assignment as text, such as "a=p1, b=p2".
@@ -187,8 +191,8 @@ class _EdgeRow(_Row, frozen=True):
         source: Key of the node at the start of the edge.
         target: Key of the node at the end of the edge.
         episode: Key of the episode.
-        write: Number of the write that added the edge. Each write adds at most one edge.
-        step: Number of the model call that made the write.
+        write: Index, in the episode, of the write that added the edge. Each write adds at most one edge.
+        step: Index of the model call that made the write.
         votes: Number of readings that agreed with the edge at that write.
         against: Number of readings that disagreed with the edge at that write.
         origin: Origin of the belief.
@@ -205,7 +209,7 @@ class _EdgeRow(_Row, frozen=True):
 
 
 class SightingRow(_EdgeRow, frozen=True):
-    """Row of `Sighted`. The agent gave `box`. `angle` is the panorama angle of the centre of the box, in degrees."""
+    """Row of `Sighted`. The agent gave `box`. `angle` is the panorama angle of the centre of `box`, in degrees."""
 
     frame: int
     box: Box
@@ -213,7 +217,7 @@ class SightingRow(_EdgeRow, frozen=True):
 
 
 class AttributeRow(_EdgeRow, frozen=True):
-    """Row of `Has`. `value` is the value of the attribute as text, and `number` as a number (0 if it is no number)."""
+    """Row of `Has`. `value` is the attribute's value as text. `number` is the value as a number, or 0 if it is none."""
 
     name: str
     value: str
@@ -234,19 +238,21 @@ class RelationRow(_EdgeRow, frozen=True):
 class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """Rows that one write adds to the world tables or changes there.
 
-    A new edge has `current` true and `until` `ALWAYS`.
+    In a new edge, the column `current` is true, and the column `until` is `ALWAYS`.
 
     Attributes:
-        episode: New or changed episode. `begin` creates it, `plan` adds the plan, and `final_answer` adds the verdict.
+        episode: New or changed episode. The tool `begin` creates the episode, `plan` adds the plan, and `final_answer`
+            adds the verdict.
         slots: Parts of an accepted plan.
         observation: New observation.
         entity: New entity.
         changed: Existing entity with a new kind or a new plan node.
-        freed: Keys of the entities that lose their plan node because another entity takes it.
+        freed: Keys of the entities that lose their plan node because another entity takes the node.
         sighted: New sighting.
         has: New attribute.
         related: New relation.
-        replaced: Numbers of the writes whose edges stop being `current` at this step. This write may be among them.
+        replaced: Indexes of writes. The edges that these writes added stop being `current` at this step. This write may
+            be one of the writes.
         hypotheses: Hypotheses at the end of the episode.
     """
 
@@ -298,7 +304,7 @@ WORLD_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Asks": ("Episode", "Slot", ()),
     "Wrote": ("Episode", "Write", ()),
     "Ranks": ("Episode", "Hypothesis", ()),
-    # `who` is the name of the entity at the start of an edge, and `whom` of the entity at its end.
+    # `who` is the name of the entity at the start of the edge, and `whom` is the name of the entity at the end.
     "Sighted": ("Entity", "Observation", _columns(SightingRow, *_CURRENT, "who STRING")),
     "Has": ("Entity", "Observation", _columns(AttributeRow, *_CURRENT, "who STRING")),
     "Related": ("Entity", "Entity", _columns(RelationRow, *_CURRENT, "who STRING", "whom STRING")),
@@ -317,5 +323,5 @@ def episode_hash(episode: str) -> str:
 
 
 def name_of(key: str) -> str:
-    """Return the last part of the key of an entity or observation, which is its name within the episode."""
+    """Return the name of an entity or observation within its episode, which is the last part of its key."""
     return key.rpartition("/")[2]

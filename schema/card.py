@@ -57,7 +57,8 @@ SOURCES: Final = (
 """JRDB and its extensions.
 
 The footer of the JRDB website states the licence. The maintainers of JRDB's toolkit confirm it
-(https://github.com/JRDB-dataset/jrdb_toolkit/issues/9). If the website states further terms, those take precedence.
+(https://github.com/JRDB-dataset/jrdb_toolkit/issues/9). If the website states further terms, the terms of
+the website take precedence.
 """
 
 SAMPLE: Final = Source(
@@ -126,5 +127,5 @@ RAI: Final[dict[str, str]] = {
 
 
 def is_of_sample(sequence: str) -> bool:
-    """Return whether a sequence belongs to the synthetic sample world. Its name then begins with "sample-"."""
+    """Return whether a sequence belongs to the synthetic sample world. Names of such sequences begin with "sample-"."""
     return sequence.startswith("sample-")

@@ -30,7 +30,7 @@ class InputError(AvrError):
 
     Attributes:
         file: Path of the file, "" if the error is not about a file.
-        frame: Frame of the record, "" if the error is not about a frame.
+        frame: Frame of the faulty record, "" if the error is not about a frame.
         field: Name of the faulty field or argument, "" if it is unknown.
     """
 
@@ -46,7 +46,7 @@ class StoreError(AvrError):
 
 
 class LockedError(StoreError):
-    """The store or its graph is in use, by another process or by this one. `holder` describes the process."""
+    """The store or its graph is in use by another process or by this one. `holder` describes that process."""
 
     def __init__(self, message: str, *, holder: str = "") -> None:
         super().__init__(message)
@@ -66,7 +66,7 @@ class PlanError(AvrError):
 
 
 class ObserveError(AvrError):
-    """An observation is refused: unknown sequence, frame without an image, or an angle that is not a finite number."""
+    """An observation is refused: the sequence is unknown, the frame has no image, or the angle is not finite."""
 
 
 class RefusedError(AvrError):

@@ -1,12 +1,12 @@
 """Tables of the graph as Cypher statements: the scene and the keyframe layer (docs/graph.md).
 
-The names of tables and columns are a public interface. Keys of nodes: `Person` and `SocialGroup` have
-`<sequence>/<number>`. `Frame` has `<sequence>/<six digits>`. `Object` has `<sequence>/<category id>:<track>`, because
-each category counts its tracks from the start.
+The names of tables and columns are a public interface. The nodes of the scene have these keys: a `Person` has
+`<sequence>/<track>`. A `SocialGroup` has `<sequence>/<cluster>`. A `Frame` has `<sequence>/<frame in six digits>`. An
+`Object` has `<sequence>/<category id>:<track>`, because things of different categories may have the same track.
 
-`SeenIn` begins at a person or at a thing. For a thing, it has only the box and the angle of the box. Every relationship
-of the scene has the column `sequence`, because a query that filters a relationship by `sequence` is ten times faster
-than a query that filters by a property of a node.
+An edge `SeenIn` begins at a person or at a thing. If it begins at a thing, it describes only the box and the angle of
+the box. Every relationship of the scene has the column `sequence`, because a query that filters a relationship by
+`sequence` is ten times faster than a query that filters by a property of a node.
 
 A relationship holds from its frame `first` to its frame `last`, both included. `first_s` and `last_s` are the times of
 these frames in seconds. `Performs`, `MemberOf`, `Interacts` and `Handles` have the labels of annotators. `certain` is
@@ -39,7 +39,7 @@ _TYPES: Final = {"string": "STRING", "double": "DOUBLE", "bool": "BOOLEAN", "int
 
 
 def _sighting_columns() -> tuple[str, ...]:
-    """Return the columns of `SeenIn`: a box, and the columns of `intervals_sightings` except track, group and box."""
+    """Return the columns of `SeenIn`: those of `intervals_sightings` without track and group, the box as one column."""
     fields = [field for field in INTERVALS["sightings"] if field.name not in ("track", "cluster", *"xywh")]
     columns = [f"{field.name} {_TYPES[str(field.type)]}" for field in fields]
     # The box is a struct, because the engine needs minutes to save a million lists of type DOUBLE[4].

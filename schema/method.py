@@ -5,8 +5,8 @@ frames that can be observed. It also has four functions: `observe` and `panorama
 to the transcript, and `record_write` appends a write to the record of a world model. A task gives no other access to
 the store.
 
-A method runs in the process of the run, with the rights of the user. So it could open the private files of a store. Run
-a method that you do not trust on a public store, which lacks the answers (`export --public`).
+A method runs in the process of the run, with the rights of the user. So it could open the private files of a store. If
+you do not trust a method, run it on a public store. `export --public` writes such a store, which has no answers.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Status = Literal["answered", "invalid", "error"]
 Verdict = Literal["certain", "supported", "guess"]
 """Support of a method's world model for the answer.
 
-certain: the world model proves the answer. supported: the answer was read from the person who fits best, or from the
-observed frames that are nearest. guess: all other answers.
+certain: the world model proves the answer. supported: the answer was read from the person who fits the question best,
+or from the nearest frames that the method observed. guess: every other answer.
 """
 
 
@@ -38,7 +38,7 @@ class Question:
 
     Attributes:
         question_id: Id of the question.
-        sequence: Name of the sequence, opaque if the run hides names.
+        sequence: Name of the sequence. If the run hides names, an opaque text replaces the name.
         question: Text of the question.
         choices: Texts of the four choices, empty if the answer is not a choice. Answers count the choices from 1.
         answer_mode: Name of the answer mode, which decides the form of the answer.
@@ -56,10 +56,10 @@ class SequenceInfo:
     """Sequence that a question is about, with the frames that can be observed.
 
     Attributes:
-        sequence: Name of the sequence, opaque if the run hides names.
+        sequence: Name of the sequence. If the run hides names, an opaque text replaces the name.
         fps: Frames per second.
         frame_count: Number of frames of the sequence.
-        frames: Frames that can be observed, ascending.
+        frames: Indexes of the frames that can be observed, in ascending order.
     """
 
     sequence: str
@@ -117,9 +117,10 @@ class Step:
     """Line of a question's transcript.
 
     Attributes:
-        kind: What happened: a model call, a look, another tool call, or ("solve") a conclusion of the method's code.
+        kind: "model" for a model call, "observe" for a look, "tool" for another tool call, or "solve" for a conclusion
+            that the code of the method drew.
         request: What was asked for. Images are named by sequence, frame and angle, and their bytes are left out.
-        response: What was returned, also without the bytes of images.
+        response: What was returned, without the bytes of images.
         seconds: Duration in seconds.
     """
 
@@ -139,7 +140,7 @@ class Prediction:
         answer: Answer, or None if there is none. The answer and the evidence are scored separately.
         evidence: Box that shows the person in stitched pixels of one frame, or None if there is none.
         raw: Last text that the model wrote.
-        reason: Reason why the model's last output was refused, "" if it was accepted.
+        reason: Why the model's last output was refused, "" if it was accepted.
         verdict: Support of the world model for the answer, or None if the method has no world model.
         n_observations: Number of crops and panoramas that the method looked at.
         n_model_calls: Number of model calls.
@@ -265,8 +266,9 @@ class ConfigurableMethod(Method, Protocol):
     def settings(self) -> dict[str, Any]:
         """Return the settings that may change the method's answers.
 
-        Called when a run starts. The run's manifest stores the settings, and a resumed run compares them.
+        This function is called when a run starts. The run's manifest stores the settings. A resumed run is refused if
+        its settings differ from the stored settings.
 
         Returns:
-            Values by the name of the setting. The values can be written as JSON.
+            Values by the name of the setting. Every value can be written as JSON.
         """

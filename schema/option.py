@@ -1,4 +1,4 @@
-"""Declaration and check of options as fields of a dataclass.
+"""Declaration and check of options. Each option is a field of a dataclass.
 
 The command line and the reader of TOML files both take names, limits and help texts from this declaration.
 """
@@ -15,7 +15,7 @@ from jrdb_avr.schema.errors import InputError, did_you_mean
 
 _SCALARS: Final = {"int": int, "float": float, "bool": bool, "str": str}
 _TYPES: Final = {**_SCALARS, "tuple[str, ...]": tuple[str, ...], "tuple[int, int]": tuple[int, int]}
-"""Type by annotation. Values with other annotations are checked only by their choices."""
+"""Types by annotation of a field. If a field has another annotation, its value is checked only against its choices."""
 
 
 def option(
@@ -37,7 +37,7 @@ def option(
         minimum: Smallest allowed number, or None for no limit.
         maximum: Largest allowed number, or None for no limit.
         choices: Allowed texts. If there are none, every text is allowed.
-        metavar: Placeholder for the value in help texts, or None for the default of the command line.
+        metavar: Placeholder for the value in help texts, or None for the placeholder that the command line chooses.
 
     Returns:
         The dataclass field, with all arguments except `default` as metadata.

@@ -31,7 +31,7 @@ FOV_DEG: Final = CROP * 360 / WIDTH
 
 HORIZON_ROW: Final = 209.4
 FOCAL_ROWS: Final = 482.9
-"""Number of rows above HORIZON_ROW per unit of z / hypot(x, y).
+"""Number of rows that a point appears above HORIZON_ROW, per unit of z / hypot(x, y) in the frame of the rig.
 
 FOCAL_ROWS is the median vertical focal length fy of the rig's cameras. HORIZON_ROW is the median row cy of their
 optical centres.
@@ -49,7 +49,7 @@ class Box(NamedTuple):
 
 def angle_of_column(column: F) -> F:
     """Return the panorama angle in degrees, [0, 360), of a column in stitched pixels. The column may have any value."""
-    # The first modulo of a tiny negative column rounds to exactly WIDTH.
+    # If the column is a tiny negative number, the first modulo rounds to exactly WIDTH, and the second gives 0.
     return (column % WIDTH) % WIDTH * (360.0 / WIDTH)
 
 
@@ -64,7 +64,7 @@ def angle_of_azimuth(azimuth_rad: F) -> F:
 
 
 def row_of_height(z: F, ground_distance: F) -> F:
-    """Return the row of a point that is `z` metres above the camera rig, at a horizontal distance in metres."""
+    """Return the row of a point that is `z` metres above the camera rig and `ground_distance` metres away from it."""
     return HORIZON_ROW - FOCAL_ROWS * z / ground_distance
 
 
@@ -92,7 +92,7 @@ def crop_left(angle_deg: float) -> float:
 def to_crop(box: Box, left: float) -> Box:
     """Convert a box from stitched pixels to pixels of the crop that begins at column `left`.
 
-    Of the copies of the box at distances of 3760 columns, the copy nearest to the crop is returned.
+    The panorama repeats every 3760 columns, and so does the box. The copy nearest to the crop is returned.
     """
     center = (box.x + box.w / 2 - left - CROP / 2 + WIDTH / 2) % WIDTH - WIDTH / 2 + CROP / 2
     return Box(center - box.w / 2, box.y, box.w, box.h)

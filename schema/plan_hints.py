@@ -1,4 +1,4 @@
-"""Hints for words that models write in plans although the format of plans has another term for them."""
+"""Hints for wrong words in plans. A hint names the correct term of the plan format."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from typing import Final, Literal
 
 PlanPart = Literal["attribute", "relation", "read", "event", "key"]
-"""Position of a word in a plan: the value of the field with this name, or (`key`) the key of an object."""
+"""Position of a word in a plan. `key` is the key of an object. The other names are fields with the word as value."""
 
 _ACTION: Final = '{"action": "sitting", "at": "t0"}'
 _THING: Final = '{"object": "bag", "verb": "holding", "at": "t0"}'
@@ -81,11 +81,11 @@ _QUOTED: Final = re.compile(r"(unknown field|enum value) [`'](.*?)[`']")
 
 
 def hint(part: PlanPart, word: str) -> str:
-    """Suggest the term of plans that replaces a wrong word.
+    """Suggest the correct term for a wrong word in a plan.
 
     Args:
         part: Position of the word in the plan.
-        word: Wrong word. Upper case and underscores make no difference.
+        word: Wrong word. Upper case counts as lower case, and underscores count as blanks.
 
     Returns:
         A text to append to an error message, "" if there is no hint for the word.
@@ -98,7 +98,7 @@ def hint(part: PlanPart, word: str) -> str:
 
 
 def hint_for(field: str, message: str) -> str:
-    """Suggest the term of plans for the wrong word that an error message of msgspec quotes.
+    """Suggest the correct term for the wrong word that an error message of msgspec quotes.
 
     Args:
         field: Path of the faulty field in the plan, such as `edges[1].source`.

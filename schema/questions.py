@@ -12,18 +12,20 @@ from jrdb_avr.schema.answers import AnswerMode, Choice
 from jrdb_avr.schema.labels import answer_of_choice
 
 PROFILE_KEY: Final = "profile"
-"""Metadata key of question files for the profile of a training set. The files of a benchmark do not have the key."""
+"""Metadata key of a training set. Its value is the profile of `generate`. The files of a benchmark lack this key."""
 
 DISJOINT_KEY: Final = "disjoint_from"
-"""Metadata key of a training set. Its value is the generation of the held-out questions to avoid, or "" for none."""
+"""Metadata key of a training set. Its value is the generation id of the held-out questions to avoid, "" for none."""
 
 
 class Proof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Result of one proof of a question: the plan was changed and solved again (docs/definitions.md, "Proofs").
+    """Result of one proof of a question (docs/definitions.md, "Proofs").
+
+    Most proofs change the plan of the question in one way, and solve the changed plan.
 
     Attributes:
         kind: Kind of the proof, such as `time.shift`.
-        variant: Name of the change, because a kind may have several changes.
+        variant: Name of the change. Proofs of one kind may make different changes.
         holds: Whether the proof succeeded, or None if it was not run.
         outcome: Comparison of the changed plan's answer with the question's answer, such as "different".
         answer: Answer of the changed plan, or None if there is none.
@@ -47,7 +49,7 @@ class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         y: Upper edge in stitched pixels.
         w: Width in pixels.
         h: Height in pixels.
-        decisive: Whether the answer is read from this box. The view straight ahead misses at least one such box.
+        decisive: Whether the answer is read from this box. The view straight ahead misses at least one decisive box.
     """
 
     node: str
@@ -61,7 +63,10 @@ class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """Question with its answer: the columns of `questions`, then the columns of `answers` with decoded JSON."""
+    """Question with its answer.
+
+    The fields are the columns of `questions`, then those of `answers`. The columns in `_JSON_COLUMNS` are decoded.
+    """
 
     question_id: str
     sequence: str
@@ -106,13 +111,16 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.convert({**private, **row, **texts}, cls)
 
     def columns(self) -> dict[str, Any]:
-        """Return the values of the columns of both tables by the name of the column, with JSON as text."""
+        """Return the values of the columns of both tables, by column name. JSON columns are encoded as text."""
         texts = {name: msgspec.json.encode(getattr(self, name)).decode() for name in _JSON_COLUMNS}
         return msgspec.structs.asdict(self) | texts
 
     @property
     def answer_text(self) -> str:
-        """Text of the true choice, or the JSON of another answer. The text is "" if the choice does not exist."""
+        """Text of the true choice. If the answer is not a choice, the stored JSON of the answer.
+
+        The text is "" if the true choice does not exist.
+        """
         answer = decode_answer(self.answer_mode, self.answer)
         if not isinstance(answer, Choice):
             return self.answer

@@ -29,11 +29,11 @@ LAYERS: Final = (
     *("2d", "actions", "groups", "3d", "demographics", "interactions", "group_info", "handles", "pose", "panoptic"),
     *("timestamps", "images"),
 )
-"""Layers in the column `layer` of the `frames` table.
+"""Values of the column `layer` in the table `frames`.
 
-One file may have several layers, with labels at different frames. The file of 2D boxes also has `actions` and `groups`.
-The social file has `demographics`, `interactions` and `group_info`. If the social file is missing, these layers are
-read from the reasoning file. Only the reasoning file has `handles`.
+One label file may have several layers, and each layer may have labels at different frames. The file of 2D boxes also
+has the layers `actions` and `groups`. The social file has `demographics`, `interactions` and `group_info`. If the
+social file is missing, these three layers are read from the reasoning file. Only the reasoning file has `handles`.
 """
 
 COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
@@ -51,7 +51,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "first_s": (_F, "time of the first frame, seconds from frame 0"),
     "last_s": (_F, "time of the last frame, seconds from frame 0"),
     "certain": (_B, "true if the fact is beyond doubt, false if it is unknown"),
-    "gap": (_B, "true if this is a short gap between two labels; false if words for another label may also mean this"),
+    "gap": (_B, "true if the interval is a short gap between labels; false if the words of another label may mean it"),
     "difficulty": (_CODE, "difficulty by the annotators: 1 easy, 2 medium, 3 hard; null if the code cannot be read"),
     "raw": (_S, "label as written in the file"),
     "cluster": (_LONG, "id of the group in the sequence"),
@@ -122,20 +122,20 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "frames": (_list(_I), "indexes of the frames that can be observed"),
     "first_frame": (_I, "first frame with a label of the person or thing"),
     "last_frame": (_I, "last frame with a label of the person or thing"),
-    "start": (_I, "true start in questions: `first`, or half a second earlier if labels come once per second"),
-    "end": (_I, "true end in questions: `last`, or half a second later if labels come once per second"),
-    "quiet_from": (_I, "first frame since which the action is false until the segment begins"),
-    "closed": (_B, "true if the person is present for a second after the end and the action is false then"),
+    "start": (_I, "start that questions use: `first`, or half a second earlier if labels come once per second"),
+    "end": (_I, "end that questions use: `last`, or half a second later if labels come once per second"),
+    "quiet_from": (_I, "first frame of the time directly before the segment during which the action is false"),
+    "closed": (_B, "true if, during a second after the end, the person is present and the action is false"),
     "family": (_S, "name of the family of templates"),
     "template": (_S, "name of the template"),
     "question": (_S, "text of the question"),
-    "choices": (_list(_S), "texts of the four choices, which answers count from 1; empty in other answer modes"),
+    "choices": (_list(_S), "texts of the four choices, in the order that answers count from 1; empty in other modes"),
     "answer_mode": (_S, "form of the answer: multiple_choice, frame, span, frame_viewpoint or number"),
     "answer": (_S, "true answer, as JSON"),
     "target_track": (_I, "track of the target, the person that the answer is about"),
     "plan": (_S, "plan of the question, as JSON (docs/plans.md)"),
     "proofs": (_S, "proofs with their results, as JSON; `holds` is null if the proof was not run"),
-    "distractors": (_S, "change of the question that gives each wrong choice, as JSON; null if no change gives it"),
+    "distractors": (_S, "for each choice, the change of the question that makes it right, as JSON; null for none"),
     "rules": (_S, "hash of the rules under which the question was generated"),
     "hops": (_I, "number of relations in the plan; a fork-join has 4 here, but 2 in `stats` and `report`"),
     "time_gap_s": (_F, "time from the description to the last needed frame, seconds"),
@@ -178,7 +178,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "combined_score": (_CODE, "1 if both the answer and the evidence box are right, else 0"),
     "invalid": (_B, "true if the answer or the box is missing because the model's output could not be read"),
 }
-"""Type and meaning of each column by name. `SPECIAL` has the exceptions for single tables."""
+"""Type and meaning of each column, by its name. `SPECIAL` has the exceptions for single tables."""
 
 SPECIAL: Final[dict[tuple[str, str], tuple[pa.DataType, str]]] = {
     ("annotations_social_activities", "value"): (_F, "number for the activity, as written; null if it is missing"),
@@ -191,11 +191,11 @@ SPECIAL: Final[dict[tuple[str, str], tuple[pa.DataType, str]]] = {
     ("intervals_sequence", "has_attributes"): (_B, "true if at least one 2D box of the sequence has attributes"),
     ("predictions", "answer"): (_S, "answer of the method, as JSON; null if there is none"),
     ("predictions", "raw"): (_S, "last text that the model wrote"),
-    ("world", "number"): (_I, "position of the write in its episode, from 0"),
-    ("world", "step"): (_I, "number of the model call that made the write"),
+    ("world", "number"): (_I, "index of the write in its episode, from 0"),
+    ("world", "step"): (_I, "index of the model call that made the write"),
     ("world", "reason"): (_S, "reason of the refusal, empty if the write was accepted"),
 }
-"""Type and meaning of a column that differ in one table, by names of table and column."""
+"""Type and meaning of a column in one table if they differ from `COLUMNS`, by the names of the table and the column."""
 
 
 def column(view: str, name: str) -> tuple[pa.DataType, str]:
@@ -204,11 +204,11 @@ def column(view: str, name: str) -> tuple[pa.DataType, str]:
 
 
 ABOUT: Final[dict[str, str]] = {}
-"""One sentence about the content of each view."""
+"""One sentence about the content of each view, by the name of the view. `_schemas` fills this dictionary."""
 
 
 def _schema(view: str, columns: str) -> pa.Schema:
-    """Return the schema of a view. `columns` is a text of column names. A `?` after a name allows nulls."""
+    """Return the schema of a view. `columns` lists column names. A column may be null if a `?` follows its name."""
     names = [(name.rstrip("?"), name.endswith("?")) for name in columns.split()]
     return pa.schema([pa.field(name, column(view, name)[0], nullable) for name, nullable in names])
 
@@ -243,7 +243,7 @@ _ANNOTATIONS: Final = {
     # The pair (object, category_id) identifies the thing in the table `panoptic`.
     "handles": ("Labels of people who handle things.", "sequence frame track object category_id verb raw difficulty?"),
     "listed": (
-        "People and frames with a whole list of interactions or handled things, so that what the list omits is false.",
+        "People and frames with a complete list of interactions or handled things. What the list lacks is false.",
         "sequence layer frame track",
     ),
     "poses": ("Key points of each person at each frame.", "sequence frame track keypoints"),
@@ -310,7 +310,7 @@ _INTERVALS: Final = {
     "group_info": ("Votes for the attributes of each group.", "sequence cluster attribute value votes chosen"),
     # A relation in the robot's view has one row per keyframe. An uncertain relation may have several targets.
     "beside": (
-        "Place of the target seen from the source, such as 'left, close', or as the first to a side for the robot.",
+        "Place of the target seen from the source ('left, close'), or the first person to a side in the robot's view.",
         "sequence source target label first last first_s last_s certain",
     ),
     "segments": ("Stable segments of all actions.", "sequence track action first last start end quiet_from closed"),
@@ -340,7 +340,7 @@ _QUESTIONS: Final = {
         "sequence track frame x y w h",
     ),
     "rejected": (
-        "Numbers of refused candidates by sequence, template and rule, each with up to 100 examples.",
+        "Number of refused candidates by sequence, template and rule, with up to 100 examples of each.",
         "kind sequence family template rule candidates target_track? plan? detail?",
     ),
     "reviews": ("Decisions of reviewers to accept or reject a question.", "question_id reviewer decision reason"),
@@ -354,7 +354,7 @@ _RUNS: Final = {
         "run_id question_id status answer? evidence_frame? evidence_x? evidence_y? evidence_w? evidence_h? raw "
         "reason verdict? n_observations n_model_calls prompt_tokens completion_tokens seconds",
     ),
-    "steps": ("Transcripts: model calls, looks and the like.", "run_id question_id step kind request response seconds"),
+    "steps": ("Transcripts: model calls, looks and so on.", "run_id question_id step kind request response seconds"),
     "world": (
         "Writes of agents into their world models, accepted or refused, in order.",
         "run_id question_id number step tool arguments accepted reason fact",
@@ -364,7 +364,7 @@ _RUNS: Final = {
 RUNS: Final = _schemas("", _RUNS)
 
 CANDIDATES: Final = _schema("candidates", "sequence family template target_track plan answer")
-"""Schema of the file that `generate --candidates` writes. `answer` is the text of a choice or the JSON of an answer."""
+"""Schema of the file that `generate --candidates` writes. `answer` is the text of a choice, or JSON in other modes."""
 
 PRIVATE: Final = ("answers", "evidence", "rejected", "reviews")
 """Tables of `questions/` with answers. The process that talks to a model never opens them."""

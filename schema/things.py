@@ -1,7 +1,7 @@
-"""Categories of things, verbs of handling them, and the phrases for both in questions.
+"""Categories of things, verbs for handling things, and the phrases for categories and verbs in questions.
 
-The categories come from the panoptic layer, and the verbs from the reasoning layer. Only append to the two lists,
-because the marks in sample pictures encode a category or verb by its position.
+The categories come from the panoptic layer, and the verbs from the reasoning layer. Add new entries only at the end of
+`OBJECTS` and `VERBS`, because the marks in sample pictures encode a category or a verb by its position.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ OBJECTS: Final = (
     *("big_vehicle", "chair/sofa", "pedestrian", "sign", "trolley", "pole/trafficcone", "bicyclist/rider", "table"),
     *("skateboard/segway/hoverboard", "glass", "door"),
 )
-"""Categories of things, in the order of their standard numbers in the panoptic layer."""
+"""Categories of things, in the order of their standard ids in the panoptic layer."""
 
 
 def _noun_phrase(category: str) -> str:
@@ -103,7 +103,7 @@ VERB_PHRASES: Final = {verb: verb for verb in VERBS} | {
     "attracting": "attracting attention with",
     "understanding": "trying to understand",
 }
-"""Phrase of each verb in questions. The noun phrase of a thing follows it."""
+"""Phrase of each verb in questions. The noun phrase of the thing follows the phrase of the verb."""
 
 _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
     "finding sth": "finding_something",
@@ -114,14 +114,16 @@ _VERB_OF: Final = {plain(verb): verb for verb in VERBS} | {
 def normal_category(name: str) -> str:
     """Return a category's name in the spelling of `OBJECTS`: lower case, no prefix, underscores between words.
 
-    In some files, names have the prefix "t_" or "m_". A name that is not in `OBJECTS` is spelled in the same way.
+    In some files, names have the prefix "t_" or "m_". A name that is not in `OBJECTS` is converted in the same way.
     """
     return plain(name).replace(" ", "_").removeprefix("t_").removeprefix("m_")
 
 
 @functools.lru_cache(maxsize=10_000)
 def normal_verb(raw: str) -> str:
-    """Return a verb in the spelling of `VERBS`. A verb that is not in `VERBS` is returned in plain spelling.
+    """Return a verb in the spelling of `VERBS`.
+
+    A verb that is not in `VERBS` is returned in lower case, with blanks in place of underscores and hyphens.
 
     >>> normal_verb("looking_at"), normal_verb("finding something")
     ('looking at', 'finding_something')

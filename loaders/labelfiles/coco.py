@@ -30,7 +30,7 @@ from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.things import OBJECTS, normal_category
 
 MAX_LISTED: Final = 400_000
-"""Maximum length of each list of a file. JRDB's largest sequence has half as many boxes of people."""
+"""Maximum records in each list of a file. JRDB's largest sequence has half as many boxes of people."""
 CHUNK: Final = 1000
 """Number of records that are decoded together. A decoded chunk fits into the processor's cache."""
 
@@ -80,7 +80,8 @@ def open_coco(path: Path) -> CocoFile:
     """Read a file and split it into its raw records.
 
     Raises:
-        InputError: If the file is unreadable or not JSON, lacks `images` or `annotations`, or has too long a list.
+        InputError: If the file is unreadable, is not JSON, or lacks `images` or `annotations`, or if a list has more
+            than `MAX_LISTED` records.
     """
     file = decode_file(path, CocoFile)
     for section in ("images", "annotations", "categories"):
@@ -119,7 +120,8 @@ def _id_of(raw: msgspec.Raw) -> str:
 class Images:
     """Map from image ids to frames, for the images that are frames of the sequence.
 
-    ids: image ids, ascending. frame: the frame of each id in `ids`. No two ids have the same frame.
+    ids: image ids, ascending.
+    frame: the frame of each id in `ids`. No two ids have the same frame.
     """
 
     def __init__(self, file: CocoFile, sequence: str, problems: Problems) -> None:
@@ -132,7 +134,7 @@ class Images:
         for image in images:
             (frame, reason), field = _frame_of(image.file_name, sequence), "images.file_name"
             if frame is not None and len(frames[image.id]) > 1:
-                # An annotation with this id may belong to either image.
+                # An annotation that refers to this image id may belong to either image.
                 reason, field = "two images with this id, neither is kept", "images.id"
             elif frame is not None and frame in number_of:
                 reason = "frame has two images, the first is kept"
@@ -145,7 +147,7 @@ class Images:
         self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
-        """Return the frame of each annotation's image. It is -1 if the image is missing or refused."""
+        """Return the frame of each annotation's image. The frame is -1 if the image is missing or refused."""
         image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
         frame = np.full(len(image_id), -1, np.int64)
         if len(self.ids):
@@ -159,7 +161,7 @@ class Images:
 
 
 def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
-    """Return the frame and "", or None and the reason if the image is not a frame of the sequence."""
+    """Return the frame of an image and "". If the image is not a frame of the sequence, return None and the reason."""
     *folders, name = file_name.replace("\\", "/").split("/")
     match = _FRAME.fullmatch(name)
     if match is None:
@@ -196,7 +198,7 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
             if names.setdefault(category.id, (raw, usual if usual in OBJECTS else None))[0] == raw:
                 continue
             if normal_category(names[category.id][0]) != usual:
-                # An annotation with this id may belong to either category.
+                # An annotation that refers to this category id may belong to either category.
                 ambiguous.add(category.id)
                 problems.add("record", "two categories with this id, neither is kept", field="categories", value=raw)
     kept = {category_id: names[category_id] for category_id in sorted(names) if category_id not in ambiguous}

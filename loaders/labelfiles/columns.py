@@ -22,9 +22,9 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 PAIR_BITS: Final = 31
-"""Number of bits of the lower number of a pair."""
+"""Number of bits that `paired` reserves for the low number of a pair."""
 _DIGITS: Final = 16
-"""Number of bits of the columns that numpy sorts by digits."""
+"""Maximum bits of whole numbers that numpy sorts by digits (radix sort)."""
 MAX_DISTINCT: Final = 100_000
 """Maximum distinct values of one field in a file. JRDB's files have far fewer, because labels repeat between frames."""
 
@@ -63,7 +63,7 @@ def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
 
 
 def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
-    """Return the distinct strings of a column, ascending, and the index of each row's string (-1 for null)."""
+    """Return the distinct strings of a column, ascending, and the index of each row's string in them (-1 for null)."""
     written = column.combine_chunks().dictionary_encode()
     spelled = written.dictionary.to_pylist()
     names = sorted(spelled)
@@ -89,7 +89,7 @@ def constant(value: str, n: int) -> pa.Array:
 
 
 def annotation_table(name: str, sequence: str, table: pa.Table) -> pa.Table:
-    """Add the column `sequence` to an annotation table, and cast it to the schema of the table called `name`.
+    """Add the column `sequence` to an annotation table, and cast the result to the schema `ANNOTATIONS[name]`.
 
     Dictionary arrays of strings are kept, because plain strings would take most of the memory of a load.
     """
@@ -161,9 +161,9 @@ class LayerTables:
     unknown: Counter[tuple[str, str]] = field(default_factory=Counter)
     """Number of occurrences of each (field, label) with a label outside the vocabulary."""
     boxes: pa.Table | None = None
-    """2D boxes of a file that is not the file of the 2D layer, or None. The columns are frame, track, x, y, w, h.
+    """2D boxes in the file of another layer than `2d`, or None. The columns are frame, track, x, y, w, h.
 
-    Comparing these boxes with the 2D layer shows whether both files number their frames alike."""
+    A comparison of these boxes with the 2D layer shows whether both files number their frames alike."""
 
     def of(self, sequence: str) -> LayerTables:
         """Return a copy in which every annotation table has the column `sequence` and the types of its schema."""

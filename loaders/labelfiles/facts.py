@@ -1,8 +1,8 @@
 """Selection of the records of people, and the facts in the raw sub-objects of these records.
 
-A fact is one label of a person in a frame, such as an action. The labels of a person repeat between frames as the
-same bytes. Therefore a column stores a code for each raw object, and each distinct object is decoded once. numpy then
-copies the decoded facts to all rows with the same code.
+A fact is one label of a person in a frame, such as an action. A person often has the same labels in many frames, and
+the files then repeat the same bytes. Therefore a column stores a code for each raw object, and each distinct object is
+decoded once. numpy then copies the decoded facts to all rows with the same code.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import ANNOTATIONS
 
 MAX_FACTS: Final = 2_000_000
-"""Maximum labels of one kind in a file. JRDB's largest sequence has about 1.5 million labels of groups."""
+"""Maximum labels of one kind, such as actions, in a file. JRDB's largest sequence has 1.5 million labels of groups."""
 
 _THING: Final = -1
-"""Code for the label id of a thing, in place of a track."""
+"""Code that replaces the track if a label id is of a thing."""
 _BAD: Final = -2
-"""Code for an unreadable label id, in place of a track."""
+"""Code that replaces the track if a label id is unreadable."""
 
 Issue = tuple[str, str, object]
 """Reason, field and offending value of a refused part of a record."""
@@ -52,7 +52,7 @@ Value = tuple[Any, ...]
 
 
 class KeptRecords(NamedTuple):
-    """The records that are used: per frame and person, the first record without a fault."""
+    """Records that are used. Of the records of one person in one frame, the first without a fault is used."""
 
     row: Ints
     """Indices of the kept records among all records, sorted by (frame, track)."""
@@ -68,7 +68,7 @@ class KeptRecords(NamedTuple):
         return np.array(sorted(set(complete) - self.partial), np.int64)
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
-        """Return the distinct frames of the kept records `rows`, ascending, and the number of these records in each."""
+        """Return the distinct frames of the kept records `rows`, ascending, and the number of `rows` in each frame."""
         frame = self.frame[distinct_of(rows)]
         return known_frames(distinct_of(frame), frame)
 
@@ -86,7 +86,8 @@ def keep_people(
         columns: columns `frame` and `label_id` (a code) of the records.
         codes: distinct values of each coded column, by name of the column.
         refusals: counter of the refused records.
-        faults: pairs of a mask of unusable boxes and the reason. A record with several faults counts for the first.
+        faults: pairs of a mask of unusable boxes and the reason. A record with several faults is counted once, for
+            the first fault.
         box: function that is called with the index of a refused record and returns its box for the report.
     """
     frame, labels, code = columns["frame"], list(codes["label_id"]), columns["label_id"]
@@ -111,7 +112,7 @@ def keep_people(
 
 
 def _track_or_code(label: str) -> int:
-    """Return the track of a label id, or `_THING` or `_BAD` if it has none."""
+    """Return the track of a person's label id, `_THING` for a thing's, or `_BAD` for an unreadable label id."""
     try:
         return records.read_track(label)
     except records.NotAPersonError:
@@ -133,7 +134,7 @@ class Decoded:
     """True if no part of the value was refused. In that case each label that the value lacks is known to be false."""
 
     def refuse(self, reason: str, name: str, value: object) -> None:
-        """Report that `value` is unusable. The content is then no longer whole."""
+        """Report that `value` is unusable, and set `whole` to False."""
         self.issues.append((reason, name, value))
         self.whole = False
 
@@ -167,7 +168,7 @@ class Decoded:
             return None
 
     def difficulty(self, value: object, name: str) -> int | None:
-        """Return a difficulty code. If it is unusable, return None. The label then becomes an unknown fact."""
+        """Return a difficulty code, or None if the value is unusable. A label without a code is an unknown fact."""
         code: int | None = self.read(records.read_difficulty, value, name, "difficulty: ")
         return code
 
@@ -176,7 +177,7 @@ class ColumnFacts(NamedTuple):
     """Facts in a column of raw objects. A row of the column may have any number of facts."""
 
     row: Ints
-    """Row of each fact, ascending."""
+    """Index of each fact's row in the column, ascending."""
     code: Ints
     """Index of each fact's content in `values`."""
     values: list[Value]
@@ -185,7 +186,7 @@ class ColumnFacts(NamedTuple):
     """True for each row of the column that has a raw object without a refused part."""
 
     def tally(self, name: Callable[[Value], tuple[str, str] | None]) -> Counter[tuple[str, str]]:
-        """Return the number of facts by key. `name` returns the key of a content, or None to skip its facts."""
+        """Return the number of facts by key. `name` is called with each content. It returns a key, or None to skip."""
         counts: Counter[tuple[str, str]] = Counter()
         for value, n in zip(self.values, np.bincount(self.code, minlength=len(self.values)).tolist(), strict=True):
             key = name(value)
@@ -206,7 +207,8 @@ def expand(
     Args:
         codes: code of the raw value of each row.
         raws: distinct raw values, in the order of their codes.
-        decode: function that is called with each distinct raw value that is not missing, and fills a `Decoded`.
+        decode: function that is called with each distinct raw value, unless the value is missing, and with a new
+            `Decoded` to fill.
         refusals: counter. An issue of a value is counted once per row with the value.
         absent: issues that are reported for each row with a missing value.
 
@@ -271,7 +273,7 @@ def facts_table(
     Args:
         layer: name of the annotation table.
         people: the kept records.
-        facts: facts to write. The row of a fact is an index of `people`.
+        facts: facts to write. The row of a fact is the index of a record in `people`.
         names: names of the columns for the members of a fact's content, in the order of the members.
         ends: further columns of numbers by name, with one number per fact.
 

@@ -37,7 +37,7 @@ BATCH: Final = 1000
 """Number of records that are turned into columns together. A batch fits into the processor's cache."""
 
 LENIENT: Final = frozenset(("file_id", "attributes.truncated", "attributes.interpolated", "attributes.no_eval"))
-"""Fields whose unusable values do not refuse the record."""
+"""Fields for which an unusable value does not cause the refusal of the record."""
 _LIST: Final = msgspec.json.Decoder(list[msgspec.Raw])
 _MEMBERS: Final = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _MISSING: Final = re.compile("Object missing required field `(.*)`")
@@ -46,15 +46,15 @@ _R = TypeVar("_R", bound=msgspec.Struct)
 _F = TypeVar("_F", bound=msgspec.Struct)
 
 Fields = dict[str, tuple[Any, ...]]
-"""Fields of a batch of records: a tuple of one value per record, by name of the field."""
+"""Values of a batch of records, by name of the field. Each tuple holds one value per record."""
 
 
 Naming = Callable[[msgspec.Raw], str]
-"""Function that returns the name of a raw record for the report."""
+"""Function that takes a raw record and returns the record's name for the report."""
 
 
 class FrameKey(str):
-    """Key of a frame. For a type of its own, msgspec calls a hook with every key, so that no repeated key is missed."""
+    """Key of a frame. msgspec does not know this type, so it calls a hook with every key, which finds repeated keys."""
 
     __slots__ = ()
 
@@ -93,7 +93,8 @@ def decode_file(path: Path, form: type[_F], hook: Callable[[type, Any], Any] | N
     Args:
         path: JSON file.
         form: type of the result.
-        hook: function that converts a value into a type that msgspec does not know.
+        hook: function that is called with a type that msgspec does not know and a value. It returns the value in this
+            type.
 
     Raises:
         InputError: If the file is unreadable, is not JSON, or does not fit the type `form`.
@@ -129,7 +130,8 @@ class RecordReader(Generic[_R]):
             raw: JSON list.
             problems: counter of refused records.
             name: function that is called with each refused raw record, and returns its name for the report.
-            limit: maximum length of a list with a faulty record. A longer list is refused without a report.
+            limit: maximum length of a list that has a faulty record. All records of a longer list are refused, and
+                none of them is reported.
 
         Returns:
             The usable records, and the number of refused records.
@@ -167,7 +169,8 @@ class RecordReader(Generic[_R]):
             usable = read_flag(parse(inner[member])) if outer else None
         if usable is None:
             problems.add("field", reason, frame=name(raw), field=field, value=bytes(inner[member]))
-            # A person who may be excluded from the evaluation has no clear view, so the occlusion is unknown too.
+            # A person who is excluded from the evaluation is not in clear view. If `no_eval` is unusable, a clear view
+            # is therefore not certain, and the occlusion becomes unknown too.
             inner |= {"occlusion": msgspec.Raw(b"null")} if member == "no_eval" else {}
         inner[member] = msgspec.Raw(msgspec.json.encode(usable))
         if outer:
@@ -175,7 +178,7 @@ class RecordReader(Generic[_R]):
         return self._decode(msgspec.Raw(msgspec.json.encode(record)), problems, name)
 
     def fields(self, records: list[_R]) -> Fields:
-        """Return a tuple of the records' values for each field."""
+        """Return the records' values by field. Each tuple holds one value per record."""
         columns = zip(*map(msgspec.structs.astuple, records), strict=True) if records else ((),) * 99
         return dict(zip(self.type.__struct_fields__, columns, strict=False))
 
@@ -193,7 +196,7 @@ class Gathered(NamedTuple):
     """Content of a label file: columns of all usable records, in the order of the file."""
 
     columns: Columns
-    """The column `frame`, and the columns that the function `take` of `gather` makes."""
+    """The column `frame`, and the columns that `gather` gets from its argument `take`."""
     listed: list[int]
     """Frames with a usable list of records, which may be empty."""
     complete: list[int]

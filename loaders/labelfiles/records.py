@@ -66,7 +66,7 @@ def read_track(label_id: str) -> int:
 
     Raises:
         NotAPersonError: If the prefix is a category of things.
-        ValueError: If the id is neither a person's nor a thing's. It may then be a misspelt id of a person.
+        ValueError: If the id is neither of a person nor of a thing. Such an id may be a misspelt id of a person.
     """
     match = _PERSON.fullmatch(label_id)
     if match and int(match[1]) <= MAX_TRACK:
@@ -119,7 +119,7 @@ def read_difficulty(value: object) -> int:
 
 @functools.lru_cache(maxsize=10_000)
 def read_text(value: str) -> str:
-    """Return a text with blanks for unprintable characters. Raise ValueError if it is blank or over `MAX_TEXT` long."""
+    """Return a text with blanks for unprintable characters. Raise ValueError if the text is blank or too long."""
     clean = "".join(c if c.isprintable() else " " for c in value).strip()
     if not clean:
         raise ValueError("empty text")

@@ -1,10 +1,12 @@
 """Loader of the 2D layer with the labels of JRDB-Act, from `labels_2d_stitched/<sequence>.json`.
 
-It makes the annotation tables of boxes, actions, groups and social activities, with one row per fact. Boxes are in
-pixels of the stitched panorama. The table `frames` lists a frame for the layer `2d` only if none of the
-frame's records of people was refused. Otherwise the frame could not prove that a person is absent, or that a
-description fits only one person.
-For the layers `actions` and `groups` the table lists the frames with at least one action or group label.
+The loader makes the annotation tables of boxes, actions, groups and social activities, with one row per fact. Boxes are
+in pixels of the stitched panorama.
+
+The table `frames` lists a frame for the layer `2d` only if none of the frame's records of people was refused. A frame
+with a refused record could not prove that a person is absent, or that a description fits only one person. For the layer
+`actions`, the table lists the frames with at least one action label. For the layer `groups`, it lists the frames with
+at least one group label.
 """
 
 from __future__ import annotations
@@ -82,7 +84,7 @@ def load_2d(path: Path, problems: Problems) -> LayerTables:
     box = columns["box"]
     refusals = Refusals(columns["frame"], problems)
     people = keep_people(columns, codes, refusals, box_faults(box), lambda row: box[row].tolist())
-    # From here on, rows are sorted by frame and person, so refusals are counted in the new order.
+    # From here on, rows are sorted by frame and person, so a counter with the frames in the new order is needed.
     refusals = Refusals(people.frame, problems)
     columns = {name: column[people.row] for name, column in columns.items()}
 
@@ -134,7 +136,7 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 
 
 def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -> Bools:
-    """Return a mask of the usable boxes. Count the unusable ones, except missing boxes (NaN)."""
+    """Return a mask of the usable boxes. Count the unusable boxes. A missing box (NaN) is unusable but not counted."""
     usable = ~np.isnan(box[:, 0])
     for fault, reason in box_faults(box):
         refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())

@@ -1,9 +1,9 @@
 """Loader of the 3D layer, which makes the annotation table `boxes_3d` from `labels_3d/<sequence>.json`.
 
 The centre and the size of a box are in metres, in the frame of the robot: x forward, y left, z up. `rot_z` is stored as
-written. A person's heading is `wrap(pi - rot_z)`, and `heading_check` compares it with the person's motion. If a
-refused record may describe a person, all rows of the record's frame are dropped. In such a frame, any box could belong
-to a different person than the box's label id says.
+written. A person's heading is `wrap(pi - rot_z)`, and `heading_check` compares the heading with the person's motion. If
+a refused record may describe a person, all rows of the record's frame are dropped, because the label id of any other
+box in the frame could be wrong too.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ TOLERANCE: Final = 0.05
 
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 
-# All sequences of a root share the file, and its parser is slow. Therefore the tree of the last file is kept.
+# All sequences of a root share the file, and the YAML parser is slow. Therefore the tree of the last file is kept.
 _tree: Final = functools.lru_cache(maxsize=1)(lambda text: yaml.compose(text, yaml.SafeLoader))
 
 _Row = tuple[str, int | None, int | None, float, float, float, float]
@@ -77,7 +77,7 @@ def cameras_check(table: pa.Table) -> Cameras | None:
 def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
     """Return the YAML nodes under `cameras` by name.
 
-    The text is only parsed to nodes, and no values are constructed. Therefore tags have no effect.
+    The text is only parsed into nodes. No objects are made from the nodes, so YAML tags in the file have no effect.
     """
     text = read_file(path)
     if len(text) > _MAX_BYTES:
@@ -135,7 +135,7 @@ def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
 
 
 def _texts(node: yaml.Node) -> list[str]:
-    """Return the elements of a matrix as strings. The node is one string, a list of nine, or three lists of three."""
+    """Return a matrix's elements as strings. The node is a string, a list of nine numbers, or three lists of three."""
     if isinstance(node, yaml.ScalarNode):
         return str(node.value).split()
     if not isinstance(node, yaml.SequenceNode):

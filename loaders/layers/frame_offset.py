@@ -3,13 +3,13 @@
 Files of the train sequences use two numberings that are two frames apart, and no file states its numbering. The people
 of a layer at frame f are compared with the 2D boxes at frame f + s. There are two tests:
 
-- Equal boxes, for layers that repeat the 2D boxes. The shift is the s with the most equal boxes.
+- Equal boxes, for layers that repeat the 2D boxes. The shift is the s for which most boxes are equal.
 - Motion, for 3D boxes. A 3D box cannot equal a 2D box, and a fixed distance may separate the two boxes in every frame.
-  A shift of frames moves only people who walk, and the faster they walk, the more. So the horizontal distance between a
-  person's 3D box and 2D box is regressed on the person's horizontal speed. The intercept takes the fixed distance, and
-  the slope is the shift in frames. The standard error of the slope is estimated twice: from blocks of frames of each
-  person, and from blocks of frames of all people. The larger estimate is used. Camera and lidar are read up to 40 ms
-  apart, so a slope of this size is no evidence of a shift.
+  A shift of frames adds a distance that is proportional to the person's speed. Therefore a linear regression explains
+  the horizontal distance between a person's 3D box and 2D box by the person's horizontal speed. The intercept, one per
+  person, is the fixed distance. The slope is the shift in frames. The standard error of the slope is estimated twice:
+  from blocks of frames of each person, and from blocks of frames of all people. The larger estimate is used. The camera
+  and the lidar are read up to 40 ms apart, so a slope of this size is no evidence of a shift.
 
 The column of a person is the horizontal centre of the person in pixels of the panorama. The column of a 3D box at the
 azimuth a is 3760 * (0.5 - a / 2 pi).
@@ -47,7 +47,7 @@ AGREEING_SHARE: Final = 0.5
 MAX_GAP: Final = 15
 """Maximum distance in frames between two boxes of a person for interpolation between them."""
 REACH: Final = 4
-"""Distance in frames from a frame to the earlier and to the later column that give the speed at the frame."""
+"""Number of frames before and after a frame. The columns at these two frames give the person's speed at the frame."""
 MAX_SPEED: Final = 40.0
 """Maximum speed of a person's column in pixels per frame. Faster observations are ignored."""
 MAX_APART: Final = 300.0
@@ -98,7 +98,8 @@ class Tracks(Rows):
             frame: frame for each track.
 
         Returns:
-            The columns in pixels. NaN before a person's first frame, after the last frame, and in gaps over `MAX_GAP`.
+            The columns in pixels. A column is NaN before the person's first frame, after the person's last frame, and
+            in gaps longer than `MAX_GAP` frames.
         """
         key, after = self._rows_from(track, frame)
         before = np.where(self._keys[after] == key, after, np.maximum(after - 1, 0))
@@ -108,14 +109,14 @@ class Tracks(Rows):
         return np.asarray(self.column[before] + part * _difference(self.column[after], self.column[before]))
 
     def boxes_at(self, track: Ints, frame: Ints) -> Floats:
-        """Return the box of each person at a frame, shape (n, 4). It is NaN if the person has no box at the frame."""
+        """Return the box of each person at a frame, shape (n, 4). A box that does not exist is NaN."""
         assert self.box is not None
         key, row = self._rows_from(track, frame)
         present = (self._keys[row] == key) & (frame >= 0)
         return np.where(present[:, None], self.box[row], np.nan)
 
     def _rows_from(self, track: Ints, frame: Ints) -> tuple[Ints, Ints]:
-        """Return a key for each person and frame, and the index of the first row at or after the key."""
+        """Return a key for each pair of track and frame, and for each key the index of the first row not before it."""
         key = paired(track, np.maximum(frame, 0))
         return key, np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
 
@@ -183,7 +184,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
 
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
-    """Return the shift with the most boxes that equal a box of the reference, or None if no shift is clearly best."""
+    """Return the shift at which most boxes equal a box of the reference, or None if no shift is clearly best."""
     assert tracks.box is not None
     apart = [_difference(tracks.box, reference.boxes_at(tracks.track, tracks.frame + s)) for s in TRIED]
     compared = [int((~np.isnan(difference[:, 0])).sum()) for difference in apart]
@@ -250,7 +251,7 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
 
 
 def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
-    """Return the result for a known shift. `slope` is its estimate from motion, or None if boxes were equal."""
+    """Return the result for a known shift. `slope` is the estimate from motion, or None if boxes were compared."""
     if shift:
         about = "about " if slope else ""
         reason = f"agrees with the 2D boxes only when moved by {about}{shift:+d} frames: renumber it or load without it"
@@ -264,7 +265,7 @@ def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
 
 def _tracks_2d(table: pa.Table) -> Tracks:
     box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
-    # A box that is cut off at the seam is left out, because its centre is not the centre of the person.
+    # The edges of the panorama cut some boxes off. They are left out, because their centres are not those of people.
     whole = (box[:, 0] > SAME) & (box[:, 0] + box[:, 2] < WIDTH - SAME)
     return _sorted(table, box[:, 0] + box[:, 2] / 2, box, whole)
 
@@ -282,7 +283,10 @@ def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) 
 
 
 def _difference(a: Floats, b: Floats) -> Floats:
-    """Return `a - b` for columns or for boxes of shape (n, 4). Columns differ by the shorter way round the image."""
+    """Return `a - b` for columns or for boxes of shape (n, 4).
+
+    Because the panorama is a full circle, the difference of two columns is taken in the shorter direction.
+    """
     difference = a - b
     columns = difference if difference.ndim == 1 else difference[:, 0]
     columns[:] = (columns + WIDTH / 2) % WIDTH - WIDTH / 2
@@ -296,5 +300,5 @@ def _without_means(values: Floats, track: Ints) -> Floats:
 
 
 def _effective(weights: npt.NDArray[Any]) -> float:
-    """Return the effective number of weights: the squared sum over the sum of squares."""
+    """Return the effective number of weights: the square of their sum, divided by the sum of their squares."""
     return float(weights.sum() ** 2 / (weights * weights).sum())

@@ -1,9 +1,9 @@
 """Loader of the panoptic layer, from `labels_2d_panoptic_stitched_CW/<sequence>.json`.
 
-It makes the tables `panoptic` and `categories`. The files have masks of things and of their surroundings for one frame
-per second. Tracks restart in each category, so a thing is identified by its track and its category together. Category
-ids have a meaning only inside one file, so the names of its categories are stored too. The files also annotate people.
-The rows of people are kept in the table, but people are counted from the box layers only.
+The loader makes the tables `panoptic` and `categories`. The files have masks of things and of background areas for one
+frame per second. The numbers of tracks start again in each category, so a thing is identified by its track and its
+category together. Category ids have a meaning only inside one file, so the names of the categories are stored too. The
+files also annotate people. The rows of people are kept in the table, but people are counted from the box layers only.
 """
 
 from __future__ import annotations
@@ -49,14 +49,17 @@ Track = int | float | str | None
 
 
 class Attributes(msgspec.Struct, gc=False):
-    """The object `attributes` of a record. In some files it holds the track."""
+    """The object `attributes` of a record. In some files the track is a member of this object."""
 
     tracking_id: Track = None
     floor_id: Track = None
 
 
 class SegmentAnnotation(msgspec.Struct, gc=False):
-    """Record of one thing in one image, or of all surroundings of one category, such as the floor."""
+    """Record of one segment in one image.
+
+    The segment is either one thing or the whole area of one background category, for example the floor.
+    """
 
     image_id: ImageId
     category_id: ShortId
@@ -69,7 +72,7 @@ class SegmentAnnotation(msgspec.Struct, gc=False):
 
 
 class RunLengths(msgspec.Struct, gc=False):
-    """Mask in the run-length format of COCO, column by column. `counts` is a list or COCO's packed string."""
+    """Mask in COCO's run-length format, which goes column by column. `counts` is a list or COCO's packed string."""
 
     size: tuple[int, int]
     counts: str | list[int]
@@ -161,7 +164,7 @@ def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> di
 
 
 def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
-    """Return the track from the first of three fields that is present. Return NO_TRACK if it is missing or unusable."""
+    """Return the track from the first of three fields that has a value, or NO_TRACK if no value is usable."""
     inner = annotation.attributes or Attributes()
     values = (annotation.tracking_id, inner.tracking_id, inner.floor_id)
     value = next((value for value in values if value is not None), NO_TRACK)

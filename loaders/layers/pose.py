@@ -1,7 +1,7 @@
 """Loader of the pose layer, which makes the table `poses` from `labels_2d_pose_stitched_coco/<sequence>.json`.
 
-A pose has seventeen key points of a person in pixels of the panorama. They are stored as written, so a point may be
-outside the columns 0 to 3760, and an occluded point has coordinates too. Only some people have poses, so a missing pose
+A pose has seventeen key points of a person in pixels of the panorama. The points are stored as written, so a point may
+be outside the columns 0 to 3760. An occluded point has coordinates too. Only some people have poses, so a missing pose
 proves nothing.
 """
 

@@ -1,12 +1,13 @@
-"""Reader of the lists of relations in a person's record: `H-interaction` or `HHI` to people, `HOI` to things.
+"""Reader of the lists of relations in a person's record.
 
-An entry of a list is `{"pair": ..., "inter_labels": {label: difficulty}}`. Further members are ignored, because the box
-of a partner may be from an earlier frame. Entries differ between frames, but their pairs and labels repeat. Therefore
-each distinct pair and each distinct object of labels gets a code and is decoded once.
+The lists `H-interaction` and `HHI` hold relations to people, and the list `HOI` holds relations to things. An entry of
+a list is `{"pair": ..., "inter_labels": {label: difficulty}}`. Further members of an entry are ignored. One of them is
+the partner's box, which may be from an earlier frame. Entries differ between frames, but their pairs and labels repeat.
+Therefore each distinct pair and each distinct object of labels gets a code and is decoded once.
 
 A list is *whole* if no part of the list was refused. Every relation that a whole list lacks is known to be false. An
-entry is refused if its pair cannot be read or is the person itself, or if its labels are not an object. A label
-"impossible" gives no fact, and the list with this label is not whole. A list with a label outside the vocabulary is not
+entry is refused if its pair cannot be read or is the person itself, or if its labels are not a JSON object. The label
+"impossible" gives no fact, and a list with this label is not whole. A list with a label outside the vocabulary is not
 whole either, because the label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as
 an unknown fact.
 """
@@ -104,7 +105,7 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
 
     Returns:
         The column `<layer>.size` has the length of each record's list, or -1 if the list is missing. The columns
-        `<layer>.pair` and `<layer>.labels` have one code per entry, with the entries of all records in one sequence.
+        `<layer>.pair` and `<layer>.labels` have one code per entry, first the entries of the first record, and so on.
     """
     entries = list(chain.from_iterable(filter(None, lists)))
     pairs, labels = (bytes(entry.pair) for entry in entries), (bytes(entry.inter_labels) for entry in entries)
@@ -118,9 +119,10 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
 class Relations:
     """Decoded relations of one kind, from the lists of the kept records. Refused parts are counted.
 
-    facts: facts with the content (label, label as written, difficulty). The row of a fact is an index of `people`.
-    ends: track of the partner, or track and category id of the thing, of each fact, by column of `RelationKind.ends`.
-    present: mask of the kept records that have a list. refused: mask of the kept records with a list that is not whole.
+    facts: facts with the content (label, label as written, difficulty). The row of a fact is an index in `people`.
+    ends: by column of `RelationKind.ends`, one number per fact: the partner's track, or the thing's track or category.
+    present: mask of the kept records that have a list.
+    refused: mask of the kept records with a list that is not whole.
     """
 
     def __init__(
@@ -157,7 +159,7 @@ class Relations:
 
 
 def _read_pairs(pairs: Iterable[bytes], kind: RelationKind) -> tuple[Ints, dict[int, list[Issue]]]:
-    """Return the content of each distinct pair, with one column per end, and the issues of unreadable pairs by code."""
+    """Return the ends of each distinct pair, shape (pairs, ends), and the issues of unreadable pairs by code."""
     issues: dict[int, list[Issue]] = {}
     ends = []
     for i, raw in enumerate(pairs):

@@ -1,13 +1,13 @@
 """Loaders of social and reasoning files: attributes of people and groups, and relations to people and things.
 
-`labels_2d_activity_social_stitched/<sequence>.json` and its successors are 2D files with further members in every
+Social files, such as `labels_2d_activity_social_stitched/<sequence>.json`, are 2D files with further members in every
 record: demographics, group information and interactions with people. Reasoning files also have relations to things.
 Demographics and group information are lists of at most one object `{key: {label: difficulty}}`. These objects repeat
 between frames, and each distinct object is decoded once.
 
 If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes only
 show whether the file numbers its frames like the 2D layer. If a refused record may describe a person, no list in the
-record's frame is whole, and the attributes in the frame are not used.
+record's frame is whole (see `relation_lists`), and the attributes in the frame are not used.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ HANDLING: Final = RelationKind("handles", "HOI", thing_of, ("object", "category_
 """Relations of a person to a thing."""
 
 ATTRIBUTES: Final = (("demographics", "demographics_info", DEMOGRAPHICS), ("group_info", "group_info", GROUP_INFO))
-"""By layer of attributes: its name, the key of its list in a record, and the attributes by their key in the list."""
+"""Layers of attributes: name, key of the layer's list in a record, and the attributes by their key in this list."""
 
 _NO_BOX: Final = (math.nan,) * 4
 
@@ -97,7 +97,7 @@ def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
     Args:
         path: label file.
         problems: counter of refused parts.
-        social: True to read demographics, interactions and group information beside the relations to things.
+        social: True to read demographics, interactions and group information in addition to the relations to things.
 
     Returns:
         The tables of relations, attributes and complete lists, the frames of each layer, and the boxes of the file.
@@ -151,7 +151,7 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
 def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
     """Return each record's list of relations of a kind, or None if the record has no list.
 
-    Interactions are written under two keys. If a record has both, its two lists are joined.
+    Interactions are written under two keys. If a record has both keys, the two lists are joined.
     """
     if kind is HANDLING:
         return fields["handles"]
@@ -162,7 +162,7 @@ def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
 
 
 def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.Table:
-    """Return the rows of the table `listed` for the people with a whole list, which the mask `whole` marks."""
+    """Return the rows of the table `listed`: one row for each kept record with a whole list, as marked by `whole`."""
     columns = {"frame": people.frame[whole], "track": people.track[whole]}
     return pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns})
 

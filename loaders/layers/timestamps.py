@@ -72,6 +72,9 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
         folder: folder `timestamps/<sequence>`.
         problems: counter of refused files and entries.
 
+    Returns:
+        The table `timestamps`, and the frames of the layer `timestamps`.
+
     Raises:
         InputError: If the folder has neither file, or if no file in it is usable.
     """
