@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 Progress = Callable[[str, int, int], None]
-"""Function that is called when steps of a task have finished.
+"""Function that is called at the start of a task, and whenever steps of the task have finished.
 
-Its arguments are the name of the task, the number of finished steps, and the number of all steps.
+Its arguments are the name of the task, the number of steps finished so far, and the total number of steps.
 """
 
 _Rows = Sequence[Mapping[str, Any]]
@@ -24,15 +24,15 @@ MAX_ROWS: Final = 100
 def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[int], None]:
     """Return a function that counts finished steps and reports the count to `progress`.
 
-    The count 0 is reported at once.
+    The count 0 is reported before this function returns.
 
     Args:
         progress: Function that receives the reports, or None for no reports.
         what: Name of the task.
-        total: Number of all steps.
+        total: Total number of steps.
 
     Returns:
-        A function to call with the number of steps that have just finished (1 if it is left out).
+        A function. Call it with the number of steps that have just finished, or without an argument for one step.
     """
     done = 0
 
@@ -47,7 +47,7 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
 
 
 def list_columns(rows: _Rows) -> list[str]:
-    """Return the names of all columns in rows, in the order in which the columns first appear."""
+    """Return the names of all columns in the given rows, in the order in which the names first appear."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
 

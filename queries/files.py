@@ -1,9 +1,9 @@
 """Atomic writes of files and folders.
 
-The content is written to a temporary file in the same folder. The file is then synced to the disk and renamed. If a
-process is killed before the rename, the old file stays, and a hidden file `.NAME.????????.tmp` is left over. The next
-process of the same user that writes NAME removes the left-over file. A running writer holds a lock on its temporary
-file, so that other processes do not remove it.
+The content of a file NAME is written to a temporary file in the same folder. The temporary file is then synced to the
+disk and renamed. If a process is killed before the rename, the old file stays, and a hidden file `.NAME.????????.tmp`
+is left over. When another process of the same user writes NAME, it removes the left-over file. A running writer holds a
+lock on its temporary file, so that other processes do not remove the temporary file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
 
     Args:
         path: File to create or replace. Its folder is created if it does not exist.
-        write: Function that is called once with the path of the temporary file, and writes the content there.
+        write: Function that writes the content. It is called once with the path of the temporary file.
 
     Raises:
         StoreError: If the file cannot be written, or `path` exists and is not a file.
@@ -56,9 +56,9 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_once(path: Path, data: bytes) -> None:
-    """Write a file that only the user can read, unless the file exists.
+    """Create a file that only this user can read. If the file exists already, leave it unchanged.
 
-    If several processes call this function at the same time, the file of the first process stays.
+    If several processes call this function at the same time, the file keeps the content of the first process.
 
     Args:
         path: File to create.
@@ -85,10 +85,10 @@ def new_folder(folder: Path) -> Iterator[Path]:
         folder: Folder to create, which must not exist or must be empty.
 
     Yields:
-        The temporary folder, beside `folder`.
+        The temporary folder, which is in the same parent folder as `folder`.
 
     Raises:
-        InputError: If `folder` is not empty, or cannot be replaced.
+        InputError: If `folder` is not empty or cannot be replaced.
         StoreError: If the folder cannot be written.
     """
     folder = folder.resolve()
@@ -104,7 +104,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _beside(path: Path, *, folder: bool) -> Iterator[Path]:
-    """Yield a new locked temporary file or folder beside `path`, and remove it at the end. Raises StoreError."""
+    """Yield a locked temporary file or folder beside `path`, and remove it in the end. Turn OSError into StoreError."""
     with contextlib.ExitStack() as cleanup:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -114,7 +114,7 @@ def _beside(path: Path, *, folder: bool) -> Iterator[Path]:
             # pyarrow raises OSError without an errno. The text of the error is then the reason.
             reason = os.strerror(error.errno) if error.errno else (str(error).splitlines() or [type(error).__name__])[0]
             hint = "; free some space" if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) else ""
-            # If the faulty file is the source of a copy, the message names the source too.
+            # If the error concerns another file, such as the source of a copy, the message names that file too.
             source = str(error.filename or path)
             prefix = "" if path.is_relative_to(source) or f".{path.name}." in source else f"{source}: "
             raise StoreError(f"cannot write {path}: {prefix}{reason}{hint}") from None
@@ -128,11 +128,11 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
             descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
             os.close(descriptor)
         cleanup.callback(_remove, temporary := Path(name))
-        # Until the lock is held, another writer may take the file for a left-over and remove it. If so, make a new one.
+        # Before the lock is held, another writer may remove the file as a left-over. In this case, make a new file.
         with contextlib.suppress(FileNotFoundError):
             handle = os.open(name, os.O_RDONLY)
             cleanup.callback(os.close, handle)
-            # Some file systems do not support locks. On these, no writer removes left-over files either.
+            # Ignore file systems without locks. No writer removes left-over files there, because that needs a lock too.
             with contextlib.suppress(OSError):
                 fcntl.flock(handle, fcntl.LOCK_EX)
             if temporary.exists():
@@ -140,7 +140,7 @@ def _make(path: Path, folder: bool, cleanup: contextlib.ExitStack) -> Path:
 
 
 def _remove_left_over(path: Path, folder: bool) -> None:
-    """Remove this user's temporary files (or folders) that killed writers of `path` left over."""
+    """Remove the temporary files (or folders) that killed writers of `path` left over, if this user owns them."""
     pattern = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\.tmp")
     for entry in list(os.scandir(path.parent)):
         if pattern.fullmatch(entry.name):
@@ -149,7 +149,7 @@ def _remove_left_over(path: Path, folder: bool) -> None:
                 is_kind = stat.S_ISDIR if folder else stat.S_ISREG
                 if not is_kind(status.st_mode) or status.st_uid != os.geteuid():
                     continue
-                # Since stat(), a link or a pipe may have replaced the entry. Neither follow a link nor wait for a pipe.
+                # After stat(), a link or a pipe may replace the entry. Do not follow links, and do not wait for pipes.
                 handle = os.open(entry.path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
                 try:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

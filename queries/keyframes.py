@@ -1,4 +1,4 @@
-"""Parameters of statements about the keyframe layer of a graph, and the record of how that layer was made."""
+"""Parameters of statements about the keyframe layer of a graph, and the sequences and rules of the layer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jrdb_avr.schema.graph import KEYFRAME_NODES
 from jrdb_avr.schema.rules import FPS, Rules, frames
 
 SPAN: Final = 1 << 32
-"""Number of node ids that are reserved for each sequence. The ids of a sequence begin at its `low`."""
+"""Number of node ids that are reserved for each sequence. The ids of a sequence begin at its parameter `low`."""
 
 
 def keyframe_values(rules: Rules, low: int) -> dict[str, int | float]:

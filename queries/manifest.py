@@ -1,4 +1,4 @@
-"""The manifest of a store: its sequences with their files, and the rules of `load`."""
+"""The manifest of a store. It lists the sequences with their files, and the rules that `load` applied."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ class Manifest(msgspec.Struct, frozen=True):
     """Content of `store.json`.
 
     Attributes:
-        image_root: Folder with one folder of panoramas per sequence, or None. In the file, a folder inside the store
-            has a relative path, so that the store can be moved together with its panoramas.
+        image_root: Folder with one folder of panoramas per sequence, or None if there are no panoramas. If the folder
+            is inside the store, `store.json` has its relative path, so that the store can be moved with its panoramas.
         load_rules: Rules that `load` applied.
-        load_rules_hash: Hash of these rules.
+        load_rules_hash: Hash of `load_rules`.
         sequences: Entry of each sequence, by name.
-        graph: Number of rows of each scene table when the graph was built, and the storage version of the graph.
-        version: Version of the store.
+        graph: Number of rows of each scene table at the time when the graph was built, by the name of the table. One
+            more entry is the storage version of the graph.
+        version: Version of the tables and the manifest, as in `MANIFEST_VERSION`.
     """
 
     image_root: str | None
@@ -79,14 +80,14 @@ def read_manifest(store: Path) -> Manifest:
 
 
 def is_public(store: Path) -> bool:
-    """Return whether `export --public` wrote the store, so that it has questions, but no labels and no answers."""
+    """Return whether the store is public: `export --public` wrote it with questions, but without labels and answers."""
     with contextlib.suppress(StoreError):
         return (store / "questions" / "questions.parquet").exists() and not read_manifest(store).sequences
     return False
 
 
 def refuse_public(store: Path, missing: str) -> None:
-    """Raise StoreError if the store is public. `missing` ends the message: what the store lacks, and a remedy."""
+    """Raise StoreError if the store is public. `missing` ends the message: the thing that is missing, and a remedy."""
     if is_public(store):
         raise StoreError(f"{store}: a public store has no {missing}")
 

@@ -1,9 +1,9 @@
-"""Named queries: statements that users run by the name of their file without its suffix.
+"""Named queries: statements in files. A user runs a statement by the name of its file without the suffix.
 
 SQL queries are in `queries/results`, and Cypher queries are in `queries/explore`, `generators`, `necessity` and
 `search`. The first comment line of a file says what the query returns. A comment line `param NAME: TYPE` declares a
-parameter of the type text, integer or number. `param NAME: TYPE = VALUE` also gives it a default. If a query has a
-parameter `frame`, the caller may give `seconds` instead (frame / 15, as in questions).
+parameter of the type text, integer or number. `param NAME: TYPE = VALUE` declares a parameter with a default. If a
+query has the parameter `frame`, the caller may give `seconds` instead. As in questions, `seconds` is the frame / 15.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class NamedQuery:
 
     @property
     def takes(self) -> str:
-        """Description of the parameters for users, such as 'frame (integer; or seconds), count (integer, 20)'."""
+        """Types and defaults of the parameters as text, such as 'frame (integer; or seconds), count (integer, 20)'."""
         parts = []
         for name, kind in self.types.items():
             more = "; or seconds" if name == "frame" else f", {self.defaults[name]}" if name in self.defaults else ""
@@ -56,7 +56,7 @@ class NamedQuery:
         return ", ".join(parts)
 
     def values(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Return a value for every parameter: the given value, or else the default.
+        """Return a value for every parameter: the given value or, if none is given, the default.
 
         Args:
             params: Given values, by the name of the parameter.
@@ -85,7 +85,7 @@ _EXAMPLES: Final = {"text": "TEXT", "integer": "INTEGER", "number": "NUMBER"}
 
 
 def _checked(name: str, kind: str, value: Any) -> Any:
-    """Return a parameter's value if it has the type `kind`. A number counts as text. Raise QueryError otherwise."""
+    """Return a parameter's value in the type `kind`, or raise QueryError. For `kind` "text", a number becomes text."""
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
     value = unwrap_scalar(value)
@@ -113,10 +113,10 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
         params: Values of parameters, by name.
 
     Returns:
-        The statement, and the value of each of its parameters. If the text is a statement, both are returned as given.
+        The statement, and the value of each of its parameters. If `text` is a statement, it and `params` are unchanged.
 
     Raises:
-        QueryError: If the text is a single word but not the name of a query, or the values do not fit the query.
+        QueryError: If `text` is a single word but not the name of a query, or if `params` do not fit the query.
     """
     if not _NAME.fullmatch(text.strip()):
         return text, params
@@ -129,7 +129,7 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
 
 
 def parse_value(text: str) -> Any:
-    """Return the value of a parameter that a user typed: the decoded value if the text is JSON, or else the text.
+    """Return the value of a parameter that a user typed: the decoded value if the text is JSON, otherwise the text.
 
     The id of a question stays a text, even if it looks like a number with an exponent.
 

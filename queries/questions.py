@@ -22,7 +22,7 @@ HIDDEN: Final = ("family", "template")
 
 @dataclass(frozen=True, slots=True)
 class QuestionRow:
-    """Row of `questions.parquet`. If the store is public (`export --public`), `family` and `template` are ""."""
+    """Row of `questions.parquet`. In a public store (`export --public`), `family` and `template` are ""."""
 
     question_id: str
     sequence: str
@@ -47,7 +47,7 @@ def read_question_rows(store: Store) -> list[QuestionRow]:
         The rows in the order of the file.
 
     Raises:
-        StoreError: If the store has no questions, or the file has wrong columns or values.
+        StoreError: If the store has no questions, or if the file has wrong columns or values.
     """
     rows = _public_rows(store, "questions", HIDDEN)
     ids, modes = {row["question_id"] for row in rows}, {row["answer_mode"] for row in rows}
@@ -57,7 +57,7 @@ def read_question_rows(store: Store) -> list[QuestionRow]:
 
 
 def read_sequences(store: Store) -> dict[str, SequenceInfo]:
-    """Read `sequences.parquet`, and return its rows by the name of the sequence.
+    """Read the sequences of a store's questions from `sequences.parquet`.
 
     Args:
         store: Store with questions.
@@ -87,25 +87,25 @@ def _public_rows(store: Store, name: str, optional: Sequence[str] = ()) -> list[
 def sequences_of_questions(store: Store) -> dict[str, str]:
     """Return the name of each question's sequence by question id. Raises StoreError if the store has no questions."""
     table = store.questions("questions", ["question_id", "sequence"])
-    # With a dictionary column, all questions of a sequence share one string in memory.
+    # Encode the column as a dictionary, so that all questions of a sequence share one string in memory.
     encoded = table["sequence"].combine_chunks().dictionary_encode()
     names, ids = encoded.dictionary.to_pylist(), table["question_id"].to_pylist()
     return {question: names[index] for question, index in zip(ids, encoded.indices.to_pylist(), strict=True)}
 
 
 def sort_by_sequence(questions: pa.Table) -> pa.Table:
-    """Sort rows by the columns `sequence` and `question_id`, which is the order of all tables of runs."""
+    """Return rows sorted by the columns `sequence` and `question_id`. All tables of runs have this order."""
     return questions.sort_by([("sequence", "ascending"), ("question_id", "ascending")])
 
 
 def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> pa.Table:
-    """Return a table with exactly the columns and types of a schema. Other columns are dropped.
+    """Convert a table to the columns and types of a schema. Columns that the schema lacks are dropped.
 
     Args:
         table: Table that was read from `path`.
         schema: Schema of the result.
         path: File that the error message names.
-        command: Command that the error message advises to run again.
+        command: Command or advice that the error message puts before "again".
 
     Returns:
         The table with the columns and types of the schema.
@@ -123,7 +123,7 @@ def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> 
 
 
 def read_loaded_sequence(store: Store, name: str) -> SequenceInfo:
-    """Return a loaded sequence, with the frames that have a panorama. The store needs no questions.
+    """Return a loaded sequence with those frames that have a panorama. The store needs no questions.
 
     Args:
         store: Loaded store.

@@ -23,10 +23,10 @@ class RunManifest(msgspec.Struct, frozen=True):
         question_ids: Ids of the questions of the run.
         synthetic: Whether the run used the simulated model or a sample world. All score tables mark such runs.
         settings: Other settings of the run, such as the budget, the sampling and the box convention, as plain JSON.
-        created: Time when the run began, in ISO 8601.
+        created: Time at which the run began, in ISO 8601.
         selection: The `QuestionSelection` as plain JSON, empty if the run has all questions.
-        world: Number of statements that read (`reads`) and wrote (`writes`) the world model. A resumed run adds its
-            statements. The statements of a killed session are not counted.
+        world: Number of statements that read the world model (`reads`), and number of statements that wrote it
+            (`writes`). A resumed run adds its statements. The statements of a killed session are not counted.
     """
 
     run_id: str
@@ -42,7 +42,7 @@ class RunManifest(msgspec.Struct, frozen=True):
 
 
 def questions_hash(store: Store) -> str:
-    """Return the sha256 of the generation and the ids of a store's questions. A public store has the same hash.
+    """Return one sha256 of the generation and all ids of a store's questions. A public copy has the same hash.
 
     Args:
         store: Store with questions.
@@ -85,11 +85,11 @@ def read_run_manifest(store: Store, run_id: str) -> RunManifest:
     except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
         raise StoreError(f"cannot read {path}: {error}; evaluate again under another run id") from None
     if manifest.run_id != run_id:
-        # The folder was copied or renamed. Reports would list its scores under the id of the other run.
+        # The folder was copied or renamed. Reports would list its scores under the id of the original run.
         raise StoreError(f"{path} is of run {manifest.run_id!r}: give the folder that name, or take it out of runs/")
     return manifest
 
 
 def run_ids(store: Store) -> list[str]:
-    """Return the ids of the store's runs, sorted."""
+    """Return the ids of the store's runs in alphabetical order."""
     return sorted(path.parent.name for path in (store.path / "runs").glob("*/run.json"))

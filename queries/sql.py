@@ -1,8 +1,9 @@
-"""Read-only SQL over the Parquet files of a store, with DuckDB and one view per table.
+"""Read-only SQL statements on the Parquet files of a store. DuckDB runs the statements on one view per table.
 
-The views are `annotations_<layer>`, `intervals_<kind>`, the tables of `questions/`, `runs`, the tables of runs (each
-with the rows of all runs), and the joins in `JOINED`. If a table has not been written yet, its view is empty. A
-statement can open only the files behind these views.
+There are views for all annotation tables (`annotations_<layer>`), interval tables (`intervals_<kind>`) and tables of
+`questions/`. The view `runs` has a row for each run, and each table of the runs has one view with the rows of all runs.
+`JOINED` defines further views. If a table has not been written yet, its view is empty. A statement can open only the
+files of these views.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ JOINED: Final[dict[str, str]] = {
 }
 """Statements of the views that join two tables, by the name of the view.
 
-`sightings_keypoints` adds the key points to the sightings. The graph does not contain key points, because 51 numbers
-per person and frame would take two thirds of its file.
+`sightings_keypoints` adds the key points to the sightings. The graph does not contain key points, because they are 51
+numbers per person and frame and would take two thirds of the graph file.
 """
 
 
@@ -39,10 +40,10 @@ _RUN_COLUMNS: Final = ", ".join(f"{name}: '{'BOOL' if name == 'synthetic' else '
 
 
 def views(folder: Path, runs: Collection[str] | None = None) -> Iterator[tuple[str, pa.Schema, list[Path]]]:
-    """Yield each view of a store's tables with its files.
+    """Yield each view of a store's tables with the files of the view.
 
-    The files of annotations and intervals are taken from the manifest. So a missing file is an error, instead of a view
-    with fewer rows.
+    The manifest says which files of annotations and intervals there are. So a missing file causes an error. Otherwise
+    the view would have fewer rows without a warning.
 
     Args:
         folder: Folder of the store.
@@ -85,7 +86,7 @@ def query_tables(
         sql: Statement. `$name` stands for the value of the parameter `name`.
         params: Values of the parameters, by name.
         timeout_s: Maximum time in seconds, after which the statement is stopped.
-        tables: Tables in memory that the statement can read too, by name. A table replaces the view of the same name.
+        tables: Tables in memory that the statement can also read, by name. A table replaces the view of its name.
 
     Returns:
         The rows that the statement selects.
@@ -102,16 +103,16 @@ def query_tables(
 def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> Iterator[Callable[..., pa.Table]]:
     """Create the views of a store once, and yield a function that runs several SELECT statements over them.
 
-    To create the views takes longer than most statements.
+    This function saves time, because the creation of the views takes longer than most statements.
 
     Args:
         folder: Folder of the store.
-        tables: Tables in memory that statements can read too, by name. A table replaces the view of the same name. If a
-            table is called `scores`, the views of runs have only the runs in this table.
+        tables: Tables in memory that statements can also read, by name. A table replaces the view of its name. If a
+            table is called `scores`, the views of runs contain only those runs that this table contains.
 
     Yields:
-        A function that runs one statement. It takes `sql`, `params` and `timeout_s`, returns rows, and raises
-        QueryError, as `query_tables` does.
+        A function that runs one statement. It takes the arguments `sql`, `params` and `timeout_s` of `query_tables`,
+        returns the selected rows, and raises the same QueryError as `query_tables`.
 
     Raises:
         StoreError: If the folder does not exist, or its manifest is broken.
@@ -136,7 +137,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
                 statements = connection.extract_statements(sql)
                 if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
                     raise QueryError("only one SELECT is allowed: statements that write, load or attach are refused")
-                # A relation converts its rows to Arrow without a second copy.
+                # Use `sql`, because its result is converted to Arrow without a second copy of the rows.
                 values = {name: unwrap_scalar(value) for name, value in (params or {}).items()}
                 return connection.sql(sql, params=values or None).to_arrow_table()
             except duckdb.InterruptException:
@@ -156,7 +157,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
-    """Create all views. Return the reasons why views could not be created, by name of the view."""
+    """Create all views. Return why some views could not be created: the reasons by the name of the view."""
     import duckdb
 
     broken: dict[str, str] = {}
@@ -193,7 +194,7 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
 
 
 def _lock_down(connection: Any) -> None:
-    """Stop statements from reading other files, loading extensions and reading Python objects. Lock these settings."""
+    """Forbid statements to read other files or Python objects, to load extensions and to change these settings."""
     for setting in (
         "python_enable_replacements = false",
         "autoinstall_known_extensions = false",

@@ -1,4 +1,4 @@
-"""Reader of the files below this folder that contain Cypher and SQL statements."""
+"""Reader of the Cypher and SQL statement files in the subfolders of this folder."""
 
 from __future__ import annotations
 

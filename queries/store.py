@@ -4,7 +4,7 @@
       annotations/<layer>/<sequence>.parquet    the label files as tables
       intervals/<kind>/<sequence>.parquet       intervals derived from annotations
       store.json                                the manifest, which `load` writes last
-      graph.kuzu                                a graph of the intervals, which can be built again from them
+      graph.kuzu                                a graph of the intervals, which `load --rebuild` builds again
       questions/*.parquet                       questions, and the private tables with answers and evidence
       runs/<run_id>/                            manifest and tables of a run
 
@@ -54,19 +54,19 @@ def is_plain_name(name: str) -> bool:
 
 
 def safe_sequence(name: str) -> str:
-    """Return the given name of a sequence. Raises InputError if it is not safe as a file name."""
+    """Return the given name of a sequence. Raises InputError if the name is not safe as a file name."""
     if not is_plain_name(name):
         raise InputError(f"{name!r} cannot be a sequence name: use letters, digits, '.', '_' and '-'", field="sequence")
     return name
 
 
 def write_json(path: Path, value: msgspec.Struct) -> None:
-    """Write a record atomically as indented JSON with sorted keys. Raises StoreError if the file cannot be written."""
+    """Write a struct atomically as indented JSON with sorted keys. Raises StoreError if the file cannot be written."""
     write_bytes(path, msgspec.json.format(msgspec.json.encode(value, order="sorted"), indent=1))
 
 
 class Store(Displayed):
-    """Store in a folder. The constructor checks nothing. `manifest()` raises StoreError if nothing is loaded."""
+    """Store in a folder. The constructor checks nothing. If nothing is loaded, `manifest()` raises StoreError."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -122,21 +122,21 @@ class Store(Displayed):
         return write_table(self.run_path(run_id) / f"{name}.parquet", table, RUNS[name])
 
     def annotation(self, layer: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read an annotation table, or only some columns. Raises StoreError if the file is missing or broken."""
+        """Read an annotation table, or only the given columns. Raises StoreError if the file is missing or broken."""
         return read_table(self.annotation_path(layer, sequence), columns)
 
     def interval(self, kind: str, sequence: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read an interval table, or only some columns. Raises StoreError if the file is missing or broken."""
+        """Read an interval table, or only the given columns. Raises StoreError if the file is missing or broken."""
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the rows of `intervals_<kind>`, then of `intervals_possible_<kind>` with `certain` set to false."""
+        """Return the rows of `intervals_<kind>`, then those of `intervals_possible_<kind>` with `certain` = false."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
 
     def questions(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read a table in `questions/`, or only some columns. Raises StoreError if the file is missing or broken."""
+        """Read a table in `questions/`, or only given columns. Raises StoreError if the file is missing or broken."""
         path = self.question_path(name)
         if not path.exists():
             self.manifest()  # If nothing is loaded, this error is more useful.
@@ -150,7 +150,7 @@ class Store(Displayed):
 
         Args:
             names: Names of the tables.
-            columns: Columns to read, by the name of the table. All columns of other tables are read.
+            columns: Columns to read, by the name of the table. If a table has no entry, all its columns are read.
 
         Raises:
             StoreError: If a table is missing or broken, or the tables come from different runs of `generate`.
@@ -164,10 +164,10 @@ class Store(Displayed):
         return tables
 
     def training_set(self) -> dict[str, str]:
-        """Return how a training set was made, or an empty dictionary if the questions are a benchmark.
+        """Return how the questions were made if they are a training set, or {} if they are a benchmark.
 
-        `disjoint_from` is the generation of the held-out questions that the training set avoids. Raises StoreError if
-        the file of questions is missing or broken.
+        `profile` is the profile of `generate`. `disjoint_from` is the generation id of the held-out questions that the
+        training set avoids. Raises StoreError if the file of questions is missing or broken.
         """
         metadata = self.questions("questions", []).schema.metadata or {}
         keys = (PROFILE_KEY, DISJOINT_KEY)
@@ -192,12 +192,12 @@ class Store(Displayed):
         return read_manifest(self.path)
 
     def relative(self, folder: str) -> str:
-        """Return the path of a folder relative to the store if the folder is inside it, or else the given path."""
+        """Return the path of a folder: relative to the store if the folder is inside the store, otherwise as given."""
         root = self.path.resolve()
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
     def without_occlusion(self) -> list[str]:
-        """Return the sequences in which all 2D boxes lack occlusion attributes. Such boxes count as clear views."""
+        """Return the sequences in which all 2D boxes lack occlusion attributes. Such boxes may count as clear views."""
         return [
             name
             for name in sorted(self.manifest().sequences)
@@ -206,7 +206,7 @@ class Store(Displayed):
         ]
 
     def write_manifest(self, manifest: Manifest) -> None:
-        """Write the manifest, which makes the folder a store. Raises StoreError if the file cannot be written."""
+        """Write the manifest. A folder with a manifest is a store. Raises StoreError if the file cannot be written."""
         write_json(self.path / MANIFEST_NAME, manifest)
 
     # -- queries ----------------------------------------------------------------------------------------------
@@ -250,7 +250,7 @@ class Store(Displayed):
     ) -> pa.Table:
         """Run a statement or a named query, as `cypher` and `sql` do, and return its rows.
 
-        The statement is stopped after `timeout_s` seconds. If it is stopped, refused or fails, QueryError is raised.
+        The statement is stopped after `timeout_s` seconds. QueryError is raised if it is stopped, is refused or fails.
         """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
@@ -263,9 +263,9 @@ class Store(Displayed):
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
 
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
-        """Return the parameters of a statement about the keyframe layer: a range of node ids replaces `sequence`.
+        """Return the parameters of a statement about the keyframe layer. A range of node ids replaces `sequence`.
 
-        Raises StoreError if the graph lacks this layer, or if the layer and the questions have different rules.
+        Raises StoreError if the graph lacks the keyframe layer, or if the layer and the questions have different rules.
         """
         try:
             rows = query_graph(self.graph_path, STAMP).to_pylist()
@@ -288,7 +288,7 @@ class Store(Displayed):
         return {name: values[name] for name in parameters(statement) if name in values}
 
     def _check_sequence(self, name: object) -> None:
-        """Raise QueryError if a sequence is not loaded."""
+        """Raise QueryError if `name` is a text but not the name of a loaded sequence."""
         if isinstance(name, str) and (self.path / "store.json").exists() and name not in self.manifest().sequences:
             raise QueryError(f"no sequence {name[:100]!r} is loaded{did_you_mean(name, self.manifest().sequences)}")
 
@@ -320,7 +320,7 @@ class Store(Displayed):
         """Hold the writer lock of the store inside a `with` block, so that only one process writes.
 
         Args:
-            what: Name of the command, which error messages of other processes show.
+            what: Name of the command. The error messages of other processes show this name.
 
         Raises:
             LockedError: If another process holds the lock.
@@ -348,17 +348,17 @@ class Store(Displayed):
 def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[str, str] | None = None) -> str:
     """Write a table to a Parquet file atomically. Columns that the schema lacks are left out.
 
-    Dictionary columns are written as dictionaries, because that takes half the time. Readers get plain texts. Equal
-    tables with equal dictionaries give equal bytes.
+    Dictionary columns are written as dictionaries, which takes half as long as writing plain texts. Readers of the file
+    get plain texts. Equal tables with equal dictionaries give equal bytes.
 
     Args:
         path: File to write.
         table: Table with all columns of the schema, in any order.
         schema: Schema that readers of the file see.
-        metadata: Texts by key, to be stored in the file.
+        metadata: Texts to store in the metadata of the file, by key.
 
     Returns:
-        The sha256 of the file, in hex.
+        The sha256 of the file, in hexadecimal digits.
 
     Raises:
         StoreError: If the file cannot be written.
@@ -371,15 +371,15 @@ def write_table(path: Path, table: pa.Table, schema: pa.Schema, metadata: dict[s
 def write_groups(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, metadata: dict[str, str] | None = None
 ) -> str:
-    """Write tables to one file, as `write_table` does for one table. Return the sha256 of the file, in hex.
+    """Write several tables to one Parquet file atomically, and return the sha256 of the file in hexadecimal digits.
 
-    Each table becomes a row group of the file. Only one table is in memory at a time.
+    Each table becomes a row group. Only one table is in memory at a time. `write_table` describes other arguments.
     """
     return _write(path, groups, schema, schema, metadata)
 
 
 def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
-    """Return the schema, with a dictionary type for each column that is a dictionary column in the table."""
+    """Return the schema. Columns that are dictionary columns in the table get the table's dictionary type."""
     kinds = [(field, table.schema.field(field.name).type) for field in schema]
     return pa.schema([field.with_type(kind) if pa.types.is_dictionary(kind) else field for field, kind in kinds])
 
@@ -387,8 +387,8 @@ def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
 def _write(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
 ) -> str:
-    """Write row groups with the column types of `kinds` to a file. Readers get the column types of `schema`."""
-    # Readers take the column types from this entry. Without it, they would return dictionary columns.
+    """Write row groups with the types of `kinds`, and return the file's sha256. Readers get the types of `schema`."""
+    # Readers take the column types from this entry. Without the entry, readers would return dictionary columns.
     read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
 
     def write(temporary: Path) -> None:
@@ -404,8 +404,8 @@ def _write(
 def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
     """Return the options of the Parquet writer.
 
-    The options disable dictionaries for floats and min/max statistics for strings. Readers use neither
-    of these, but both together cost 20 % of the writing time.
+    The options disable dictionaries for floats and lists, and min/max statistics for all columns except integers.
+    Readers need neither of them, and both together would take 20 % of the writing time.
     """
     measured = [field.name for field in schema if pa.types.is_floating(field.type) or pa.types.is_nested(field.type)]
     return {
@@ -416,9 +416,9 @@ def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
 
 
 def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a Parquet table, or only some columns. Raises StoreError if the file or a column is missing or broken."""
+    """Read a Parquet table, or only given columns. Raises StoreError if the file or a column is missing or broken."""
     with _parquet(path) as file:
-        # Without this check, the result would lack such a column, and the error would appear later.
+        # Check the columns here. Otherwise the result would lack the column, and the error would appear later.
         if lacking := set(columns or ()) - set(file.schema_arrow.names):
             raise pa.ArrowKeyError(f"it lacks the column {min(lacking)}")
         return file.read(columns)
@@ -427,8 +427,8 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 def read_rows(path: Path, column: str, value: str) -> pa.Table:
     """Read those rows of a Parquet table that have a given value in a column.
 
-    If a row group does not have the value, the other columns of the group are not read. Raises StoreError if the file
-    is missing or broken.
+    If no row of a row group has the value, the other columns of the row group are not read. Raises StoreError if the
+    file is missing or broken.
     """
     with _parquet(path) as file:
         parts = [file.schema_arrow.empty_table()]

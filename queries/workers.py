@@ -1,8 +1,8 @@
 """Calls of functions in other processes, on this machine or on a Ray cluster.
 
-The other process imports the function by its name, and gets the pickled arguments. So pass functions of modules and
-plain data only. The machines of a cluster must see the store and the label files under the same paths. Ray is an
-optional dependency: `pip install 'jrdb-avr[ray]'`.
+The other process imports the function by its name, and gets the pickled arguments. So functions must be defined in a
+module, and arguments must be plain data. All machines of a cluster must find the store and the label files under the
+same paths. Ray is an optional dependency: `pip install 'jrdb-avr[ray]'`.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ cluster on this machine.
 """
 
 RETRIES: Final = 3
-"""Maximum number of times that Ray runs a sequence again after the death of a worker."""
+"""Maximum number of times that Ray starts the work on a sequence again because the worker process died."""
 
 _CONTEXT: Final = multiprocessing.get_context("spawn")
-"""Start method of new processes. They are spawned, because the threads of the graph engine do not survive a fork."""
+"""Start method "spawn" for new processes. "fork" cannot be used, because a fork loses the graph engine's threads."""
 
 is_worker = False
-"""True if this module started this process. Such a process ends after its work."""
+"""True in a process that this module started. Such a process ends when its work is done."""
 
 
 def map_sequences(
@@ -47,21 +47,21 @@ def map_sequences(
 ) -> Iterator[tuple[int, R]]:
     """Call a function once for each sequence, and yield the results as soon as they are complete.
 
-    If a Ray worker dies, its sequence is run again. So the function must either write its files atomically
-    (`write_atomic`) or only return results.
+    If a Ray worker dies, the function is called again for the same sequence. So the function must write files
+    atomically (`write_atomic`), or write no files.
 
     Args:
         function: Function that is called with one item of `sequences`. An exception of the function is raised here.
         sequences: Items, one for each sequence.
         executor: Number of local processes, or the address of a Ray cluster.
-        weight: Function that returns the amount of work for an item. Items with more work start first, because three
-            sequences have over half of all boxes.
+        weight: Function that returns the amount of work for an item. The items with the most work start first, because
+            three sequences of JRDB have over half of all boxes.
 
     Returns:
         An iterator over pairs: the index of an item in `sequences`, and the result for this item.
 
     Raises:
-        StoreError: If a local process died, or Ray workers died more than `RETRIES` times on one sequence.
+        StoreError: If a local process died, or if Ray workers died more than `RETRIES` times on one sequence.
         InputError: If Ray is not installed, or there is no cluster at the address.
     """
     order = sorted(range(len(sequences)), key=lambda i: (-weight(sequences[i]), i))
@@ -78,8 +78,8 @@ def _map_in_processes(
     size = min(workers, len(sequences))
     with ProcessPoolExecutor(size, mp_context=_CONTEXT, initializer=end_with_parent) as pool:
         futures = {pool.submit(function, sequences[i]): i for i in order}
-        # ProcessPoolExecutor starts to monitor a worker only at the next submit(). Without this call, the last worker
-        # could die unnoticed while it holds the lock of the queue, so that the other workers would wait forever.
+        # ProcessPoolExecutor begins to watch a new worker only at the next call of submit(). Without this extra call,
+        # the last worker could die unnoticed while it holds the lock of the queue. The others would wait forever.
         pool.submit(int)
         try:
             for future in as_completed(futures):
@@ -111,7 +111,7 @@ def _map_on_ray(
 
 
 def _call_in_folder(folder: str, function: Callable[[A], R], sequence: A) -> R:
-    # Paths in the argument may be relative to the folder of the command. If this machine lacks it, they are absolute.
+    # Paths in the argument may be relative to the folder of the command. If this machine lacks the folder, stay here.
     with contextlib.suppress(OSError):
         os.chdir(folder)
     return function(sequence)
@@ -119,8 +119,8 @@ def _call_in_folder(folder: str, function: Callable[[A], R], sequence: A) -> R:
 
 @contextlib.contextmanager
 def _connect(address: str) -> Iterator[Any]:
-    """Yield the module `ray`, connected to a cluster. Disconnect at the end, unless Ray was connected before."""
-    # By default, Ray sends usage statistics to its developers.
+    """Connect to a Ray cluster, yield the module `ray`, and disconnect. An older connection is used and left open."""
+    # Disable usage statistics, which Ray by default sends to its developers.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray
@@ -132,7 +132,7 @@ def _connect(address: str) -> Iterator[Any]:
     try:
         ray.init(address=None if address == "ray" else address, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
-        # If the user has a token, Ray starts clusters with it. Ray joins such clusters only in the mode "token".
+        # If the user has a token, the clusters that Ray starts require it. Ray joins them only if the mode is "token".
         reason = str(error).splitlines()[0].rstrip(".")
         raise InputError(
             f"no Ray cluster answers at {address}: {reason}; if the cluster has a token, set RAY_AUTH_MODE=token",
@@ -162,7 +162,7 @@ def run_alone(function: Callable[[], R]) -> R:
 
 def _become_quiet_worker() -> None:
     end_with_parent()
-    # When the engine crashes, it writes to stderr. Drop that text, because the caller reports the crash in one line.
+    # If the engine crashes, it writes to stderr. Discard this text, because the caller reports the crash in one line.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
@@ -170,8 +170,8 @@ def _become_quiet_worker() -> None:
 def without_collector() -> Iterator[None]:
     """Disable Python's garbage collector inside a `with` block.
 
-    A sequence has millions of small objects without reference cycles. The search for cycles would take most of the time
-    of `load`, and a quarter of the time of `generate`.
+    The data of a sequence are millions of small objects without reference cycles. The collector's search for cycles
+    would take most of the time of `load`, and a quarter of the time of `generate`.
     """
     enabled = gc.isenabled()
     gc.disable()
@@ -185,7 +185,8 @@ def without_collector() -> Iterator[None]:
 def end_with_parent() -> None:
     """Mark this process as a worker, and end it when its parent process ends or is killed.
 
-    Otherwise a worker without a parent would continue to write into the store.
+    A worker without a parent would otherwise continue to write into the store. If this process has no parent process of
+    its own program, the function does nothing.
     """
     global is_worker
     parent = multiprocessing.parent_process()

@@ -261,7 +261,7 @@ def mode_of(answer: Answer) -> Mode:
         answer: Answer of any mode.
 
     Returns:
-        The mode whose answers have the type of this answer.
+        The mode that has answers of this type.
     """
     return _OF_TYPE[type(answer)]
 

@@ -251,7 +251,8 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
         sighted: New sighting.
         has: New attribute.
         related: New relation.
-        replaced: Indexes of the writes whose edges stop being `current` at this step. This write may be one of them.
+        replaced: Indexes of writes. The edges that these writes added stop being `current` at this step. This write may
+            be one of the writes.
         hypotheses: Hypotheses at the end of the episode.
     """
 

@@ -1,4 +1,4 @@
-// Attributes of the people in the plan that only one of two runs believes at the end of a question.
+// Attributes that only one of two runs believes of the people in a question's plan, at the end of the question.
 // param run: text
 // param other: text
 // param question: text

@@ -1,4 +1,4 @@
-// Intervals with and without a box of one person. Present is certain in clear view, absent without a box for a second.
+// Intervals with a box of one person (certain if in clear view), and without a box (certain if none within a second).
 // param sequence: text
 // param track: integer
 MATCH (p:Person)-[r:Present|:Absent]->(:Sequence)

@@ -1,4 +1,4 @@
-// Refused calls of the agent's tools in a run, by tool and reason: number of calls, and of questions with such calls.
+// Refused calls of the agent's tools in a run, by tool and reason: number of calls, and number of questions with them.
 // param run: text
 MATCH (e:Episode)-[:Wrote]->(w:Write)
 WHERE e.run = $run AND NOT w.accepted

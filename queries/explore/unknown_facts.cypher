@@ -1,4 +1,4 @@
-// Actions with labels that are not certain: number of such intervals, of their frames, and of people.
+// Labels that are not certain, by action: number of intervals, number of frames in them, and number of people.
 // param sequence: text
 MATCH (p:Person)-[r:Performs]->(a:Action)
 WHERE r.sequence = $sequence AND NOT r.certain

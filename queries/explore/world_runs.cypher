@@ -1,4 +1,4 @@
-// Runs with world models in the graph: numbers of looks, of tool calls, of refused calls, and of questions.
+// Runs with world models in the graph, with their numbers of looks, tool calls, refused calls and questions.
 MATCH (e:Episode)-[:Wrote]->(w:Write)
 RETURN e.run AS run,
        CAST(sum(CASE WHEN w.tool = 'observe' AND w.accepted = true THEN 1 ELSE 0 END) AS INT64) AS looks,

@@ -1,1 +1,1 @@
-"""Sessions on the graph engine Kùzu, and protection against its faults."""
+"""Sessions on graph files of the engine Kùzu, and protection against faults of the engine."""

@@ -1,8 +1,8 @@
-"""Open databases of the graph engine: one per graph file, shared by all sessions of this process.
+"""Open databases of the graph engine. All sessions of this process on one graph file share one database.
 
-The engine holds a POSIX lock on the file. The kernel drops this lock if the process opens and closes the file a second
-time. So each database is opened only once, and no other code opens the file while the database is open. An `flock` on
-`<path>.lock` excludes other processes.
+The engine holds a POSIX lock on the graph file. The kernel drops this lock if the process opens the file a second time
+and then closes it. So each database is opened only once, and no other code opens the file while the database is open. A
+second lock, an `flock` on `<path>.lock`, excludes other processes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _registry_lock = threading.Lock()
 
 
 def engine() -> Any:
-    """Import the Python module of the graph engine, and return it. Raises StoreError if it is not installed."""
+    """Import and return the Python module of the graph engine. Raises StoreError if the module is not installed."""
     if ENGINE not in ENGINES.values():
         raise StoreError(f"JRDB_AVR_ENGINE is {ENGINE}: give {' or '.join(ENGINES.values())}")
     try:
@@ -56,7 +56,7 @@ class SharedDatabase:
         lock: Open lock file, or None if the database is in memory.
         users: Number of open sessions.
         writer: Lock that a session holds while it writes.
-        plans: Plans of statements that were already checked, by text of the statement.
+        plans: Plans that the engine made for statements, by the text of the statement.
     """
 
     database: Any
@@ -68,7 +68,7 @@ class SharedDatabase:
     plans: dict[str, Any] = field(default_factory=dict)
 
     def release(self) -> None:
-        """End the use by one session. The last session closes the database."""
+        """Subtract one session from `users`. If no session is left, close the database."""
         with _registry_lock:
             self.users -= 1
             if self.users == 0:
@@ -79,19 +79,19 @@ class SharedDatabase:
 
 
 def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
-    """Return the database of a graph file for a new session. Open it if no other session has it open.
+    """Return the database of a graph file for a new session. Open the database if no session has it open.
 
     Args:
         path: Resolved path of the graph file.
         read_only: Whether the session only reads.
-        buffer_bytes: Maximum size of the engine's page cache, in bytes. Only the first session sets it.
+        buffer_bytes: Maximum size of the engine's page cache, in bytes. Ignored if the database is already open.
 
     Returns:
         The database. Each session must call `release` once.
 
     Raises:
         StoreError: If the file is missing or damaged, or has another version.
-        LockedError: If another process locks the file, or this process has it open for reading and the session writes.
+        LockedError: If another process locks the file, or if the session writes but this process opened it read-only.
     """
     with _registry_lock:
         shared = _registry.get(path)
@@ -105,7 +105,7 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
 
 
 def create_memory_database(buffer_bytes: int) -> SharedDatabase:
-    """Create an empty database in memory, with a page cache of at most `buffer_bytes`. The engine uses one thread."""
+    """Create an empty database in memory that uses one thread and a page cache of at most `buffer_bytes` bytes."""
     return SharedDatabase(
         engine().Database(":memory:", buffer_pool_size=buffer_bytes, max_db_size=_MEMORY_BYTES, max_num_threads=1)
     )
@@ -120,8 +120,8 @@ def check_unused(path: Path) -> None:
 
 def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDatabase:
     if read_only and path.with_name(path.name + ".shadow").exists():
-        # A writer was killed during a checkpoint. Open the database for writing once, because only then does the engine
-        # finish the checkpoint.
+        # A writer was killed during a checkpoint. Open the database for writing once, because the engine finishes the
+        # checkpoint only if the database is open for writing.
         with contextlib.suppress(StoreError), lock_graph(path, shared=False):
             _open_file(path, False, buffer_bytes).close()
     if not read_only:
@@ -135,17 +135,17 @@ def _open_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedData
 
 
 def _open_file(path: Path, read_only: bool, buffer_bytes: int) -> Any:
-    # Check the file before the database is opened, because the check closes the file, which drops the engine's lock.
+    # Check the file before the database is open. Later, the check would drop the engine's lock as it closes the file.
     check_fingerprint(path)
     end = time.monotonic() + ENDING_S
     while True:
         try:
-            # Use one thread, because with several threads ORDER BY sometimes returns sorted parts one after another.
+            # Use one thread. With several threads, ORDER BY sometimes sorts only parts of the rows.
             return engine().Database(str(path), read_only=read_only, buffer_pool_size=buffer_bytes, max_num_threads=1)
         except RuntimeError as error:
             if "Could not set lock" not in str(error):
                 raise StoreError(f"cannot open {path} ({shorten(str(error))}): {describe_rebuild(path)}") from None
-        # If a process was killed, the lock of the side file is released shortly before the lock of the engine.
+        # The kernel releases the lock on `<path>.lock` of a killed process shortly before the lock of the engine.
         if time.monotonic() > end:
             raise LockedError(f"{path} is in use by another process: wait for it", holder="another process")
         time.sleep(0.02)
@@ -182,7 +182,7 @@ def translate_error(
     if unknown := re.search(r"Cannot find property (\w+) for (\w+)", message):
         columns = {name for table in graph_tables() for name in table.columns}
         return QueryError(f"{unknown[2]} has no property {unknown[1]!r}{did_you_mean(unknown[1], columns)}")
-    # Cut the end of a message of the parser, which lists all expected tokens and repeats the statement.
+    # Cut the end of a parser's message, because it lists all expected tokens and repeats the statement.
     return QueryError(shorten(re.sub(r" expecting \{.*", "", message), 300))
 
 

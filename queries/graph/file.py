@@ -1,12 +1,12 @@
-"""The graph file and its side files: the fingerprint and the lock.
+"""The graph file and the two files beside it: the fingerprint and the lock.
 
 The engine does not use checksums, and opens a truncated or replaced file without an error. So the fingerprint
-`<graph>.json` is written when the file is built. The fingerprint shows whether the file is complete, and whether the
-tables have the version of this program. `load --verify` also compares the fingerprint's hash with the file's hash. The
-hash is not in the manifest of the store, because two builds of the same scene have different bytes, but equal stores
-must have equal manifests.
+`<graph>.json` is written when the graph file is built. The fingerprint shows whether the graph file is complete, and
+whether its tables have the version of this program. `load --verify` also compares the hash in the fingerprint with the
+hash of the graph file. The hash is not in the manifest of the store, because equal stores must have equal manifests,
+but two builds of the same scene have different bytes.
 
-The lock on the side file `<graph>.lock` admits either one writer or any number of readers.
+The lock on `<graph>.lock` admits either one writer or any number of readers.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ ENDING_S: Final = 5.0
 """Maximum time to wait for the lock of a process that is about to end, in seconds."""
 
 _LEAST_FREE: Final = 32 << 20
-"""Minimum free space on the disk, in bytes, to write a graph. The engine may abort the process if the disk is full."""
+"""Free space, in bytes, that the disk needs before a write. If the disk is full, the engine may abort the process."""
 
 _SIDE_FILES: Final = (".wal", ".shadow", ".tmp")
 
@@ -53,7 +53,7 @@ class Fingerprint(msgspec.Struct, frozen=True):
     Attributes:
         storage_version: Version of the tables.
         size: Size of the file in bytes.
-        sha256: Hash of the file, in hex.
+        sha256: Hash of the file, in hexadecimal digits.
         rows: Number of rows of each table, by name.
     """
 
@@ -69,7 +69,7 @@ def fingerprint_path(graph: Path) -> Path:
 
 
 def building_path(graph: Path) -> Path:
-    """Return the path of the temporary file that becomes the graph file when it is complete."""
+    """Return the path of the temporary file that is renamed to the graph file when the temporary file is complete."""
     return graph.with_name(f".{graph.name}.building")
 
 
@@ -96,7 +96,7 @@ def is_as_built(graph: Path) -> bool:
         graph: Graph file.
 
     Returns:
-        Whether the hash is equal. It differs if a run has since written its world models into the file.
+        Whether the hashes are equal. They differ if a run has written its world models into the file since then.
 
     Raises:
         StoreError: If the graph or its fingerprint is missing or damaged, or has another version.
@@ -107,7 +107,8 @@ def is_as_built(graph: Path) -> bool:
 def check_fingerprint(graph: Path) -> Fingerprint:
     """Check the version, the first bytes and the size of a graph file, and return its stored fingerprint.
 
-    Do not call this function while the process has the database open. Closing the file would drop the engine's lock.
+    Do not call this function while the process has the database open. This function opens and closes the file, and
+    closing it would drop the engine's lock.
 
     Args:
         graph: Graph file.
@@ -117,7 +118,7 @@ def check_fingerprint(graph: Path) -> Fingerprint:
 
     Raises:
         StoreError: If the graph or its fingerprint is missing or damaged, or has another version. The message says how
-            to build the file again.
+            to build the graph file again.
     """
     rebuild = describe_rebuild(graph)
     with contextlib.suppress(OSError):
@@ -148,8 +149,8 @@ def check_fingerprint(graph: Path) -> Fingerprint:
 def describe_rebuild(graph: Path) -> str:
     """Return advice for error messages on how to build a graph file again.
 
-    For the graph of a store, the advice names a command. For a file of world models (`evaluate --world-db`), the next
-    run makes a new file.
+    If the file is the graph of a store, the advice names a command. If it is a file of world models
+    (`evaluate --world-db`), the advice is to remove the file, because the next run makes a new one.
     """
     if graph.name != STORE_GRAPH:
         return "give another file, or remove this one: the next run makes a new one"
@@ -159,14 +160,15 @@ def describe_rebuild(graph: Path) -> str:
 def lock_graph(path: Path, *, shared: bool) -> IO[str]:
     """Lock a graph until the returned file is closed.
 
-    If the folder cannot be written, a reader gets no lock, because other processes cannot write there either.
+    If the folder is read-only, a reader may get a file without a lock. A lock is then not needed, because other
+    processes cannot write to the folder either.
 
     Args:
         path: Graph file.
         shared: True for a reader, False for a writer.
 
     Returns:
-        The open lock file.
+        The open file that holds the lock.
 
     Raises:
         LockedError: If another process holds the lock. The message names that process.
@@ -203,8 +205,8 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
 def _holder(file: IO[str]) -> tuple[str, bool]:
     """Return a description of the process that holds a lock, and whether that process is about to end.
 
-    The process is looked up in the kernel's table of locks. If the table does not list it, the process has just
-    released the lock. If the system lacks the table, the description comes from the lock file.
+    The function looks for the process in the kernel's table of locks. If the table lists no holder, the process has
+    just released the lock. If the system has no such table, the description comes from the lock file.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -240,7 +242,7 @@ def check_room(graph: Path) -> None:
 
 
 def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
-    """Write the fingerprint of a finished temporary graph file, and rename both to their final names.
+    """Write the fingerprint of a finished temporary graph file, and rename the file and the fingerprint.
 
     Args:
         temporary: Finished graph file under its temporary name.
@@ -264,7 +266,7 @@ def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
 
 
 def _rename_fingerprint(graph: Path) -> None:
-    """Rename the fingerprint if its graph was already renamed. A process may have died between the two renames."""
+    """Rename the fingerprint if its graph has its final name. A process may have died between the two renames."""
     temporary = building_path(graph)
     if not temporary.exists():
         with contextlib.suppress(FileNotFoundError):
@@ -272,7 +274,7 @@ def _rename_fingerprint(graph: Path) -> None:
 
 
 def copy_files(graph: Path, copy: Path) -> None:
-    """Copy a graph file and its log. Raises StoreError if the file is damaged or the copy cannot be written."""
+    """Copy a graph file and its log. Raises StoreError if the graph is damaged or the copy cannot be written."""
     check_fingerprint(graph)
     try:
         for suffix in ("", *_SIDE_FILES):
@@ -284,7 +286,7 @@ def copy_files(graph: Path, copy: Path) -> None:
 
 def remove_files(graph: Path) -> None:
     """Remove a graph file and all its side files except the lock file."""
-    # Remove the fingerprint first. Without its graph, it would look like a fingerprint that must still be renamed.
+    # Remove the fingerprint first. A fingerprint without a graph file would look like one that must be renamed.
     for path in (fingerprint_path(graph), graph, *(graph.with_name(graph.name + suffix) for suffix in _SIDE_FILES)):
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)

@@ -1,11 +1,11 @@
-"""Cypher statements of users, which may only read and run in a child process.
+"""Execution of users' Cypher statements. A statement may only read, and it runs in a child process.
 
-The engine reads and writes files at the request of a statement (LOAD FROM, COPY TO, EXPORT, ATTACH), even if the
-database is open for reading only. The engine does not report such requests. So there are three safeguards:
+A statement can make the engine read and write files (LOAD FROM, COPY TO, EXPORT, ATTACH), even if the database is open
+for reading only. The engine does not report this. So there are three safeguards:
 
-- The keywords of the statement are checked. Clauses that write, load, attach, install, call or control transactions are
-  refused, and so is a second statement.
-- The plan of the statement is checked. Table functions, writes and INTERSECT are refused.
+- The keywords of the statement are checked. A statement is refused if it has a clause that writes, loads, attaches,
+  installs, calls or controls transactions. A second statement is also refused.
+- The plan of the statement is checked. A statement is refused if the plan has a table function, a write or INTERSECT.
 - The database is opened for reading only.
 
 The child process is necessary because some statements crash the engine, and others ignore its timeout.
@@ -35,10 +35,10 @@ from jrdb_avr.schema.errors import QueryError, StoreError
 _TIMEOUT_S: Final = 60.0
 _BUFFER_BYTES: Final = 256 << 20
 MEMORY_BYTES: Final = 2 << 30
-"""Maximum memory of the child process, in bytes. The limit of the engine's buffer does not cover lists and results."""
+"""Maximum memory of the child process, in bytes. The limit of the engine's buffer does not count lists and results."""
 
 _ROWS: Final = "DELETE|DETACH|SET"
-"""Keywords of clauses that change rows. CREATE is missing, because it changes rows only if a pattern follows."""
+"""Keywords of clauses that change rows. CREATE is not listed, because CREATE without a pattern changes tables."""
 
 _REFUSED: Final = (
     "ALTER|ANALYZE|ATTACH|BEGIN|CALL|CHECKPOINT|COMMENT|COMMIT|COPY|DROP|EXPLAIN|EXPORT|EXTENSION|FORCE|FOREACH|IMPORT"
@@ -64,10 +64,11 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
         writes: Whether the statement may create, change and delete nodes and edges.
 
     Raises:
-        QueryError: If the statement has a refused keyword, a second statement, or a text that may hide either.
+        QueryError: If the statement has a refused keyword, a second statement, or a quoted text or comment that may
+            hide a keyword or a second statement.
     """
-    # A keyword could hide in a quoted text if this function and the engine parse the text differently. So refuse
-    # escapes.
+    # A keyword could hide in a quoted text if this function and the engine disagree on the end of the text. So refuse
+    # backslashes, null characters and bare carriage returns.
     if "\\" in cypher or "\0" in cypher or "\r" in cypher.replace("\r\n", "\n"):
         raise QueryError("a backslash or a bare carriage return is not allowed: pass the text as a parameter ($name)")
     if ";" in cypher.strip().removesuffix(";"):
@@ -86,7 +87,7 @@ def check_cypher(cypher: str, *, writes: bool = False) -> None:
 def query_graph(
     path: Path, cypher: str, params: Mapping[str, Any] | None = None, *, timeout_s: float = _TIMEOUT_S
 ) -> pa.Table:
-    """Run one statement that only reads on a graph file, in a child process.
+    """Run one statement on a graph file in a child process. The statement may only read.
 
     Args:
         path: Graph file.
@@ -95,7 +96,7 @@ def query_graph(
         timeout_s: Maximum time in seconds, after which the statement is stopped.
 
     Returns:
-        The rows that the statement returns. If the statement has no order, they are sorted by all columns.
+        The rows that the statement returns. If the statement has no ORDER BY, the rows are sorted by all columns.
 
     Raises:
         QueryError: If the statement is refused, fails, takes longer than `timeout_s` or crashes the engine.
@@ -106,7 +107,7 @@ def query_graph(
     values = bind(cypher, params or {})[1]
     request = {"path": str(path.resolve()), "cypher": cypher, "params": values, "timeout_s": timeout_s}
     try:
-        # Use json, because msgspec cannot write and read NaN and infinity.
+        # Use the module json, because msgspec can neither write nor read NaN and infinity.
         payload = json.dumps(request, ensure_ascii=False).encode()
     except (TypeError, UnicodeEncodeError):
         raise QueryError("parameters are numbers, UTF-8 text, and lists and dicts of these") from None
@@ -119,7 +120,7 @@ def query_graph(
             with pa.ipc.open_stream(done.stdout) as reader:
                 return reader.read_all()
         except pa.ArrowException:
-            # Arrow cannot read the type that the engine gives to the keys of maps.
+            # Arrow cannot read the type of keys that the engine writes for a map.
             raise QueryError("the result holds a map: return map_keys(...) and map_values(...) of it") from None
     try:
         kind, message = msgspec.json.decode(done.stderr.splitlines()[-1], type=tuple[str, str])
@@ -135,11 +136,12 @@ def run_child(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[b
     """Run `serve` in a new process.
 
     Args:
-        request: JSON of the arguments of `_read`.
+        request: JSON object with the arguments of `_read`, which the process reads from stdin.
         timeout_s: Maximum time in seconds, after which the process is killed.
 
     Returns:
-        The ended process with its exit status, stdout (an Arrow stream) and stderr (an error as JSON in the last line).
+        The ended process. If its exit status is 0, stdout is an Arrow stream of the rows. Otherwise the last line of
+        stderr is the error as JSON, unless the engine crashed.
 
     Raises:
         subprocess.TimeoutExpired: If the process takes longer than `timeout_s`.
@@ -171,10 +173,12 @@ def _report(error: Exception) -> None:
 
 
 def end_beyond_memory(report: Callable[[], None]) -> None:
-    """Watch the memory of this process without end, and end the process if it exceeds `MEMORY_BYTES` (on Linux only).
+    """End this process as soon as its memory exceeds `MEMORY_BYTES`. Until then, do not return (on Linux).
+
+    On other systems, return at once.
 
     Args:
-        report: Function without arguments that is called just before the process ends.
+        report: Function without arguments that is called once, just before the process ends.
     """
     statm = Path("/proc/self/statm")
     while statm.exists():

@@ -1,15 +1,15 @@
-"""Sessions on the graph. All other code uses the engine only through a session.
+"""Sessions on the graph. Code outside `queries/graph` uses the engine only through a session.
 
-A `Graph` deals with these properties of the engine Kùzu for all callers:
+The class `Graph` is a session. It handles these properties of the engine Kùzu for its callers:
 
 - *A process can open a graph file only once, and either one process writes or several processes read it*. Sessions
   share one database per file (`database.py`).
 - *The engine answers some statements wrongly without an error* (`wrong_answers.py`). The session checks each distinct
-  statement once, and refuses such statements.
+  statement once, and refuses a statement that would be answered wrongly.
 - *The order of rows differs between runs*. A statement that reads must have an ORDER BY or return a single row. Callers
-  who accept any order pass `ordered=False`.
-- *Parameters get wrong types*. Small integers become INT8, lists take the type of their first items, empty lists have
-  no type, and missing parameters become NULL. The session binds 64-bit types, and refuses missing and unknown
+  that accept any order pass `ordered=False`.
+- *Parameters get wrong types*. A small integer becomes INT8, a list takes the type of its first item, an empty list has
+  no type, and a missing parameter becomes NULL. The session binds 64-bit types, and refuses missing and unknown
   parameters.
 - *Only one write transaction can be open*. Sessions that write to one database wait for each other.
 
@@ -55,18 +55,18 @@ BUFFER_BYTES: Final = 512 << 20
 """Maximum size of the engine's page cache, in bytes. On all of JRDB, no measured query needed more than 256 MB."""
 
 _BUILD_BYTES: Final = 800 << 20
-"""Maximum size of the page cache while a graph is built, in bytes. COPY needs each batch of edges twice in memory."""
+"""Maximum size of the page cache during a build, in bytes. COPY holds each batch of edges in memory twice."""
 
 _ONE_CHUNK: Final = 100_000
-"""Maximum number of rows in a result that is fetched as one chunk.
+"""Results with fewer rows are fetched as one chunk of exactly that many rows.
 
-Without a chunk size, the engine allocates memory for ten million cells.
+If no chunk size is given, the engine allocates memory for ten million cells, even for a small result.
 """
 
 _PREPARED: Final = 256
-"""Maximum number of statements with parameters that run on one connection before it is replaced.
+"""Number of statements with parameters after which a session replaces its connection.
 
-The engine keeps half a megabyte or more for each such statement until the connection ends.
+Until the connection ends, the engine keeps half a megabyte or more for each such statement.
 """
 
 _MATCH = re.compile(r"\bMATCH\b", re.IGNORECASE)
@@ -74,7 +74,7 @@ _ROW = re.compile(r"\s*CREATE\s*\(", re.IGNORECASE)
 
 
 class Graph:
-    """Session on a graph file (`Graph.open`) or on a new graph in memory (`Graph.memory`). A context manager."""
+    """Session on a graph file (`Graph.open`) or on a new graph in memory (`Graph.memory`). Use it in a `with` block."""
 
     def __init__(self, shared: SharedDatabase, read_only: bool = False, prepares: bool = False) -> None:
         self.path = shared.path
@@ -98,15 +98,15 @@ class Graph:
         """Open a session on a graph file.
 
         Args:
-            path: Graph file, which `build_graph` made.
+            path: Graph file that `build_graph` made.
             read_only: Whether the session only reads.
             buffer_bytes: Maximum size of the engine's page cache, in bytes.
-            prepares: Whether the session parses a statement with parameters only at its first use. This saves a third
-                of the time of small statements.
+            prepares: Whether the session keeps each parsed statement with parameters, and reuses it for later calls.
+                This saves a third of the time of small statements.
 
         Raises:
             StoreError: If the file is missing or damaged, or has another version.
-            LockedError: If another process writes the file, or another process reads it and this session writes.
+            LockedError: If another process writes the file, or if it reads the file and this session writes.
         """
         shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes)
         return cls(shared, read_only, prepares)
@@ -117,13 +117,13 @@ class Graph:
         return cls(create_memory_database(buffer_bytes), prepares=prepares)
 
     def close(self) -> None:
-        """Close the session. The last session of the process also closes the file. A second call has no effect."""
+        """Close the session. The last session that uses the file closes the file too. A second call has no effect."""
         with self._lock:
             if self._closed:
                 return
             if self._failed:
-                # A write failed, maybe because the disk is full. A checkpoint could then hang, so skip the checkpoint.
-                # No data is lost, because the log of the engine has all changes.
+                # A write failed, maybe because the disk is full. Skip the checkpoint, because it could then hang. No
+                # data is lost, because the log of the engine has all changes.
                 with contextlib.suppress(RuntimeError):
                     self._connection.execute("CALL force_checkpoint_on_close=false")
             self._closed = True
@@ -151,7 +151,7 @@ class Graph:
 
         Args:
             cypher: Statement. `$name` stands for the value of the parameter `name`.
-            params: Values of the parameters, by name. Pass many rows as an Arrow table: `LOAD FROM $rows WITH ...`.
+            params: Values of the parameters, by name. An Arrow table can be read by `LOAD FROM $rows WITH ...`.
             ordered: Whether to refuse the statement if it returns several rows without an ORDER BY.
             timeout_s: Maximum time in seconds, after which the statement is stopped, or None for no limit.
 
@@ -168,7 +168,7 @@ class Graph:
             return self._run(text, values, timeout_s)
 
     def prepare(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> None:
-        """Check and parse a statement for `query` before its first run. Raises QueryError if it is refused."""
+        """Check and parse a statement before `query` runs it. Raises QueryError if the statement is refused."""
         text, values = bind(cypher, params)
         with self._lock:
             self._check_read(text, values, ordered)
@@ -190,13 +190,13 @@ class Graph:
         """Return the number of rows of each table.
 
         Args:
-            timeout_s: Maximum time in seconds to count the rows of one table, or None for no limit.
+            timeout_s: Maximum time for each table, in seconds, or None for no limit.
 
         Returns:
-            Number of rows by the name of the table.
+            Number of rows, by the name of the table.
 
         Raises:
-            QueryError: If a count takes longer than `timeout_s`.
+            QueryError: If the count of one table takes longer than `timeout_s`.
         """
         counts = {}
         tables = self.query("CALL show_tables() RETURN name, type", ordered=False).to_pylist()
@@ -207,7 +207,7 @@ class Graph:
         return counts
 
     def explain(self, cypher: str, params: Mapping[str, Any] | None = None) -> QueryPlan:
-        """Return the engine's plan of a statement without running it. Raises QueryError if it is not valid."""
+        """Return the engine's plan of a statement without running it. Raises QueryError for an invalid statement."""
         text, values = bind(cypher, params or {})
         with self._lock:
             return self._plan(text, values)
@@ -215,7 +215,9 @@ class Graph:
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
-        """Run one statement that may write, and return its rows. Outside `transaction()`, it has its own transaction.
+        """Run one statement that may write, and return the rows.
+
+        Outside of `transaction()`, the statement has its own transaction.
 
         Raises:
             QueryError: If the statement is refused or fails, or the session only reads.
@@ -227,14 +229,14 @@ class Graph:
             if _MATCH.search(bare):
                 refuse_wrong_answers(self._plan(text, values), text, lambda probe: self._complaint(probe, values))
             elif not _ROW.match(bare):
-                # If the statement changes tables, stored plans may be wrong.
+                # The statement may change tables, so that the stored plans of other statements become wrong.
                 self._shared.plans.clear()
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
-        """Append rows to a table of the graph, with the columns in the order of the table.
+        """Append rows to a table of the graph. The columns must have the order of the table.
 
-        The first two columns of an edge are the keys of the nodes at its start and at its end.
+        Rows of edges begin with two more columns: the keys of the nodes at the start and at the end of the edge.
         """
         # The engine uses importlib.util, but does not import it.
         import importlib.util  # noqa: F401
@@ -245,15 +247,15 @@ class Graph:
     def copy_files(self, table: str, folder: Path, names: Sequence[str], ends: Sequence[str] = ()) -> None:
         """Append the rows of Parquet files to a table of the graph.
 
-        The engine takes a path for a pattern with wildcards. So file names must be plain, and this process changes its
-        current folder to `folder` during the call.
+        The engine would read special characters of a path as wildcards. So the names of the files must be plain, and
+        this process changes its current folder to `folder` during the call.
 
         Args:
             table: Name of the table.
             folder: Folder of the files.
             names: Names of the files: letters, digits, '.', '_' and '-'.
-            ends: Node tables at the start and at the end of the edges. Needed only if the relationship table has
-                several pairs of node tables.
+            ends: Names of the node tables at the start and at the end of the edges. They are needed only if the
+                relationship table connects several pairs of node tables.
 
         Raises:
             QueryError: If a file name is not plain, or the rows do not fit the table.
@@ -274,14 +276,14 @@ class Graph:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
-        """Run the statements of a `with` block in one write transaction. An exception undoes all of them."""
+        """Run the statements of a `with` block in one write transaction. An exception undoes all statements."""
         with self._writing():
             self._run("BEGIN TRANSACTION", {}, None)
             self._in_transaction = True
             try:
                 yield
             except BaseException:
-                # If a statement failed, the engine has already rolled back.
+                # If a statement failed, the engine has already undone the transaction, and ROLLBACK fails.
                 with contextlib.suppress(QueryError, StoreError):
                     self._run("ROLLBACK", {}, None)
                 raise
@@ -309,7 +311,7 @@ class Graph:
         return plan
 
     def _complaint(self, text: str, values: Mapping[str, Any]) -> str:
-        """Return the engine's error message for a statement, or "" if it is valid."""
+        """Return the engine's error message for a statement, or "" if the statement is valid."""
         # Use a new connection, because an error ends the transaction of its connection.
         with engine().Connection(self._shared.database) as connection:
             try:
@@ -319,7 +321,7 @@ class Graph:
         return ""
 
     def _renew(self) -> None:
-        """Replace the connection if the engine keeps too many statements for it, except inside a transaction."""
+        """Replace the connection if it has run `_PREPARED` statements with parameters and no transaction is open."""
         if self._planned >= _PREPARED and not self._in_transaction:
             self._prepared.clear()
             self._connection.close()
@@ -329,7 +331,8 @@ class Graph:
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
         """Return the prepared statement for a text, or the text if it must not be prepared.
 
-        If a prepared statement took an Arrow table, the engine would use the first call's table in all later calls.
+        A statement with an Arrow table as a parameter must not be prepared, because the engine would use the table of
+        the first call in all later calls.
         """
         rows = any(isinstance(value, pa.Table) for value in values.values())
         if not (self._prepares and values) or rows or text.startswith("EXPLAIN"):
@@ -352,7 +355,7 @@ class Graph:
             self._connection.set_query_timeout(0 if timeout_s is None else max(1, round(timeout_s * 1000)))
             result = self._connection.execute(self._statement(text, values), dict(values))
             if isinstance(result, list):
-                # Close all results, because the engine crashes if only the last result is left.
+                # Close every result, because the engine crashes if only the last result stays open.
                 for part in result:
                     part.close()
                 raise QueryError(f"one statement at a time: {shorten(text)}")
@@ -372,10 +375,11 @@ class Graph:
 
 @contextlib.contextmanager
 def open_worker_graph(path: Path) -> Iterator[Graph]:
-    """Yield a session for reading that prepares statements.
+    """Yield a session that only reads, and that keeps parsed statements.
 
-    A worker process keeps the session for its next sequence, because opening a graph and planning statements take
-    longer than most statements. Other processes close it when the block ends. Raises the errors of `Graph.open`.
+    A worker process keeps the session open for its next sequence, because opening a graph and planning statements take
+    longer than running most statements. Any other process closes the session when the `with` block ends. Raises the
+    errors of `Graph.open`.
     """
     with contextlib.ExitStack() as closing:
         graph = _left_open.get(path)
@@ -392,10 +396,10 @@ _left_open: dict[Path, Graph] = {}
 
 
 def hold_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
-    """Return a context manager that keeps a graph open in this process if the process handles all sequences itself.
+    """Return a context manager that keeps a graph open in this process if `workers` is 1.
 
-    In that case the file is opened only once. With several workers, the context manager does nothing, because an open
-    graph takes 150 MB of memory. Raises the errors of `Graph.open`.
+    This process then handles all sequences itself, and the file is opened only once. If there are several workers, the
+    context manager does nothing, because an open graph takes 150 MB of memory. Raises the errors of `Graph.open`.
     """
     return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()
 
@@ -404,12 +408,12 @@ def hold_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManag
 def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     """Yield a session on a temporary graph file, and rename the file to `path` when the `with` block ends.
 
-    The graph is locked until then. If the block raises an exception, the temporary file is removed, and the file at
-    `path` does not change.
+    The graph is locked until the block ends. If the block raises an exception, the temporary file is removed, and the
+    file at `path` does not change.
 
     Args:
         path: Graph file to create or replace.
-        extend: Whether the temporary file begins as a copy of the file at `path`, instead of empty.
+        extend: True if the temporary file begins as a copy of the file at `path`, False if it begins empty.
 
     Raises:
         LockedError: If the file at `path` is open in this process, or another process uses it.
@@ -421,7 +425,7 @@ def build_graph(path: str | Path, *, extend: bool = False) -> Iterator[Graph]:
     check_room(target)
     with lock_graph(target, shared=False), contextlib.ExitStack() as cleanup:
         temporary = building_path(target)
-        # Remove temporary files of a process that was killed. That process has ended, because this one has the lock.
+        # Remove temporary files of a killed process. No running process uses them, because this process has the lock.
         remove_files(temporary)
         cleanup.callback(remove_files, temporary)
         if extend:

@@ -1,15 +1,17 @@
 """Checks that refuse statements which the engine is known to answer wrongly.
 
-The checks look at the plan and at the keywords of a statement. Each fault was found by a comparison with brute force. A
-test fails if a later version of the engine answers correctly, so that the check can be removed.
+The checks look at the plan and at the keywords of a statement. Each fault was found by a comparison of the engine with
+a brute-force search. For each fault, a test fails if a later version of the engine answers correctly. Its check can
+then be removed.
 
 - *Cyclic patterns lose parallel edges*. If the plan has INTERSECT, the engine may return 2 rows instead of 4.
 - *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. The condition may also be an alias,
   a cast to BOOL or another CASE. `WHEN x.flag = true` and `CASE x.flag WHEN true` are answered correctly.
-- *Aggregates after a DISTINCT aggregate are empty* if RETURN or WITH groups rows. In `count(DISTINCT a), count(*)`, the
-  second value is 0, and `collect` instead of `count(*)` crashes. `count(*), count(DISTINCT a)` is answered correctly.
-- *Rows are in the wrong order if ORDER BY has a text before a number* and there are more than about 5,000 rows. Numbers
-  before texts are ordered correctly.
+- *Aggregates after a DISTINCT aggregate are empty* if the RETURN or WITH clause has groups of rows. In
+  `count(DISTINCT a), count(*)`, the second value is 0. If `collect` replaces `count(*)`, the engine crashes.
+  `count(*), count(DISTINCT a)` is answered correctly.
+- *Rows are in the wrong order if ORDER BY has a text before a number* and there are more than about 5,000 rows. If the
+  numbers come before the texts, the order is correct.
 """
 
 from __future__ import annotations
@@ -48,16 +50,16 @@ class QueryPlan:
 
     Attributes:
         text: Text of the plan in one line.
-        operators: Names of the plan's operators. The operator that runs last comes first.
+        operators: Names of the plan's operators. The last operator to run is first in the tuple.
         functions: Names of the table functions that the statement calls.
         sound: Whether `refuse_wrong_answers` has accepted the statement.
     """
 
     def __init__(self, text: str) -> None:
-        # The engine draws the plan as a tree of boxes, which has megabytes of blanks and lines for a long statement.
+        # The engine draws the plan as a tree of boxes. For a long statement, the drawing has megabytes of blanks.
         self.text = " ".join(text.replace("─", "").split())
         self.operators: tuple[str, ...] = tuple(_OPERATOR.findall(self.text))
-        # READ_FTABLE belongs to UNWIND and to RETURN without MATCH. Exclude it, because it does not read outside data.
+        # Exclude READ_FTABLE, which reads no outside data. The engine uses it for UNWIND and for RETURN without MATCH.
         self.functions = set(re.findall(r"Function: (\w+)", self.text)) - {"READ_FTABLE"}
         self.sound = False
 
@@ -85,7 +87,7 @@ class QueryPlan:
 
     @property
     def groups(self) -> bool:
-        """Whether any part of the statement groups rows."""
+        """Whether any part of the statement forms groups of rows, such as an aggregate by key."""
         return "Group By:" in self.text
 
 
@@ -93,13 +95,14 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
     """Refuse a statement that the engine is known to answer wrongly.
 
     Args:
-        plan: Plan of the statement. Its attribute `sound` becomes true if the statement is accepted, so that a second
-            check of the same plan returns at once.
+        plan: Plan of the statement. If the statement is accepted, the attribute `sound` of the plan becomes true, so
+            that a second check of the plan returns at once.
         text: Statement.
-        complaint: Function that is called with an invalid statement and returns the engine's error message for it.
+        complaint: Function that returns the engine's error message for an invalid statement. It is called with
+            invalid variants of `text`. Their error messages name the types of columns.
 
     Raises:
-        QueryError: If the engine would answer wrongly. The message gives an equivalent form that it answers correctly.
+        QueryError: If the engine would answer wrongly. The message says how to change the statement.
     """
     if plan.sound:
         return
@@ -127,7 +130,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
 def _conditions(text: str) -> Iterator[str]:
     """Yield each condition between WHEN and THEN of a CASE without an operand.
 
-    `text` must have no quoted texts. Parentheses round a condition are removed.
+    `text` must have no quoted texts. Parentheses are removed from the conditions.
     """
     searched: list[bool] = []
     begun: list[int] = []
@@ -148,9 +151,10 @@ def _conditions(text: str) -> Iterator[str]:
 
 
 def _order_probes(text: str) -> Iterator[str]:
-    """Yield an invalid variant of the statement for each ORDER BY with several keys, to find out the types of the keys.
+    """Yield an invalid variant of the statement for each ORDER BY with several keys.
 
-    The variant calls `lower` with all keys. The engine's error message about this call names the type of each key.
+    A variant serves to find out the types of the keys. It calls `lower` with all keys, and the engine's error message
+    about this call names the type of each key.
     """
     for order in _ORDER.finditer(strip_literals(text)):
         if "," in order[1]:
@@ -159,7 +163,7 @@ def _order_probes(text: str) -> Iterator[str]:
 
 
 def _projections(text: str) -> list[str]:
-    """Return the texts after each RETURN and WITH. Subqueries are cut out, because they have groups of their own."""
+    """Return the text after each RETURN and WITH. Subqueries are removed, because they have their own groups."""
     before = ""
     while before != text:
         before = text

@@ -1,4 +1,4 @@
--- Scores of the reference agent with and without looks of its own choice, a world model and a policy, in percent.
+-- Scores of the reference agent, in percent, by three settings: own choice of looks, world model, and policy.
 WITH cells (method, active, world_model) AS (
     VALUES ('agent-passive-no-world', 'off', 'off'), ('agent-passive', 'off', 'on'),
            ('agent-no-world', 'on', 'off'), ('agent', 'on', 'on')

@@ -1,4 +1,4 @@
--- Frequency of each true choice in a multiple-choice template, which is the score of a guess that is always this text.
+-- How often each text is the true choice of a template. A guesser that always gives this text reaches this score.
 WITH truth AS (
     SELECT q.template, list_extract(q.choices, CAST(json_extract(a.answer, '$.choice') AS INT)) AS says
     FROM answers a

@@ -1,6 +1,7 @@
 -- Number of evidence boxes that are right as written, and number that would be right if x and y were exchanged.
--- This shows whether a model writes its boxes in another order of axes. It does not change scores. Only boxes that were
--- read in a picture with a known position count. A box is right if its IoU is at least 0.5, also across the seam.
+-- This shows whether a model writes its boxes in another order of axes. It does not change scores. A box counts only
+-- if the position of the picture in which it was read is known.
+-- A box is right if its IoU is at least 0.5, also across the seam.
 WITH solved AS (
     SELECT run_id, question_id, step, CASE WHEN json_valid(request) THEN request::JSON END AS shown,
            CASE WHEN json_valid(response) THEN response::JSON END AS told

@@ -1,4 +1,4 @@
--- Scores of each run in percent of its n questions; hallucination is the share of right answers with a wrong box.
+-- Scores of each run in percent of its n questions. Hallucination is the share of right answers with a wrong box.
 SELECT s.run_id, count(*) AS n,
        round_even(100 * sum(answer_score) / n, 2) AS answer,
        round_even(100 * sum(evidence_score) / n, 2) AS evidence,

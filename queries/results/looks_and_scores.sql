@@ -1,4 +1,4 @@
--- Scores of each run by the number of looks at a question, in percent of the n questions with that number.
+-- Scores of each run by the number of looks at a question, in percent of the n questions with so many looks.
 SELECT p.run_id, p.n_observations AS looks, count(*) AS n,
        round(100 * avg(s.answer_score), 2) AS answer,
        round(100 * avg(s.evidence_score), 2) AS evidence,

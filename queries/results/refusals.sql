@@ -1,4 +1,4 @@
--- Rules that refused candidates in each template, with the number of candidates, largest number first.
+-- Rules that refused candidates in each template, with the number of refused candidates, largest number first.
 SELECT family, template, rule, sum(candidates)::BIGINT AS candidates
 FROM rejected
 WHERE kind = 'count'

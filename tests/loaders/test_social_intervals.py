@@ -74,6 +74,7 @@ def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
         (1, 2, "conversation", 0, 30, True),
         (1, 2, "conversation", 60, 75, True),
     ]
+    assert spans(store, "possible_interactions") == []
 
 
 def test_whose_lists_were_read_stands_with_the_sightings(tmp_path):

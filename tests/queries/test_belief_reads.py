@@ -220,6 +220,7 @@ def test_the_next_posture_is_the_first_other_one_seen_later(site):
     times = {"t0": {"frame": 0}, "t1": {"event": "end", "of": "a", "after": "t0"}}
     plan = planned("next_action", "t1", times)
     story = woman().has("p1", "action", "sitting", 0).sees("p1", 30, action="sitting").sees("p1", 45)
+    story.sees("p1", 60, action=["walking", "standing"])
     story.sees("p1", 90, action=["standing", "reading"]).sees("p1", 100, action="walking")
     belief = site.solve(story, plan)
     assert (belief.answer, belief.seen[0], belief.times["t1"]) == ("standing", 90, 30)

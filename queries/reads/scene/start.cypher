@@ -10,7 +10,7 @@ MATCH (p:Person)-[r:Performs|MayPerform]->(x:Action)
 WHERE p.sequence = scope AND p.track = who AND x.name = action AND r.last >= after
 WITH id, action, posture, after, low, high, step, p, min(r.first) AS first
 WHERE first > after
-// The intervals from `first` on follow each other without a gap. The first interval without a successor ends them.
+// The segment is a chain of intervals from `first` on, without gaps. It ends with the interval that has no successor.
 MATCH (p)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = action AND r.first >= first
   AND NOT EXISTS { MATCH (p)-[n:Performs|MayPerform]->(y:Action) WHERE y.name = action AND n.first = r.last + step }

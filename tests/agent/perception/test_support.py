@@ -72,6 +72,16 @@ def test_the_best_hypothesis_is_that_of_brute_force(tracks, plan):
     assert sum(share.values()) == pytest.approx(1) and [*share.values()] == sorted(share.values(), reverse=True)
 
 
+def test_the_margin_is_that_over_the_best_hypothesis_with_another_target():
+    talk = plan_of(Node("a", (WOMAN,)), Node("b"), edges=(Edge("a", "conversation", "b", "t0"),))
+    said, with_p3 = ("gender", "female"), (ReadTie("conversation", 3),)
+    people = {"p1": (read(1, 100, said, ties=with_p3),), "p2": (read(2, 80, said, ties=with_p3),), "p3": (read(3, 60),)}
+    first, second, *others = rank(talk, Tracks(people, ALL))
+    assert first.nodes["b"] == second.nodes["b"] == "p3"
+    assert first.margin == pytest.approx(first.log_odds - max(one.log_odds for one in others if one.nodes["b"] != "p3"))
+    assert first.margin > first.log_odds - second.log_odds
+
+
 def test_slots_say_what_is_open_supported_certain_or_contradicted():
     woman = [read(1, 100, ("gender", "female"), ("action", "standing"), observation=look) for look in ("o", "q")]
     tracks = Tracks({"p1": tuple(woman), "p2": (read(2, 80),)}, ALL)

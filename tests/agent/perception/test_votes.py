@@ -39,6 +39,7 @@ def test_two_readings_that_agree_settle_and_a_third_decides_between_two():
 
     assert woman(WOMAN).state == "supported" and not woman(WOMAN).settled
     assert woman(WOMAN, WOMAN).state == "certain"
+    assert woman(WOMAN, WOMAN, WOMAN).log_odds == MOST_VOTES * UNIT
     assert woman(WOMAN, MAN).state == "open" and not woman(WOMAN, MAN).settled
     assert not woman(WOMAN, MAN, MAN, WOMAN).settled
     assert woman(WOMAN, MAN, WOMAN).state == "certain"

@@ -112,6 +112,6 @@ def test_a_sample_gives_exactly_the_proven_candidates(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", MAKERS)
-@pytest.mark.parametrize("start", range(1000, 1400, 50))
+@pytest.mark.parametrize("start", (1000, 1200))
 def test_many_worlds(start, make):
-    assert sum((compare(seed, make) for seed in range(start, start + 50)), Counter()).total() > 0
+    assert sum((compare(seed, make) for seed in range(start, start + 20)), Counter()).total() > 0
