@@ -56,7 +56,7 @@ class Problems:
         self._problems[kind, reason, field] = example
 
     def without(self, reported: Problems) -> None:
-        """Remove each problem that `reported`, from another reader of the same file, holds with the same count."""
+        """Remove each problem that another reader of the same file has put into `reported` with the same count."""
         counted = {(problem.reason, problem.field, problem.count) for problem in reported.listed()}
         for key, problem in list(self._problems.items()):
             if (problem.reason, problem.field, problem.count) in counted:

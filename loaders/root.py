@@ -202,7 +202,7 @@ class _Search:
         return True
 
     def _listing(self, folder: Path) -> frozenset[str] | None:
-        """Return the names in a folder, or no names if the folder is missing. Report an unreadable folder as None."""
+        """Return the names in a folder. A missing folder has no names. Report an unreadable folder, and return None."""
         try:
             with os.scandir(folder) as entries:
                 return frozenset(entry.name for entry in entries)

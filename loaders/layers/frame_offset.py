@@ -116,7 +116,7 @@ class Tracks(Rows):
         return np.where(present[:, None], self.box[row], np.nan)
 
     def _rows_from(self, track: Ints, frame: Ints) -> tuple[Ints, Ints]:
-        """Return a key for each pair of track and frame, and for each key the index of the first row not before it."""
+        """Return a key for each pair of track and frame, and the index of the first row with at least this key."""
         key = paired(track, np.maximum(frame, 0))
         return key, np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
 
@@ -265,7 +265,7 @@ def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
 
 def _tracks_2d(table: pa.Table) -> Tracks:
     box = np.stack([table[name].to_numpy() for name in "xywh"], axis=1)
-    # The edges of the panorama cut some boxes off. They are left out, because their centres are not those of people.
+    # The edges of the panorama cut some boxes off. These boxes are left out, because they are not centred on people.
     whole = (box[:, 0] > SAME) & (box[:, 0] + box[:, 2] < WIDTH - SAME)
     return _sorted(table, box[:, 0] + box[:, 2] / 2, box, whole)
 
