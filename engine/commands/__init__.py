@@ -1,1 +1,1 @@
-"""One module per command: a thin skin over the library."""
+"""The commands. A module reads the options of its command, calls the library, and prints the result."""

@@ -21,7 +21,7 @@ _C = TypeVar("_C", bound=Callable[..., Any])
 
 
 class _Number(click.ParamType[float | None]):
-    """A number, or 'none' for None."""
+    """A number. The word 'none' stands for None."""
 
     name = "X|none"
 
@@ -62,7 +62,7 @@ class _Header(click.ParamType[tuple[str, str]]):
 
 
 class _Shard(click.ParamType[tuple[int, int]]):
-    """The index of a shard, from 1 on, and the number of shards."""
+    """The index of a shard, which begins at 1, and the number of shards."""
 
     name = "I/N"
 
@@ -107,7 +107,7 @@ _KINDS: Final[dict[str, click.ParamType[Any]]] = {
     "headers": _Header(),
     "shard": _Shard(),
 }
-"""Click type by field of an options class, for fields with a type that the annotation does not imply."""
+"""Click types by name of the field. Other fields have the click type that their annotation and limits imply."""
 
 _REPEATED: Final = ("headers", "marker", "families", "templates", "sequences")
 """Options that may be repeated."""
@@ -206,7 +206,7 @@ def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:
 
 
 def endpoint_options(function: _C) -> Callable[..., Any]:
-    """Add `--model` and the options of its server. The command gets `model` and `endpoint`, an `EndpointOptions`."""
+    """Add `--model` and the options of the model's server. The command gets `model` and the options as `endpoint`."""
 
     @functools.wraps(function)
     def command(*, model: str, **values: Any) -> Any:
@@ -219,7 +219,7 @@ def endpoint_options(function: _C) -> Callable[..., Any]:
 
 
 def check_address(model: str, base_url: str | None) -> None:
-    """Raise UsageError if the user gave no address of a server, unless the model is the simulated model."""
+    """Raise UsageError if a model needs the address of a server and `base_url` is None."""
     from jrdb_avr.agent.simulated.knobs import profile_of
 
     try:

@@ -11,8 +11,9 @@
     base-url = "https://api.openai.com/v1"
     temperature = "none"
 
-A key is the long name of an option, and its value replaces that of the command line. If the value is a list, the table
-describes one run per element, unless the option may be repeated.
+A key is the long name of an option. Its value replaces the value of the command line. If a value is a list, the table
+describes one run per element. If several values are lists, it describes one run per combination of elements. Only the
+list of an option that may be repeated is a single value.
 """
 
 from __future__ import annotations
@@ -82,17 +83,17 @@ def _run(ctx: click.Context, shared: Mapping[str, Any], values: Mapping[str, Any
         parameter = _parameter(ctx, key)
         if isinstance(value, bool) > parameter.is_flag or isinstance(value, dict) > (parameter.name == "extra_body"):
             raise click.UsageError(f"{key} cannot be {'a table' if isinstance(value, dict) else 'true or false'}")
-        # Because click types parse strings, as a command line has them.
+        # Click types parse strings, because the values of a command line are strings.
         plain = value if isinstance(value, bool | dict | list) else str(value)
         set_values[str(parameter.name)] = parameter.process_value(ctx, plain)
     merged = {**shared, **set_values}
-    # Built only to check the values here, so that an error names the run.
+    # The options are built only to check them here, where an error message can name the run.
     build(EndpointOptions, merged)
     return merged
 
 
 def _parameter(ctx: click.Context, key: str) -> click.Option:
-    """Return the option with a long name, which is given without its dashes. Raise UsageError if it is unknown."""
+    """Return the option with a long name. The key is the name without dashes. Raise UsageError if it is unknown."""
     options = {
         flag.removeprefix("--"): parameter
         for parameter in ctx.command.params

@@ -1,4 +1,4 @@
-"""The next commands to type for each store of a folder."""
+"""Suggestions of the next commands to type, for each store in a folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jrdb_avr.queries.manifest import is_public
 
 
 def next_steps(folder: Path) -> list[str]:
-    """Describe the state of each store, and the commands that continue from it.
+    """Describe the state of each store in a folder, and suggest the next commands for the store.
 
     Args:
         folder: The folder to search for stores. If the environment variable JRDB_AVR_STORE names a store, only that
@@ -35,14 +35,14 @@ def next_steps(folder: Path) -> list[str]:
 
 
 def scoring_steps(store: Path, *runs: str) -> str:
-    """Return the commands that lead to the scores of runs. A public store has no answers, so it exports the runs."""
+    """Return the command that scores runs. A public store has no answers, so return the commands to export them."""
     if is_public(store):
         return " && ".join(f"jrdb-avr export {run} --jsonl {run}.jsonl --store {store}" for run in runs)
     return f"jrdb-avr score --store {store} {' '.join(runs)}"
 
 
 def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:
-    """Return the line with the state of one store, and a line per next command."""
+    """Return a line with the state of a store, followed by one line for each command that the user can run next."""
     runs = [path.parent for path in sorted(store.glob("runs/*/run.json"))]
     open_runs = [run.name for run in runs if not (run / "predictions.parquet").exists()]
     option = "" if named else f" --store {shlex.quote(str(store.relative_to(folder)))}"

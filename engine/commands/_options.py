@@ -1,4 +1,7 @@
-"""Options that several commands share. Commands get `--store` as a Store, and `--rule NAME=VALUE` as pairs of texts."""
+"""Options that several commands share.
+
+The option `--store` becomes a Store, and each `--rule NAME=VALUE` becomes a pair of texts.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
 def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
-    """Return the store that an option names. Raise StoreError if a newer version of this program wrote the store."""
+    """Return the store at a path. Return None for None. Raise StoreError if a newer program version wrote the store."""
     from jrdb_avr.queries.manifest import refuse_newer
     from jrdb_avr.queries.store import Store
 
@@ -39,12 +42,12 @@ def store_option(required: bool = True) -> Callable[[_C], _C]:
         "--store",
         "-s",
         required=required,
-        # Read first, because completion of the other options' values needs the store.
+        # Click parses this option first, because completing the values of other options needs the store.
         is_eager=True,
         type=FOLDER,
         envvar=STORE_VARIABLE,
         callback=open_store,
-        help=f"Folder of the store. Not needed if the environment variable {STORE_VARIABLE} holds the folder.",
+        help=f"Folder of the store. Not needed if the environment variable {STORE_VARIABLE} names the folder.",
     )
 
 
@@ -87,7 +90,7 @@ def executor_option(function: _C) -> Callable[..., Any]:
         "--executor",
         metavar="ray[://HOST:PORT]",
         callback=check,
-        help="Use a Ray cluster instead of local processes. All machines must have the folders under the same paths.",
+        help="Use a Ray cluster instead of local processes. Each folder must have the same path on all machines.",
     )
     return workers_option(executor(command))
 
@@ -97,11 +100,11 @@ iou_option = click.option(
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=0.5,
     show_default=True,
-    help="Minimum IoU of a predicted box and the true box for correct evidence.",
+    help="Minimum IoU of the predicted box with the true box for the evidence to be correct.",
 )
 
 port_option = click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="Port on 127.0.0.1; 0 for a free port."
+    "--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="Port on 127.0.0.1. 0: any free port."
 )
 
 
@@ -111,7 +114,7 @@ def page_option(default: str) -> Callable[[_C], _C]:
 
 
 def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[_C], _C]:
-    """Add an option that may be repeated. The command gets a list of (name, value)."""
+    """Add an option NAME=VALUE that may be repeated. The command gets a list of pairs (name, value)."""
 
     def split(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
         for text in texts:

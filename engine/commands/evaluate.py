@@ -44,7 +44,7 @@ class _Evaluation(NamedTuple):
     metavar="METHOD",
     help=f"The method: {', '.join(METHODS)}, or a custom method as FILE.py:NAME or MODULE:NAME.",
 )
-@model_option(" Give 'none' for a custom method without a model.", required=False)
+@model_option(" For a custom method without a model, give 'none'.", required=False)
 @field_options(EndpointOptions)
 @field_options(MethodOptions)
 @field_options(QuestionSelection)
@@ -52,13 +52,13 @@ class _Evaluation(NamedTuple):
 @click.option(
     "--scores/--no-scores",
     default=None,
-    help="Show scores during the run. A separate process computes them. Default: only on a terminal.",
+    help="Whether to show scores during the run. A separate process computes them. Default: only on a terminal.",
 )
 @click.option(
     "--epochs",
     type=click.IntRange(1, 1000),
     metavar="N",
-    help="Ask each question N times, in runs RUN-1 to RUN-N. 'report --table epochs' prints their pass@k.",
+    help="Ask each question N times, in the runs RUN-1 to RUN-N. 'report --table epochs' prints pass@k of the runs.",
 )
 @click.option(
     "--matrix",
@@ -69,9 +69,9 @@ class _Evaluation(NamedTuple):
 def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -> None:
     """Let a method answer the questions of a store with a model, and record every step as a run.
 
-    The environment variable OPENAI_API_KEY holds the key of the model's server. Before the run, the server is checked
-    as by 'preflight'. A run can be stopped at any time and continued with --resume. The exit code is 1 if a run fails,
-    or if a question ends in an error.
+    If the model's server needs a key, set the environment variable OPENAI_API_KEY to the key. Before the run, the
+    command makes the checks of 'preflight'. A run can be stopped at any time and continued with --resume. The exit code
+    is 1 if a run fails, or if a question ends in an error.
 
     Examples:
       jrdb-avr evaluate --store S --method react --model marker
@@ -79,9 +79,9 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
       jrdb-avr evaluate --store S --method agent --model marker --resume
       jrdb-avr evaluate --store S --matrix runs.toml --limit 100
 
-    A public store (see 'export --public') holds no answers and no labels. It is for machines that must not have the
-    answers. On a public store, --family, --template and --per-template do not work, and methods with a world model need
-    --world-db:
+    A public store (see 'export --public') is a store for machines that must not have the answers. It holds no answers
+    and no labels. On a public store, --family, --template and --per-template do not work. Methods with a world model
+    need --world-db on a public store:
 
       jrdb-avr evaluate --store PUBLIC --world-db world.kuzu --method agent --model M --base-url URL
     """
@@ -99,7 +99,7 @@ def command(store: Store, matrix: Path | None, form: RowFormat, **values: Any) -
         except AvrError as error:
             if matrix is None:
                 raise
-            # The next run may use another server, which works.
+            # The next run may use another server, so it is tried too.
             note(f"jrdb-avr: {evaluation.method}, {evaluation.model}: {error}")
     title = "Run" if len(epochs) == 1 else "Runs"
     if any(run.synthetic for run in results):
@@ -135,7 +135,7 @@ def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
 
 
 def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
-    """Raise UsageError if two runs have the same name. Otherwise the second would fail only after the first has run."""
+    """Raise UsageError if two runs have the same name. Otherwise the second run would fail after the first."""
     from jrdb_avr.engine.run.evaluate import name_run
 
     names = [name_run(store, *evaluation) for evaluation in evaluations]

@@ -37,11 +37,11 @@ def export(
     """Write questions or predictions for other machines and tools.
 
     --public writes a store for methods or machines that must not see the answers. 'evaluate' works on a public store.
-    To score a run on a public store, write the predictions of the run with --jsonl, and give the written file to 'score
-    --jsonl' on the full store.
+    To score a run of a public store, first write the predictions of the run to a file with --jsonl. Then give the file
+    to 'score --jsonl' on the full store, which has the answers.
 
     --hf writes two folders without pictures. The public folder has the questions, a dataset card and Croissant
-    metadata. In all of them, hashes replace the names of sequences. The private folder has the answers and the
+    metadata. In the public folder, hashes replace the names of sequences. The private folder has the answers and the
     evidence.
 
     Examples:
@@ -86,7 +86,7 @@ def submit(store: Store, run: str, folder: Path) -> None:
     """Write RUN as a bundle into the new folder DIR, so that the owner of the answers can score it.
 
     A bundle holds a file of predictions, a file with the settings of the run, and the hashes of these two files. The
-    settings do not contain the address of the model's server. The store of RUN needs no answers.
+    settings do not contain the address of the model's server. RUN may be in a store without answers.
 
     Examples:
       jrdb-avr submit react-marker bundle --store S

@@ -20,7 +20,7 @@ _blind_option = click.option(
     type=click.Choice(["simple", "learned"]),
     default="simple",
     show_default=True,
-    help="Guessers that see no image; 'learned' adds one trained on the text (pip install 'jrdb-avr[learned]').",
+    help="Guessers that see no image. 'learned' adds one that learns from texts (pip install 'jrdb-avr[learned]').",
 )
 
 
@@ -31,19 +31,19 @@ _blind_option = click.option(
     type=click.Choice(["all", "paper", "train"]),
     default="all",
     show_default=True,
-    help="all: as many questions as the balance of answers permits; paper: the paper's number per family; train: a "
-    "training set, without limits per person or answer.",
+    help="'all': as many questions as the balance of answers permits. 'paper': per family, as many as in the paper. "
+    "'train': a training set, without limits per person or answer.",
 )
 @click.option("--n", type=click.IntRange(1), help="With --profile train: maximum number of questions.")
 @click.option(
     "--disjoint-from",
     type=FOLDER,
     metavar="STORE",
-    help="With --profile train: do not use a person while a question of STORE needs that person.",
+    help="With --profile train: leave out a person at the times when a question of STORE needs this person.",
 )
 @executor_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of choices among equal questions.")
-@click.option("--candidates", type=FILE, help="Parquet file to write: all proven candidates before selection.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed that breaks ties between questions.")
+@click.option("--candidates", type=FILE, help="Parquet file to write, with all proven candidates before selection.")
 @click.option("--require-occlusion", is_flag=True, help="Skip sequences that have no occlusion labels.")
 @click.option("--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see 'inspect').")
 @pairs_option("--rule", "overrides", "Change a rule (see 'rules list'). May be repeated.")
@@ -54,9 +54,10 @@ def generate(
 ) -> None:
     """Find questions in all sequences of a store, prove these questions, and write them into the store.
 
-    For each template, the command prints the number of candidates, the number of refusals by each rule, and the number
-    of questions. If a template has few questions, the command prints the reason. It also prints the scores of guessers
-    that see no image. With --profile paper, it prints how many of the paper's questions each family reaches.
+    For each template, the command prints the number of candidates, the number of candidates that each rule refused, and
+    the number of questions. If a template has few questions, the command prints the reason. It also prints the scores
+    of guessers that see no image. With --profile paper, it compares the number of questions in each family with the
+    paper's number.
 
     The questions do not depend on the number of workers. A training set needs a store of its own. --profile train
     ignores the rules max_per_person, max_per_person_in_all and max_answer_share.
@@ -79,7 +80,7 @@ def generate(
         print_rows(crossed, title="Candidates, refusals by rule, and questions")
         _print_reasons(made.shortfalls)
         if families := fillings(made.selection):
-            print_rows(families, title="Questions aimed at and reached, and which template fills for which")
+            print_rows(families, title="Questions: aim, reached number, and templates that fill in for others")
         _print_table(made.blind, "Answering without looking: shares of right answers")
     for fault in made.faults[:10]:
         note(f"fault: the second program derives another result: {fault}")
@@ -99,7 +100,7 @@ def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
     """Count the questions of a store by family, template, sequence and answer, and score guessers that see no image.
 
     The command also prints how many candidates each rule refused per template, and why a template has few questions.
-    With --json and --csv, the column "table" names the table of a row.
+    With --json and --csv, the column "table" holds the name of the table that contains the row.
     """
     if form and as_latex:
         raise click.UsageError(f"choose one of --{form} and --latex")
@@ -137,7 +138,7 @@ _REASONS: Final = ("why", "skipped", "reason")
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print rows as a table with at most three decimals, and the explanations below it."""
+    """Print rows as a table with at most three decimals. Print the explanations of the rows below the table."""
     rounded = [
         {name: round(cell, 3) if isinstance(cell, float) else cell for name, cell in row.items()} for row in rows
     ]
@@ -148,7 +149,7 @@ def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
 
 
 def _print_reasons(rows: Iterable[Mapping[str, Any]]) -> None:
-    """Print why templates have few questions, and why guessers without images score above their aim."""
+    """Print why templates have few questions, and why guessers that see no image score more than allowed."""
     for row in rows:
         if row.get("why"):
             click.echo(f"{row['template']}: {row['why']}")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jrdb_avr.queries.workers import Executor
 
 MAX_ROWS: Final = 50
-"""Maximum printed rows of a table if its length depends on the label files."""
+"""Maximum number of printed rows of a table. Tables with a fixed number of rows are printed in full."""
 
 
 @click.command()
@@ -45,9 +45,9 @@ def command(root: Path | None, store: Store, strict: bool, workers: Executor, fo
     records are refused and listed, and the rest is loaded. A layer is refused if its frame numbers differ from the
     frame numbers of the 2D boxes.
 
-    --verify compares the annotations, the intervals and the graph with the hashes that 'load' stored. For each of these
-    three it prints the first fault. If a run has written into the graph after 'load', the row counts of the graph's
-    tables are compared instead of its hash. The exit code is 1 if there is a fault.
+    --verify checks three parts of the store by the hashes that 'load' stored: the annotations, the intervals and the
+    graph. It prints the first fault of each part. If a run has written into the graph after 'load', the graph is
+    checked by the row counts of its tables instead. The exit code is 1 if there is a fault.
 
     Example:
       jrdb-avr load ~/jrdb/train_dataset_with_activity --store store
@@ -111,6 +111,6 @@ def _verify(store: Store, form: RowFormat) -> None:
 
 
 def _rules(overrides: list[tuple[str, str]], start: LoadRules) -> LoadRules:
-    """Return `start` with the overrides. Names of rules may begin with `load.` or leave it out."""
+    """Return the rules `start` with overridden values. The name of a rule may leave out the prefix `load.`."""
     changes = {f"load.{name.removeprefix('load.')}": value for name, value in overrides}
     return override(Rules(load=start), changes).load

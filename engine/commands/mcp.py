@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     "port",
     type=click.IntRange(0, 65535),
     metavar="PORT",
-    help="Serve over HTTP on this port of 127.0.0.1; 0 chooses a free port.",
+    help="Serve over HTTP on this port of 127.0.0.1. 0 chooses a free port.",
 )
 @click.option("--i-trust-the-agent", "trusted", is_flag=True, help="Serve over stdio even if the store holds answers.")
 @click.option("--model", default="agent", show_default=True, help="Name of the agent in the run and in reports.")
@@ -36,14 +36,14 @@ def command(store: Store, port: int | None, trusted: bool, model: str, **options
     """Serve the questions of a store to an agent over MCP, and record its answers as a run.
 
     With --http, the command prints the address and the token of the server. Without --http, the server uses standard
-    input and output (stdio). In this case, the command refuses a store with answers, because the agent could read the
-    answers from the disk.
+    input and output (stdio). Over stdio, the command refuses a store with answers, because an agent on the same machine
+    could read the answers from the disk.
 
     The command needs more packages: pip install 'jrdb-avr[mcp]'.
 
     Examples:
-      jrdb-avr mcp --store S --http 8765 --model claude   print address and token
-      jrdb-avr mcp --store S --images DIR                 started by an MCP client
+      jrdb-avr mcp --store S --http 8765 --model claude   prints address and token
+      jrdb-avr mcp --store S --images DIR                 is started by an MCP client
     """
     try:
         from jrdb_avr.engine.integrations.mcp import serve

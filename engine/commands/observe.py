@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 @store_option()
 @click.option("--out", required=True, type=FILE, help="PNG file to write.")
 @click.option("--panorama", is_flag=True, help="Write the whole panorama instead of a crop at ANGLE.")
-@click.option("--boxes", is_flag=True, help="Draw annotated boxes with track, pose and group, and draw skeletons.")
+@click.option("--boxes", is_flag=True, help="Draw the box, track, pose, group and skeleton of each annotated person.")
 def command(
     sequence: str, frame: int, angle: float | None, store: Store, out: Path, panorama: bool, boxes: bool
 ) -> None:
-    """Write a crop of a panorama as PNG: 480 x 480 pixels around ANGLE, in FRAME of SEQUENCE.
+    """Write a crop of a panorama as a PNG file: 480 x 480 pixels around ANGLE, in frame FRAME of SEQUENCE.
 
     ANGLE is in degrees: 0 is behind the robot, 90 to its left, 180 straight ahead, and 270 to its right.
 
@@ -63,7 +63,7 @@ def command(
 
 
 def _annotated(store: Store, sequence: str, frame: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of `sightings` and of `poses` of one frame."""
+    """Return the rows of the tables `sightings` and `poses` for one frame."""
     import pyarrow.compute as pc
 
     tables = store.interval("sightings", sequence), store.annotation("poses", sequence)

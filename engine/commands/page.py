@@ -28,7 +28,7 @@ _HOW: Final[dict[str, Any]] = {"terminal_width": 100, "max_content_width": 100, 
 
 
 def commands_page() -> str:
-    """Return the page of all commands in Markdown, with the help of each. Subcommands follow their group."""
+    """Return a Markdown page with the help of all commands. The subcommands of a group follow the group."""
     parts = ["# Commands\n", "The output of `--help` of each command.\n"]
     top = click.Context(group, info_name=NAME, **_HOW)
     for name in COMMANDS:
@@ -55,7 +55,7 @@ def api_page() -> str:
     functions = {name: value for name, value in values.items() if inspect.isfunction(value)}
     errors = {name: value for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
     classes = {name: value for name, value in values.items() if isinstance(value, type) and name not in errors}
-    parts = ["# Python API\n", "The public names of `import jrdb_avr`; each loads on first use.\n"]
+    parts = ["# Python API\n", "The public names of `import jrdb_avr`. The first use of a name imports its module.\n"]
     for title, members in (("Functions", functions), ("Classes", classes), ("Errors and warnings", errors)):
         parts.append(f"## {title}\n")
         for name, value in members.items():
@@ -129,16 +129,16 @@ def tables_page() -> str:
     lines = [
         "# Tables of a store",
         "",
-        "Every table is a view in `jrdb-avr sql`, which also accepts `SHOW TABLES` and `DESCRIBE intervals_actions`. A",
-        "table that does not exist yet is an empty view.",
+        "In `jrdb-avr sql`, every table is a view. A table that is not written yet is an empty view. `SHOW TABLES`",
+        "lists the views, and `DESCRIBE intervals_actions` lists the columns of one view.",
         "",
-        "`sightings_keypoints` is `intervals_sightings` with the column `keypoints` of `annotations_poses` at the same",
-        "frame, or null.",
+        "The view `sightings_keypoints` adds the column `keypoints` to `intervals_sightings`. Its values come from",
+        "`annotations_poses` at the same frame. They are null if that table has no row for the person and frame.",
         "",
-        "Tables `annotations_...` hold the content of the files: one row per fact, with raw values. Tables",
-        "`intervals_...` hold facts derived from them, as intervals of frames that include both ends; `load --rebuild`",
-        "derives them again. `intervals_actions`, `_memberships`, `_interactions` and `_handles` are written labels;",
-        "`intervals_possible_...` are facts without a label that may hold.",
+        "Tables `annotations_...` hold the content of the label files: one row per fact, with raw values. Tables",
+        "`intervals_...` hold facts derived from the annotations. An interval includes its first and last frame. `load",
+        "--rebuild` derives the intervals again. `intervals_actions`, `_memberships`, `_interactions` and `_handles`",
+        "come from labels. `intervals_possible_...` hold facts that have no label but may be true.",
         "",
     ]
     for name, schema, private in views():

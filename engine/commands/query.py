@@ -31,7 +31,7 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.argument("query", required=False, shell_complete=complete_query),
         store_option(required=False),
         pairs_option(
-            "--param", "params", "Value of the parameter $NAME of the query: JSON or plain text. May be repeated."
+            "--param", "params", "Set the parameter $NAME of the query to VALUE (JSON or plain text). May be repeated."
         ),
         click.option(
             "--timeout",
@@ -42,7 +42,7 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
-        click.option("--parquet", type=FILE, help="Write the rows as a Parquet file."),
+        click.option("--parquet", type=FILE, help="Parquet file to write instead of printing the rows."),
     ):
         function = decorate(function)
     return function
@@ -53,8 +53,8 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def cypher(**options: Any) -> None:
     """Query the graph of a store with Cypher.
 
-    QUERY is one read-only statement, the name of a saved query (see --list), a file FILE.cypher, or - for standard
-    input.
+    QUERY is a statement that only reads, the name of a saved query (see --list), the path of a file FILE.cypher that
+    holds a statement, or - to read a statement from standard input.
 
     Examples:
       jrdb-avr cypher --list
@@ -69,8 +69,8 @@ def cypher(**options: Any) -> None:
 def sql(**options: Any) -> None:
     """Query the tables of a store with SQL.
 
-    QUERY is one read-only statement, the name of a saved query (see --list), a file FILE.sql, or - for standard input.
-    'jrdb-avr schema tables' prints the tables.
+    QUERY is a statement that only reads, the name of a saved query (see --list), the path of a file FILE.sql that holds
+    a statement, or - to read a statement from standard input. 'jrdb-avr schema tables' lists the tables.
 
     Examples:
       jrdb-avr sql 'SHOW TABLES' --store S
@@ -118,7 +118,10 @@ def _run(
 
 
 def _statement(language: Language, query: str) -> str:
-    """Return the query, or the text of the file that it names. Raise InputError if the file cannot be read."""
+    """Return the query. If it names a file or standard input, return the text read from there.
+
+    Raise InputError if the text cannot be read.
+    """
     if query != "-" and not re.fullmatch(rf"\S+\.{language}", query):
         return query
     try:

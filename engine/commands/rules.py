@@ -1,4 +1,4 @@
-"""`jrdb-avr rules`: list the rules of the benchmark, which `--rule` changes."""
+"""`jrdb-avr rules`: list the rules of the benchmark. The option `--rule` of other commands changes them."""
 
 from __future__ import annotations
 

@@ -28,16 +28,16 @@ def command() -> None:
 
 @command.command(
     name="list",
-    short_help="List the runs and whether each is complete.",
+    short_help="List the runs, and whether each run is complete.",
     epilog="Example: jrdb-avr runs list --store S",
 )
 @store_option()
 @form_option
 def runs_list(store: Store, form: RowFormat) -> None:
-    """List the runs with method, model, state, and number of questions by status.
+    """List the runs with their method, model, state, and number of questions per status.
 
-    The state of a run is "complete", "unfinished", "damaged", or "other questions" if the questions of the store have
-    changed since the run began.
+    The state of a run is "complete", "unfinished", "damaged" or "other questions". The state "other questions" means
+    that the questions of the store have changed since the run began.
     """
     from jrdb_avr.engine.run.overview import list_runs
 
@@ -49,13 +49,13 @@ def runs_list(store: Store, form: RowFormat) -> None:
 
 
 @command.command(
-    short_help="Show the questions and settings of a run.", epilog="Example: jrdb-avr runs show agent-marker --store S"
+    short_help="Show the settings and failures of a run.", epilog="Example: jrdb-avr runs show agent-marker --store S"
 )
 @run_argument("run")
 @store_option()
 @form_option
 def show(run: str, store: Store, form: RowFormat) -> None:
-    """Show the selection of a run's questions, the run's settings, and the most frequent reasons of missing answers."""
+    """Show how a run's questions were selected, its settings, and the most frequent reasons for missing answers."""
     from jrdb_avr.engine.run.overview import show_run
 
     facts = show_run(store, run)
@@ -64,7 +64,7 @@ def show(run: str, store: Store, form: RowFormat) -> None:
         return
     note(f"in {facts.pop('folder')}")
     rows = [{"what": name, "value": value} for name, item in facts.items() for name, value in _lines(name, item)]
-    # The prefix is left out, because names of settings are long.
+    # The prefix is removed, because the names of settings are long without it.
     rows = [{**row, "what": row["what"].removeprefix("settings.")} for row in rows if row["value"] not in (None, "")]
     print_rows(rows)
 
@@ -87,11 +87,11 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
 @store_option()
 @click.option("--run-id", required=True, help="Name of the new run.")
 def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
-    """Make one run of all the shards that 'evaluate --shard' wrote.
+    """Merge all shards of a run into one run. 'evaluate --shard' writes the shards.
 
     If shards were written on other machines, first copy the folders of these runs into the folder runs of the store.
-    The shards must have the same method, model and settings, and their selections must differ only in the shard.
-    Merging leaves the shards unchanged.
+    The shards must have the same method, model and settings. Their selections of questions must be equal except for the
+    shard. Merging leaves the shards unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs
 
@@ -114,7 +114,7 @@ def remove(run_ids: tuple[str, ...], store: Store, yes: bool) -> None:
 
     if not yes:
         if not sys.stdin.isatty():
-            raise click.UsageError("no terminal for the question whether to delete: add --yes")
+            raise click.UsageError("there is no terminal to ask for confirmation: add --yes")
         click.confirm(f"Delete {', '.join(run_ids)} of {store.path} for good?", abort=True)
     for run_id in dict.fromkeys(run_ids):
         remove_run(store, run_id)
@@ -141,9 +141,9 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     """Compare two runs on the questions that both runs contain.
 
     The table shows the scores of both runs in percent, and the difference in points: the second score minus the first.
-    It also shows a 95 % interval of the difference, how many questions only one run has right, and p of the exact
-    McNemar test. Below the table are the questions that only one run has right by --score. --json and --csv print only
-    these questions.
+    It also shows a 95 % interval of the difference, the number of questions that only one run has right, and the
+    p-value of the exact McNemar test. Below the table, the command lists the questions that only one run has right by
+    --score. With --json or --csv, it prints only this list.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals

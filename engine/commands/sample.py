@@ -17,7 +17,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 @click.option(
     "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Number of frames per sequence."
 )
-@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="People in view at once.")
+@click.option("--people", type=click.IntRange(1, 300), default=34, show_default=True, help="Number of people in view.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the synthetic data.")
 @click.option("--no-images", is_flag=True, help="Write label files, but no panoramas.")
 @click.option(
@@ -25,7 +25,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     type=click.Choice(("keyframes", "changes", "all")),
     default="changes",
     show_default=True,
-    help="Frames that get a panorama. 'changes': the keyframes, and the frames just before and after labels change.",
+    help="Frames that get a panorama. 'changes': keyframes, and the frames just before and just after a label changes.",
 )
 @click.option(
     "--full-scale", is_flag=True, help="Write 27 sequences as large as the JRDB test split, without panoramas."
@@ -35,8 +35,8 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat, **options: Any) -> None:
     """Write synthetic data to the new folder DIR, in the layout of JRDB, so that 'load' can read it.
 
-    The data are label files, and panoramas with drawn people. Each drawn person carries a mark that the simulated model
-    can read. The default size is 5 sequences of 1,050 frames.
+    The data are label files and panoramas. The panoramas show drawn people. Each drawn person carries a mark that the
+    simulated model can read. The default size is 5 sequences of 1,050 frames.
 
     Examples:
       jrdb-avr sample ./sample

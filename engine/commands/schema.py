@@ -16,9 +16,9 @@ from jrdb_avr.engine.console import RowFormat, print_rows
 def command(what: str, names: tuple[str, ...], mermaid: bool, form: RowFormat) -> None:
     """Print the tables of the graph (for queries with 'cypher') or the tables of the store (for queries with 'sql').
 
-    If NAMEs are given, the command prints the columns of these tables. A NAME is a table, or a part that stands for all
-    tables in it. The parts of the graph are scene, keyframes and beliefs. The parts of the store are annotations,
-    intervals, questions and runs. The command needs no store.
+    If NAMEs are given, the command prints the columns of these tables. A NAME is the name of one table, or the name of
+    a part, which selects all tables of the part. The parts of the graph are scene, keyframes and beliefs. The parts of
+    the store are annotations, intervals, questions and runs. The command needs no store.
 
     Examples:
       jrdb-avr schema graph scene

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 @store_option()
 @click.option("--replay", is_flag=True, help="Also repeat all proofs, and run each plan as a Cypher query.")
 @executor_option
-@pairs_option("--rule", "overrides", "Rule that was given to 'generate'. May be repeated.")
+@pairs_option("--rule", "overrides", "Change a rule to the value that 'generate' used. May be repeated.")
 @form_option
 def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple[str, str]], form: RowFormat) -> None:
     """Check the questions of a store, and derive all answers and proofs again with a second program.
 
     The command checks files, ids, choices, answers, texts and evidence. The second program reads only the annotation
     tables, and shares no code with 'generate'. With --replay, the code of 'generate' also repeats all proofs of the
-    stored plans. Each plan then also runs as a Cypher query on the graph, which must find the stored people and the
+    stored plans. Each plan then also runs as a Cypher query on the graph. The query must find the stored people and the
     stored answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
@@ -38,7 +38,7 @@ def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple
     if form:
         print_data(found.rows(), form)
     else:
-        # Because the faults follow, one per line.
+        # The first faults are left out, because all faults follow, one per line.
         print_rows([{name: row[name] for name in row if name != "first fault"} for row in found.rows()])
     for name, faults in found.faults.items():
         for fault in faults[:20]:

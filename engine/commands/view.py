@@ -26,8 +26,8 @@ def command(store: Store, answers: bool, images: Path | None, port: int, iou: fl
     """Show the runs and questions of a store in the browser.
 
     There is an overview of all runs, a page per question with its panoramas and the steps of each run, and a comparison
-    of any two runs. The command prints the address to open. The address contains a token. Ctrl-C ends the command. Runs
-    are read only at the start.
+    of any two runs. The command prints the address to open. The address contains a token. Ctrl-C ends the command. The
+    command reads the runs once, when it starts. To see newer runs, start it again.
     """
     from jrdb_avr.engine.local_server import LocalServer
     from jrdb_avr.engine.pages.view import Viewer

@@ -43,7 +43,7 @@ def command() -> None:
 def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
     """Add the world models of finished runs to the graph of the store.
 
-    If the graph has earlier versions of the world models of these runs, they are replaced.
+    If the world model of a run is already in the graph, it is replaced.
     """
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import merge_world
@@ -63,7 +63,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Drop the world models of runs from the graph. The files of the runs stay, so that 'load' adds them again."""
+    """Drop the world models of runs from the graph. The folders of the runs keep them for the next 'load'."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.schema.errors import StoreError
@@ -73,7 +73,7 @@ def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
         if absent := [row["run"] for row in rows if not row["episodes"]]:
             raise StoreError(f"{store.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")
         for number, row in enumerate(rows, 1):
-            # If the process is killed, the world model of each run is either complete or removed.
+            # If the process is killed, each run has either its complete world model or none.
             with graph.transaction():
                 drop_world(graph, row["run"])
             progress("dropping", number, len(rows))
@@ -114,7 +114,7 @@ def _graph_path(store: Store) -> Path:
 
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:
-    """Return a row with the numbers of episodes and of writes that a graph holds of a run."""
+    """Return a row with a run's number of episodes in a graph, and its number of writes."""
     from jrdb_avr.queries.beliefs.record import writes_held
 
     held = writes_held(graph, run_id)
