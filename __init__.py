@@ -6,14 +6,14 @@
     avr.evaluate("store", "react", "marker", avr.EvaluateOptions(selection=avr.QuestionSelection(limit=20)))
     avr.report("store")
 
-In a script, put these lines under `if __name__ == "__main__":`, because worker processes import the script. A public
-name imports its module only when the name is first used. `__init__.pyi` lists the public names.
+In a script, put these lines under `if __name__ == "__main__":`, because worker processes import the script. The
+module of a public name is imported when the name is first used. `__init__.pyi` lists the public names.
 
 Each package imports only packages above it in this list, except that `agent` imports only `schema` and `queries`:
 
 schema   the data model: plans, answers, tables, rules and errors
 queries  the store, its graph, and queries of both in SQL and Cypher
-loaders  readers of JRDB files, which write annotation tables, intervals and the graph; the synthetic sample world
+loaders  readers that turn JRDB files into annotation tables, intervals and the graph; the synthetic sample world
 engine   generation of questions, proofs, observation, scoring, runs, reports and the command line
 agent    methods that answer the questions
 """

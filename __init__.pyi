@@ -1,4 +1,4 @@
-"""Public names of `jrdb_avr`, in the order of docs/api.md. Type checkers read this file, and so does `__init__.py`."""
+"""Public names of `jrdb_avr`, in the order of docs/api.md. Type checkers and `__init__.py` read this file."""
 
 from jrdb_avr.loaders.load import load as load
 from jrdb_avr.engine.generate.run import generate as generate

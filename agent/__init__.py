@@ -1,1 +1,1 @@
-"""Methods that take the benchmark, and the model server that reads marks."""
+"""Methods that answer the questions, the client of model servers, and the simulated model."""

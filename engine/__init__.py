@@ -1,1 +1,1 @@
-"""The benchmark: generation, proofs, observation, scoring, runs, reports, the command line."""
+"""The benchmark: generation of questions, proofs, observation, scoring, runs, reports and the command line."""

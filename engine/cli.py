@@ -26,13 +26,13 @@ COMMANDS: Final[dict[str, str]] = {
     "generate": "Find and prove the questions of a store.",
     "rules": "List the rules of the benchmark.",
     "validate": "Check the questions, and derive their answers again.",
-    "stats": "Count questions, and score guessers without images.",
+    "stats": "Count questions, and score guessers that see no image.",
     "cypher": "Query the graph with Cypher.",
     "sql": "Query the tables with SQL.",
     "schema": "Print the tables of the graph and of the store.",
     "observe": "Write a crop of a panorama as PNG.",
     "preflight": "Check a model's server before a run.",
-    "calibrate": "Find out how a model writes coordinates of boxes.",
+    "calibrate": "Find out how a model writes the coordinates of a box.",
     "evaluate": "Let a method answer the questions.",
     "mcp": "Serve the questions to an MCP agent.",
     "play": "Let a person answer the questions in the browser.",
@@ -74,12 +74,12 @@ class LazyGroup(NamingGroup):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command and return it. Return None for an unknown name."""
+        """Import a command and return it. Return None if the name is unknown."""
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"jrdb_avr.engine.commands.{_MODULES.get(cmd_name, cmd_name)}")
         command: click.Command = getattr(module, cmd_name, None) or module.command
-        # Click joins the lines of a paragraph, unless it begins with a backspace character. Examples keep their lines.
+        # Click joins the lines of a paragraph that does not begin with a backspace. Examples must keep their lines.
         command.help = re.sub(r"\n\n(?=Examples?:\n|  )", "\n\n\b\n", inspect.cleandoc(command.help or ""))
         return command
 
@@ -99,7 +99,7 @@ class LazyGroup(NamingGroup):
 def group(ctx: click.Context) -> None:
     """Benchmark of active visual reasoning on JRDB: questions with proofs, methods that look and answer, and scores.
 
-    Without a command, print the stores in the working directory, and the next commands for each.
+    Without a command, print the stores in the working directory, and the next commands to type for each store.
     """
     if ctx.invoked_subcommand is None:
         steps = importlib.import_module("jrdb_avr.engine.commands._next").next_steps(Path.cwd())

@@ -24,7 +24,7 @@ from jrdb_avr.engine.text_table import clean
 from jrdb_avr.schema.errors import AvrWarning
 
 _FORMULA: Final = ("=", "+", "-", "@", "\t")
-"""Characters that begin a formula in a spreadsheet. A carriage return is missing, because `clean` removes it."""
+"""Characters that begin a formula in a spreadsheet. The carriage return is not listed, because `clean` removes it."""
 
 _WIDTH: Final = 100
 """Characters per line if stdout is not a terminal and `COLUMNS` is not set."""
@@ -38,14 +38,14 @@ RowFormat = Literal["", "json", "csv"]
 
 def print_json(rows: Iterable[Any]) -> None:
     """Print rows as one JSON array."""
-    # msgspec writes NaN and infinity as null. DuckDB returns sums of integers as decimals, which must be numbers too.
+    # msgspec writes NaN and infinity as null. DuckDB returns sums of integers as decimals, which become numbers.
     click.echo(msgspec.json.Encoder(enc_hook=str, decimal_format="number").encode(list(rows)))
 
 
 def csv_text(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = ()) -> str:
     """Return rows as CSV with a header line.
 
-    An apostrophe is put before a text that a spreadsheet would run as a formula, because texts may come from models.
+    Texts may come from models. If a spreadsheet would run a text as a formula, an apostrophe is put before the text.
 
     Args:
         rows: The rows. None becomes an empty cell. Lists and dictionaries become JSON.
@@ -85,7 +85,8 @@ def print_rows(
 ) -> None:
     """Print rows as a table, JSON or CSV.
 
-    The width of a table is the width of the terminal. If stdout is not a terminal, it is `COLUMNS` or 100 characters.
+    A table is as wide as the terminal. If stdout is not a terminal, the environment variable COLUMNS sets the width in
+    characters. The default is 100.
 
     Args:
         rows: The rows. A table on a terminal shows at most 100 rows.
@@ -104,7 +105,7 @@ def print_rows(
     if title:
         click.echo(clean(title))
     for table in text_table.make_tables(printed, columns, width):
-        # A rich console splits a table that is wider than the console.
+        # Because rich splits a table that is wider than its console.
         wide = sum((column.width or 0) + 3 for column in table.columns) + 1
         Console(width=max(width, wide), highlight=False).print(table)
     if len(printed) < len(rows):

@@ -2,8 +2,8 @@
 
     http://127.0.0.1:PORT/TOKEN/...
 
-The server refuses requests without its token. A page of another site could send requests to the port through the
-browser, but the browser then sends another `Host` or `Origin`, so the server refuses these requests too.
+The server refuses requests without its token. A page of another site could make the browser send requests to the port.
+The header `Host` or `Origin` of such a request names the other site, so the server refuses the request.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ HTML: Final = "text/html; charset=utf-8"
 PLAIN: Final = "text/plain; charset=utf-8"
 
 _LONGEST_BODY: Final = 1 << 16
+"""Maximum bytes of the body of a request."""
+
 _IDLE_S: Final = 60.0
 """Maximum seconds without data on a connection. The server then closes it."""
 
@@ -80,7 +82,7 @@ def listen(port: int) -> socket.socket:
 
 
 def hosts_of(listener: socket.socket) -> list[str]:
-    """Return the values of the `Host` header that a browser on this machine sends if it connects to the socket."""
+    """Return the allowed values of the header `Host`: the addresses of a listening socket on this machine."""
     return [f"{name}:{listener.getsockname()[1]}" for name in ("127.0.0.1", "localhost")]
 
 
@@ -90,14 +92,14 @@ def new_token() -> str:
 
 
 def same_token(sent: bytes, token: bytes) -> bool:
-    """Return whether two tokens are equal. The time does not depend on their content."""
+    """Return whether two tokens are equal. The time of the comparison does not depend on their characters."""
     return hmac.compare_digest(sent, token)
 
 
 class LocalServer(ThreadingHTTPServer):
     """A server that answers requests with the responses of one function.
 
-    If the function raises an AvrError, the response is its message in one line, with status 404.
+    If the function raises an AvrError, the response is the message of the error in one line, with status 404.
 
     Attributes:
         url: The address to open, with the token.
@@ -106,7 +108,7 @@ class LocalServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, respond: Callable[[Request], Response], port: int = 0) -> None:
-        """Listen on a port, or on a free port if it is 0. Raise InputError if the port cannot be used."""
+        """Listen on a port. Port 0 chooses a free port. Raise InputError if the port cannot be used."""
         listener = listen(port)
         super().__init__(listener.getsockname(), _Handler, bind_and_activate=False)
         self.socket.close()
@@ -117,7 +119,7 @@ class LocalServer(ThreadingHTTPServer):
         self.url = f"http://{self.hosts[0]}/{self._token}/"
 
     def answer(self, method: str, target: str, headers: Any, body: bytes) -> Response:
-        """Return the response of the function to a request. If the request is not allowed, return a refusal."""
+        """Return the response to a request. Return a refusal if the request is not allowed."""
         host, origin = headers.get_all("Host", []), headers.get_all("Origin", [])
         if len(host) != 1 or host[0] not in self.hosts or any(own != f"http://{host[0]}" for own in origin):
             return _refused("this server accepts only requests from its own pages")
@@ -154,14 +156,14 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdecimal() and len(length) < 8 and int(length) <= _LONGEST_BODY):
-            # The body is not read, so it would be taken for the next request of the connection.
+            # Close the connection, because the unread body would be taken for the next request.
             self.close_connection = True
             self._send(Response(b"the request needs a Content-Length of at most 64 KB\n", PLAIN, 413))
             return
         self._send(self.server.answer("POST", self.path, self.headers, self.rfile.read(int(length))))
 
     def _send(self, response: Response) -> None:
-        # A browser closes the connection if the user has left the page.
+        # Sending fails if the user has left the page, because the browser then closes the connection.
         with contextlib.suppress(ConnectionError, TimeoutError):
             self.send_response(response.status)
             for name, value in {

@@ -23,7 +23,7 @@ _MAX_TRANSPOSED: Final = 3
 """Maximum number of rows of a table that is transposed."""
 
 _MAX_KEYS: Final = 3
-"""Maximum number of key columns, which each part of a divided table repeats."""
+"""Maximum number of key columns of a divided table. Each part of the table repeats the key columns."""
 
 _ENGINE_FIELDS: Final = ("_ID", "_SRC", "_DST", "_LABEL")
 """Fields that the graph engine adds to nodes and relations. They are not printed."""
@@ -36,7 +36,7 @@ def clean(value: object) -> str:
         value: Any value. None becomes an empty text.
 
     Returns:
-        The text. It cannot move the cursor of a terminal or change colours.
+        The text. A terminal that prints it does not move its cursor or change its colours.
     """
     return _CONTROL.sub("", "" if value is None else str(value))
 
@@ -48,7 +48,7 @@ def cell_text(value: object) -> str:
         value: A value of a row.
 
     Returns:
-        The text. A float has six significant digits. Nodes, relations and paths of the graph look as in Cypher.
+        The text. A float has six significant digits. Nodes, relations and paths of the graph are written as in Cypher.
 
     >>> cell_text({"_ID": 0, "_LABEL": "Person", "track": 3, "age": None})
     '(:Person {track: 3})'
@@ -90,7 +90,7 @@ def make_tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width
 
     Args:
         rows: The rows.
-        columns: Names of the columns. If empty, all keys of the rows.
+        columns: Names of the columns. If there are none, all keys of the rows are columns.
         width: Maximum characters per line. A line is longer only if a single word does not fit.
 
     Returns:
@@ -147,7 +147,8 @@ def _make_table(names: Sequence[str], cells: _Cells, numbers: set[str], width: i
     from rich.table import Table
     from rich.text import Text
 
-    # Widths are set here, because rich may shrink a column below its longest word. Columns that need least grow first.
+    # Widths are set here, because rich may shrink a column below its longest word.
+    # The columns that need the least additional width grow first.
     widths = {name: max(1, _max_length(str.split, name, cells)) for name in names}
     lacks = {name: _max_length(str.splitlines, name, cells) - widths[name] for name in names}
     spare = max(0, width - sum(widths.values()) - 3 * len(names) - 1)

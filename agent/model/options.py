@@ -42,22 +42,22 @@ class EndpointOptions(Options):
     base_url: str | None = option(None, "Address of an OpenAI-compatible server, such as http://localhost:8000/v1.")
     response_format: ResponseFormat = option(
         "json_schema",
-        "How a request demands JSON. 'json_schema': it holds the JSON schema of the reply. 'json_object': it demands a "
-        "JSON object, but holds no schema. 'none': only the prompt demands JSON.",
+        "How requests demand JSON. 'json_schema': by the JSON schema of the reply. 'json_object': by the mode for JSON "
+        "objects, without a schema. 'none': only by the text of the prompt.",
         choices=get_args(ResponseFormat),
     )
     thinking: Thinking = option(
         "off",
-        "Whether replies begin with thinking; 'template' keeps the chat template's default.",
+        "Whether the model thinks before it replies. 'template' keeps the default of the chat template.",
         choices=get_args(Thinking),
     )
     max_tokens: int = option(2048, "Maximum tokens of a reply, including thinking.", minimum=16, maximum=1 << 20)
     timeout_s: float = option(300.0, "Maximum seconds to wait for a reply.", flag="timeout", minimum=1, maximum=86_400)
     retries: int = option(4, "Maximum repetitions of a request after network or server errors.", minimum=0, maximum=100)
-    temperature: float | None = option(0, "Sampling temperature; 'none' keeps the default of the server.")
+    temperature: float | None = option(0, "Sampling temperature. 'none' keeps the default of the server.")
     token_parameter: TokenParameter = option(
         AUTO,
-        "Name of the limit --max-tokens in requests. 'auto' tries max_tokens first, then max_completion_tokens.",
+        "Request key that holds --max-tokens. 'auto' tries max_tokens first, then max_completion_tokens.",
         choices=get_args(TokenParameter),
     )
     extra_body: Mapping[str, Any] = option({}, "JSON object with keys to add to every request.")
@@ -66,16 +66,16 @@ class EndpointOptions(Options):
     )
     api_key_env: str = option("OPENAI_API_KEY", "Environment variable that holds the key of the server.")
     rpm: int | None = option(None, "Maximum number of requests per minute.", minimum=1)
-    tpm: int | None = option(None, "Maximum number of tokens per minute, in prompts and replies.", minimum=1)
+    tpm: int | None = option(None, "Maximum tokens per minute, for prompts and replies together.", minimum=1)
     price: Price | None = option(
         None,
-        "TOML file with a table per model. The keys input and output hold dollars per million tokens.",
+        "TOML file of prices. Each model has a table with the keys input and output: dollars per million tokens.",
         flag="prices",
     )
     max_cost: float | None = option(
         None,
-        "Stop the run when its calls have cost this much at --prices. Requests in progress may add to the cost. "
-        "--resume with a higher maximum continues the run, without the cost of replies that were cut off or refused.",
+        "Stop the run when its calls have cost this much by --prices. Requests in progress may add to the cost. To go "
+        "on, use --resume with a higher maximum. The costs so far count, except of replies cut off or refused.",
         minimum=0,
         metavar="DOLLARS",
     )

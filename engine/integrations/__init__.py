@@ -1,1 +1,1 @@
-"""The benchmark in other frameworks. A module that needs a framework is imported only with its extra installed."""
+"""Adapters that offer the benchmark to other frameworks. Some of them need packages of an extra of this package."""

@@ -1,4 +1,4 @@
-"""Options of a run, grouped by subject. `evaluate`, the command line and `runs.toml` all fill these classes."""
+"""Options of a run, grouped by subject. The library, the command line and TOML files of runs share these classes."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 class QuestionSelection(Options):
     """Options that select the questions of a run. The default is all questions.
 
-    A question must match every non-empty tuple of names. The same selection from the same store always gives the same
-    list. A larger `limit` or `per_template` only adds questions to the list, so that a run can grow.
+    If several tuples are not empty, a question must match all of these tuples. The same selection from the same store
+    always gives the same list. A larger `limit` or `per_template` only adds questions to the list, so that a run can
+    grow.
     """
 
     questions: tuple[str, ...] = option((), "Ids of questions, separated by commas, or a file with one id per line.")
@@ -42,8 +43,8 @@ class QuestionSelection(Options):
     seed: int | None = option(None, "Take questions in the random order of this seed. Default: the order of the store.")
     shard: tuple[int, int] | None = option(
         None,
-        "Answer shard I of N: sort the sequences by name, start at the Ith, take every Nth, and answer the selected "
-        "questions of these. The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
+        "Answer shard I of N: the selected questions of the Ith sequence by name and of every Nth sequence after it. "
+        "The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
         metavar="I/N",
     )
 
@@ -53,13 +54,13 @@ class QuestionSelection(Options):
 
         Args:
             questions: A selection, the ids of questions, or None for all questions.
-            limit: Maximum number of questions, in place of the maximum of the selection. None keeps that maximum.
+            limit: Maximum number of questions. It replaces the selection's own limit. None keeps the selection's limit.
 
         Returns:
             The selection.
 
         Raises:
-            InputError: If `questions` has no id.
+            InputError: If `questions` is an empty collection of ids.
         """
         if not isinstance(questions, QuestionSelection):
             ids = None if questions is None else tuple(dict.fromkeys(questions))
@@ -69,7 +70,7 @@ class QuestionSelection(Options):
         return questions if limit is None else replace(questions, limit=limit)
 
     def record(self) -> dict[str, Any]:
-        """Return the options that differ from their defaults, as plain JSON. It is empty for all questions."""
+        """Return the options that differ from their defaults, as plain JSON. Empty if all questions are selected."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         given = {name: value for name, value in values.items() if value not in (None, ())}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
@@ -81,14 +82,14 @@ class MethodOptions(Options):
 
     policy: Policy | None = option(
         None,
-        "Who chooses the looks of agent and agent-no-world. 'model': the model. 'guided': the model, among the looks "
-        "that the program rates best. 'driven' (default): the program. 'guided' and 'driven' send pictures one by one.",
+        "Who chooses where agent and agent-no-world look. 'model': the model. 'guided': the model, from the program's "
+        "proposals. 'driven' (default): the program. With 'guided' or 'driven', the model gets one picture at a time.",
         choices=POLICIES,
     )
     history: int | None = option(
         None,
-        "For react, and for agent-no-world with --policy model: send the last N pictures in each turn, and only frame "
-        "and angle of older pictures. Default: send all pictures.",
+        "For react, and for agent-no-world with --policy model: send only the last N pictures in each turn, and the "
+        "frame and angle of each older picture. Default: send all pictures.",
         minimum=1,
         metavar="N",
     )
@@ -98,7 +99,7 @@ class MethodOptions(Options):
     )
     marker: Knobs | None = option(
         None,
-        "Change one knob of the simulated model's profile, such as wrong_box=0.1, ids=off or seed=3. docs/models.md "
+        "Change one setting (knob) of the simulated model, such as wrong_box=0.1, ids=off or seed=3. docs/models.md "
         "lists the knobs. May be repeated.",
         metavar="KEY=VALUE",
     )
@@ -108,8 +109,8 @@ class MethodOptions(Options):
 class RunOptions(Options):
     """Options of the run itself: its name, its files, and how it proceeds.
 
-    Runs that answer the same questions several times differ in `epoch`, which counts from 1. The name of such a run
-    ends in its epoch, and each epoch gives the simulated model another seed.
+    To answer the same questions several times, make several runs that differ in `epoch`: 1, 2, 3 and so on. The name of
+    such a run ends in its epoch. In each epoch, the simulated model has another seed.
     """
 
     run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL. A non-default --policy is added.")
@@ -120,11 +121,11 @@ class RunOptions(Options):
     )
     concurrency: int = option(16, "Maximum number of questions answered at the same time.", minimum=1, maximum=64)
     images: Path | None = option(
-        None, "Folder of the panoramas, with one folder per sequence. Default: the folder that the store records."
+        None, "Folder of the panoramas, with one folder per sequence. Default: the folder recorded in the store."
     )
     world_db: Path | None = option(
         None,
-        "Graph file for the agent's world model, instead of the graph of the store. Needed if other runs use that "
+        "Graph file for the agent's world model, instead of the store's graph. Needed if other runs use the store's "
         "graph at the same time, or if the store is public.",
     )
     strict_preflight: bool = option(
