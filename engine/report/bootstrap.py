@@ -26,7 +26,7 @@ LEAST_CLUSTERS: Final = 10
 _TAILS: Final = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
 
 _BATCH: Final = 32
-"""Maximum number of pairs that are compared in one array. A pair takes 80 kB per score."""
+"""Maximum number of pairs of runs that are compared in one array. A pair takes 80 kB per score."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def draws(clusters: int, n: int = DRAWS, seed: int = SEED) -> Floats:
     """Draw clusters with replacement.
 
     Args:
-        clusters: Number of clusters. Each draw takes this many.
+        clusters: Number of clusters. Each draw takes as many clusters.
         n: Number of draws.
         seed: Seed of the random generator.
 
@@ -65,13 +65,13 @@ def draws(clusters: int, n: int = DRAWS, seed: int = SEED) -> Floats:
     """
     generator = np.random.default_rng(seed)
     counts = generator.multinomial(clusters, np.full(clusters, 1 / clusters), size=n).astype(np.float64)
-    # Read-only, because all comparisons with this number of clusters share the cached array.
+    # The array is read-only, because all comparisons with this number of clusters share the cached array.
     counts.flags.writeable = False
     return counts
 
 
 Statistic = Callable[[Floats], Floats]
-"""Function from the sums of columns in each draw (draws, columns) to one value per draw (draws), NaN if undefined."""
+"""Function that maps the column sums of each draw (draws, columns) to a value per draw (draws). NaN means undefined."""
 
 
 def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, seed: int = SEED) -> list[Interval]:
@@ -118,7 +118,7 @@ def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
 
 
 def mean_ratio(*pairs: tuple[int, int]) -> Statistic:
-    """Make the statistic that is the mean of several ratios. Each ratio has the sums of two columns.
+    """Make the statistic that is the mean of several ratios. A ratio divides the sum of one column by another sum.
 
     One pair gives a plain ratio, such as a share. Several pairs give a macro average.
 
@@ -142,7 +142,7 @@ def mean_ratio(*pairs: tuple[int, int]) -> Statistic:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Compute the exact two-sided McNemar test.
+    """Compute the p-value of the exact two-sided McNemar test.
 
     Args:
         only_first: Number of questions that only the first run has right.
@@ -152,7 +152,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
         The p-value: the probability of an equally or more uneven split if both runs are equally good.
     """
     n, least = only_first + only_second, min(only_first, only_second)
-    # Computed in integers, because 2 ** n overflows a float if the benchmark is large.
+    # The sum is computed in integers, because 2 ** n overflows a float if the benchmark is large.
     below = term = 1
     for k in range(1, least + 1):
         term = term * (n - k + 1) // k
@@ -177,7 +177,8 @@ def compare(
     """
     names, numbers = np.unique(clusters, return_inverse=True)
     sums = numbered_sums(numbers, len(names), np.concatenate([*scores, np.ones((len(clusters), 1))], axis=1))
-    # Draw each run once for all its comparisons. The first draw is the sample itself, which gives the shares.
+    # The sums of a run's draws serve all comparisons of the run. The first draw is the sample itself. It gives
+    # the shares.
     times = np.concatenate([np.ones((1, len(sums))), draws(len(sums), n, seed)])
     *drawn, questions = sums.T @ times.T
     of_runs = np.reshape(drawn, (len(scores), -1, len(times)))

@@ -50,7 +50,7 @@ class Bundle:
 
 
 def write_bundle(store: Store | str | Path, run_id: str, folder: str | Path) -> Bundle:
-    """Write a finished run as a bundle. The bundle does not have the address of the model's server.
+    """Write a finished run as a bundle. The bundle does not contain the address of the model's server.
 
     Args:
         store: The store of the run, or its folder.
@@ -104,7 +104,7 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 
 def bundle_submission(store: Store, bundle: Bundle) -> Submission:
-    """Return the run of a bundle in the form that is scored.
+    """Return the run of a bundle in the form that `score_run` takes.
 
     Args:
         store: The store that has the answers.
@@ -137,7 +137,7 @@ def _manifest(data: bytes, path: Path) -> RunManifest:
 
 
 def _check_depth(value: object, limit: int) -> None:
-    """Raise ValueError if settings are nested deeper than `limit`. Pages render settings recursively."""
+    """Raise ValueError if settings are nested deeper than `limit`, because pages render settings recursively."""
     if not limit:
         raise ValueError("its settings are nested too deeply")
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()

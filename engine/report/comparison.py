@@ -61,7 +61,7 @@ class Comparison(Displayed):
         store: The store of the runs.
         index: The questions of the store, with their labels.
         runs: The scored runs, the best run first.
-        iou: Minimum IoU with which evidence scores.
+        iou: Minimum IoU for right evidence.
         paper: Whether the tables include the figures of the paper.
     """
 
@@ -186,7 +186,7 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+        iou: Minimum IoU of the evidence box and the target's box for right evidence.
 
     Returns:
         The scores of each run, the best run first.
@@ -209,7 +209,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+        iou: Minimum IoU of the evidence box and the target's box for right evidence.
         paper: Whether the tables include the figures of the paper.
 
     Returns:
@@ -263,7 +263,7 @@ class RunDifference(Displayed):
         ]
 
     def questions(self, score: str = "combined") -> list[Row]:
-        """Return the questions that one run answers correctly and the other does not, as judged by one score.
+        """Return the questions for which one run scores 1 and the other run scores 0. `score` names the score.
 
         Args:
             score: A name of `SCORES`.
@@ -297,7 +297,7 @@ class RunDifference(Displayed):
         return sorted(rows, key=lambda entry: (names.index(entry["only"]), entry["template"], entry["question_id"]))
 
     def _common(self) -> tuple[Ints, Digits, Digits]:
-        """Return the rows of the common questions in the index, and the scores of each run (questions, scores)."""
+        """Return the indexes of the common questions in `index`, and both runs' scores for them (questions, scores)."""
         common, first_rows, second_rows = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
         return common, self.first.scores[first_rows], self.second.scores[second_rows]
 
@@ -321,7 +321,7 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
         store: The store, or its folder.
         first: Id of the first run.
         second: Id of the second run.
-        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+        iou: Minimum IoU of the evidence box and the target's box for right evidence.
 
     Returns:
         The comparison of the two runs.
@@ -350,7 +350,7 @@ def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
             raise error
         warnings.warn(f"left out: {error}", AvrWarning, stacklevel=3)
 
-    # Stored scores are not used: they may have another IoU threshold, and scoring takes only milliseconds.
+    # Stored scores are not used, because they may have another IoU threshold. Scoring takes only milliseconds.
     # Repeated names are dropped, because the tables that are SQL queries would count such a run twice.
     runs = [*dict.fromkeys(names or ids)]
     done = [run for _, run in score_runs(read_truth(store), runs, partial(read_submission, store), iou, refuse)]

@@ -63,7 +63,7 @@ def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
 
 
 def _alike(cells: Mapping[_Cell, _Row], before: _Cell, after: _Cell, name: str) -> bool:
-    """Return whether a score changes in the paper's direction. An equal or undefined score does not."""
+    """Return whether a score changes in the paper's direction. Return False if it stays equal or is undefined."""
     first, second = cells[before][name], cells[after][name]
     paper = getattr(ABLATION[_METHODS[after]], name) - getattr(ABLATION[_METHODS[before]], name)
     return first is not None and second is not None and (second - first) * paper > 0

@@ -24,13 +24,13 @@ def epoch_rows(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
         One row per run and k, in percent of the questions that all epochs have. `answer`, `evidence` and `combined` are
         pass@k: the share of questions that at least one of k epochs has right, averaged over all choices of k epochs.
         `majority` is the share of questions that the most frequent answer of the first k epochs has right. If several
-        answers are equally frequent, the first of them counts.
+        answers are equally frequent, the answer that came first counts.
     """
     return [row for name, epochs in _groups(runs).items() if len(epochs) > 1 for row in _rows(name, epochs)]
 
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """Group epochs by the run id without the epoch. The epochs of a group are in ascending order."""
+    """Group runs by their run ids without the epoch at the end. Each group is sorted by epoch."""
     groups: dict[str, dict[int, ScoredRun]] = {}
     for run in runs:
         epoch, run_id = run.manifest.settings.get("epoch"), run.manifest.run_id

@@ -153,8 +153,8 @@ def markdown(rows: Rows) -> str:
 def latex(rows: Rows) -> str:
     """Return rows as a LaTeX table for the package booktabs.
 
-    If values repeat in the first column, rules separate the groups of equal values. Because settings are long, a cell
-    has only the number of a note. The notes are below the table.
+    If values repeat in the first column, rules separate the groups of equal values. Settings are long, so a cell of
+    the column `setting` has only the number of a note. The notes are below the table.
 
     Args:
         rows: The rows. `cell` formats their values.
@@ -173,7 +173,7 @@ def latex(rows: Rows) -> str:
             if cells[index][0] != cells[index - 1][0]:
                 cells.insert(index, SEPARATING_LINE)
     text = _tabulated(rows, cells, [name.replace("_", " ") for name in list_columns(rows)], "latex_booktabs")
-    # Braces, because LaTeX takes a bracket at the start of a row for an argument of the previous row's end.
+    # A bracket at the start of a row gets braces. LaTeX would take it for an argument of the previous row's end.
     text = re.sub(r"^( *)\[", r"\1{[}", text, flags=re.MULTILINE)
     escapes = str.maketrans(LATEX_ESCAPE_RULES)
     explained = (f"{note_number}: {_in_one_line(note).translate(escapes)}" for note, note_number in numbers.items())
@@ -209,7 +209,7 @@ def filled(rows: Rows) -> list[dict[str, Any]]:
         rows: The rows.
 
     Returns:
-        The rows. A value that a row lacked is an empty text.
+        The rows. If a row lacked a column, its value in this column is an empty text.
     """
     columns = list_columns(rows)
     return [{name: row.get(name, "") for name in columns} for row in rows]

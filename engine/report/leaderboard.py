@@ -1,4 +1,4 @@
-"""The leaderboard: bundles scored by the answers of one store. Bundles with the same questions are ranked together."""
+"""Score bundles by the answers of one store, and rank them. Each set of questions has its own ranking."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Leaderboard(Displayed):
     """Scored bundles.
 
     Attributes:
-        sets: For each question set the entries, the best combined score first.
-        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+        sets: For each question set, its entries. The entry with the best combined score comes first.
+        iou: Minimum IoU of the evidence box and the target's box for right evidence.
     """
 
     sets: list[list[Entry]]
@@ -57,7 +57,7 @@ class Leaderboard(Displayed):
 
     @property
     def synthetic(self) -> bool:
-        """Whether any bundle used the simulated model or the sample world. Its scores do not describe JRDB."""
+        """Whether any bundle used the simulated model or the sample world. Its scores would not describe JRDB."""
         return any(entry.bundle.run.synthetic for entries in self.sets for entry in entries)
 
     def _summary(self) -> str:
@@ -73,7 +73,7 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
     Args:
         store: The store that has the answers, or its folder.
         folders: Folders of bundles. A bundle that cannot be scored is left out with an AvrWarning.
-        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+        iou: Minimum IoU of the evidence box and the target's box for right evidence.
 
     Returns:
         The leaderboard. Each set of questions has its own ranking. The set with the most questions comes first.
@@ -108,7 +108,7 @@ def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou:
     Args:
         store: The store that has the answers, or its folder.
         folders: Folders of bundles.
-        iou: Minimum IoU of the evidence box and the target's box with which evidence scores.
+        iou: Minimum IoU of the evidence box and the target's box for right evidence.
 
     Returns:
         The scores of each bundle, in the order of the folders.

@@ -38,7 +38,7 @@ _Id = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class PredictionLine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The prediction for one question. The keys after `evidence` describe how it was made, and at what costs."""
+    """The prediction for one question. The keys after `evidence` say how the prediction was made, and at what cost."""
 
     question_id: _Id
     status: Status = "answered"
@@ -60,7 +60,7 @@ _SAME: Final = tuple(name for name in PredictionLine.__struct_fields__ if name n
 
 
 def write_lines(predictions: pa.Table) -> Iterator[bytes]:
-    """Write predictions as lines. The lines have no run id, because the reader of the lines chooses one.
+    """Write predictions as lines. The lines have no run id, because a run id is chosen when they are imported.
 
     Args:
         predictions: Rows of the table `predictions`.
@@ -111,7 +111,7 @@ def parse_lines(data: bytes, run_id: str, file: Path) -> pa.Table:
             ids.add(record.question_id)
             rows.append(_row(record, run_id))
         except (ValueError, RecursionError) as error:
-            # Line breaks are removed, because the message may quote an unknown key that has some.
+            # Line breaks are removed, because the message may quote an unknown key that contains line breaks.
             message = " ".join(str(error).split())
             raise InputError(
                 f"{file}, line {line_number}: {message}", file=str(file), field=f"line {line_number}"
@@ -143,7 +143,7 @@ def read_regular(path: Path, largest: int) -> bytes:
         InputError: If the file is missing, is larger than `largest`, or is not a regular file.
     """
     try:
-        # Not blocking, because a blocking open of a pipe would wait for a writer.
+        # The open does not block, because otherwise the open of a pipe would wait for a writer.
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise InputError(f"{path} is not a regular file", file=str(path))

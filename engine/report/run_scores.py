@@ -21,7 +21,7 @@ from jrdb_avr.schema.tables import RUNS
 _COLUMNS: Final = ("question_id", "status", "answer", "evidence_frame", *(f"evidence_{side}" for side in "xywh"))
 
 SCORED: Final = pa.schema(map(RUNS["predictions"].field, _COLUMNS))
-"""Schema of the columns of `predictions` on which scores depend."""
+"""Schema of those columns of `predictions` that the scores depend on."""
 
 _Source = TypeVar("_Source")
 
@@ -78,7 +78,7 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     Args:
         truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         submission: The run.
-        iou: Minimum IoU with which evidence scores, in (0, 1].
+        iou: Minimum IoU for right evidence, in (0, 1].
 
     Returns:
         The run with its scores. Its questions are in the order of `truth`.
@@ -115,8 +115,8 @@ def score_runs(
     Args:
         truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         sources: Run ids, or folders of bundles.
-        read: Called with each source to read its run.
-        iou: Minimum IoU with which evidence scores, in (0, 1].
+        read: Called with each source. It returns the run of the source.
+        iou: Minimum IoU for right evidence, in (0, 1].
         refuse: Called with the error when a run cannot be scored. If it returns, the run is left out.
 
     Returns:
@@ -137,7 +137,7 @@ def write_scores(store: Store, run: ScoredRun, iou: float) -> None:
     Args:
         store: The store of the run.
         run: The scored run.
-        iou: Minimum IoU with which evidence was scored.
+        iou: Minimum IoU for right evidence.
     """
     path = store.run_path(run.manifest.run_id) / "scores.parquet"
     write_table(path, make_scores_table(run), RUNS["scores"], {"evidence_iou": f"{iou:g}"})

@@ -26,7 +26,7 @@ _GAP_EDGES_S: Final = (5.0, 15.0, 30.0)
 _SEPARATION_EDGES_DEG: Final = (10.0, 30.0, 60.0)
 
 DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time_gap_s", "separation_deg", "sequence")
-"""Names of the properties that group questions. `time_gap_s` and `separation_deg` are grouped into bins."""
+"""Names of the properties that group questions. The values of `time_gap_s` and `separation_deg` form bins."""
 
 _TEXTS: Final = ("family", "template", "answer_mode", "sequence")
 """Names of the dimensions that are a column of the table `questions`."""
@@ -38,7 +38,7 @@ class Labels(NamedTuple):
     """One label per question.
 
     Attributes:
-        names: The distinct labels, in the order of the rows of tables.
+        names: The distinct labels, in the order in which tables list the labels.
         numbers: For each question the index of its label in `names`.
     """
 
@@ -75,7 +75,7 @@ class ScoredRun:
         invalid: 1 if the output of the model could not be read, else 0 (n).
         errors: Number of questions that ended in an error or have no prediction.
         ids: Ids of all questions of the store.
-        answers: The predicted answer to each question as JSON, or None if there is none (n).
+        answers: The predicted answer to each question as JSON, or None if there is no answer (n).
     """
 
     manifest: RunManifest
@@ -110,7 +110,7 @@ def read_index(store: Store) -> QuestionIndex:
 
 
 def percent_of(part: float, n: float) -> float | None:
-    """Return which percentage of `n` a part is, rounded to two decimals.
+    """Return a part as a percentage of `n`, rounded to two decimals.
 
     Args:
         part: The part.
@@ -129,7 +129,7 @@ def _labels(texts: pa.ChunkedArray) -> Labels:
 
 
 def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
-    """Replace each name of labels by a new name, and sort the names. Names that no question has are removed."""
+    """Rename labels, and sort the new names. `names` has the new name of each old one. Unused names are removed."""
     used = {names[index] for index in np.unique(labels.numbers).tolist()}
     order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
     indexes = {name: index for index, name in enumerate(order)}
@@ -137,7 +137,7 @@ def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
 
 
 def _first_number(value: str) -> float:
-    """Return the number or the lower bound of the bin that a name states. Return -1 for other names."""
+    """Return the number that a name states. For a bin, return its lower bound. For any other name, return -1."""
     try:
         return float(value.lstrip("[").partition(",")[0])
     except ValueError:

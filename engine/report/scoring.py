@@ -24,7 +24,7 @@ from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.tables import RUNS
 
 DEFAULT_IOU: Final = 0.5
-"""Default minimum IoU of the evidence box and the target's box with which evidence scores."""
+"""Default minimum IoU of the evidence box and the target's box for right evidence."""
 
 
 def score_predictions(
@@ -33,11 +33,11 @@ def score_predictions(
     """Score the predictions of a run.
 
     Args:
-        truth: The true answers and evidence of at least the questions of the run.
+        truth: The true answers and evidence. All questions of the run must be among its questions.
         run_id: The id of the run, for the table and for messages.
         question_ids: The ids of the run's questions (n).
         predictions: Rows of the table `predictions`, in any order.
-        iou: Minimum IoU with which evidence scores, in (0, 1].
+        iou: Minimum IoU for right evidence, in (0, 1].
 
     Returns:
         The table `scores` with one row per question of the run, in the order of `question_ids` (n).
@@ -58,7 +58,7 @@ def score_predictions(
     if len(np.unique(question_of)) < len(question_of):
         raise StoreError(f"run {run_id} has two predictions of one question: evaluate under a new run id")
 
-    # A question without a prediction becomes a row of nulls, and scores as an error does.
+    # A question without a prediction becomes a row of nulls. Such a row scores 0, as an error does.
     indexes = pc.index_in(questions, value_set=predictions["question_id"].combine_chunks())
     table = predictions.take(indexes)
     judged = is_judged(table["status"])
@@ -113,7 +113,7 @@ def find_questions(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> I
 
 
 def is_judged(status: pa.ChunkedArray) -> Bools:
-    """Return for each status whether the prediction can score: it can unless it is missing or ended in an error (n)."""
+    """Return whether each prediction can score (n). A missing prediction or one that ended in an error cannot score."""
     return _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
 
 

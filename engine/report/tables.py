@@ -1,6 +1,6 @@
 """The tables of a report, as rows of plain values.
 
-Scores are in percent of `n`, the number of questions. A percentage of nothing is None, which is printed as n/a.
+Scores are in percent of `n`, the number of questions. If `n` is 0, a score is None, which is printed as n/a.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
     Args:
         index: The questions of the store, with their labels.
         runs: Scored runs.
-        iou: Minimum IoU with which evidence was scored.
+        iou: Minimum IoU for right evidence.
 
     Returns:
-        One row per run: the scores with their 95 % intervals from draws of sequences, and macro averages of the scores
+        One row per run: the scores with 95 % intervals (bootstrap over sequences), and macro averages of the scores
         over the families and over the paper's groups.
     """
     settings = distinguishing_settings(runs)
@@ -57,7 +57,7 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
 
 
 def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Row:
-    # Columns: 1 per question, the three scores, and 1 if the answer is right without right evidence.
+    # The columns are: 1 for each question, the three scores, and 1 if the answer is right but the evidence is not.
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
     sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
     sums = [numbered_sums(cluster, len(sequences), base)]
@@ -90,7 +90,7 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
 
 
 def interval_label(sequences: int) -> str:
-    """Return what the column `interval` of a row says.
+    """Return the text that a row has in the column `interval`.
 
     Args:
         sequences: Number of sequences that the row's questions are about.
@@ -121,7 +121,7 @@ def _with_bounds(name: str, interval: Interval) -> Row:
 
 
 def published_rows() -> list[Row]:
-    """Return the paper's main table in the columns of `main_rows`, as far as the paper has them."""
+    """Return the rows of the paper's main table. They have those columns of `main_rows` that the paper reports."""
     return [_published(row) for row in MAIN]
 
 
@@ -173,7 +173,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
 
     Args:
         run: The scored run.
-        iou: Minimum IoU with which evidence was scored.
+        iou: Minimum IoU for right evidence.
 
     Returns:
         The scores of the run in percent of the run's questions.
@@ -262,8 +262,9 @@ def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredR
         pairs: The pairs of scored runs.
 
     Returns:
-        One row for each pair and score: the counts and the p-value of the exact McNemar test, and the difference of the
-        runs in points with its interval. A pair without a common question has no row.
+        One row for each pair and score: the number of questions that only the first run has right, the number that only
+        the second run has right, the p-value of the exact McNemar test, and the difference of the runs in points with
+        its interval. A pair without a common question has no row.
     """
     groups: dict[bytes, tuple[Ints, list[int]]] = {}
     for index_of_pair, (first, second) in enumerate(pairs):
@@ -310,4 +311,4 @@ RESULTS: Final = ("wrong_choices", "evidence_failures", "cost")
 """Names of the tables that are SQL queries in `queries/results/`."""
 
 TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
-"""Names of all tables. `main` has the scores with intervals. The name of a dimension means the breakdown by it."""
+"""Names of all tables. `main` has the scores with intervals. A dimension's table has the scores per value."""

@@ -31,7 +31,7 @@ class Look:
     """A look of a run: a crop or a whole panorama.
 
     Attributes:
-        step: Number of the look's step.
+        step: Index of the look's step.
         frame: Index of the frame.
         angle: Panorama angle of the crop's centre in degrees, or None for a whole panorama.
         left: Left column of the crop in stitched pixels.
@@ -57,8 +57,8 @@ class Written:
 
     Attributes:
         row: The write's row of the table `world`.
-        step: Number of the step that made the write.
-        until: Number of the step whose write replaced this one, or `ALWAYS`.
+        step: Index of the step that made the write.
+        until: Index of the step whose write replaced this write, or `ALWAYS` if no write replaced it.
         fact: The written fact.
     """
 
@@ -79,7 +79,7 @@ class Transcript:
         steps: The question's rows of the table `steps`, sorted by step.
         looks: The looks among the steps, in order.
         writes: All writes to the world model, in order.
-        refused: The writes that the world model refused. They are also in `writes`.
+        refused: The writes that the world model refused. The list `writes` has them too.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
@@ -123,7 +123,7 @@ class Trace(Transcript):
     Attributes:
         answer: The question's row of the table `answers`.
         target: Boxes of the target by frame, as x, y, w, h in stitched pixels.
-        scores: The question's row of the table `scores`, computed now.
+        scores: The question's row of the table `scores`. It is computed anew, not read from a file.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:

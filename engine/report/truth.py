@@ -1,4 +1,4 @@
-"""True answers and evidence of a store's questions, in arrays to compare with predictions."""
+"""True answers and evidence of a store's questions, as arrays that are compared with predictions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Truth:
     """
 
     def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
-        """Join tables of the folder `questions/`. Rows and columns that are not needed may be missing in each table.
+        """Join tables of the folder `questions/`. The tables may lack rows and columns that are not needed.
 
         Raises:
             StoreError: If a table lacks a row that another table refers to, or if an answer cannot be read.
@@ -138,7 +138,7 @@ def row_numbers(values: Any, among: Any) -> Ints:
 
 
 def find_rows(among: pa.ChunkedArray, values: Any, table: str) -> Ints:
-    """Find the row that has each value in a column. The column belongs to a table of the folder `questions/`.
+    """Find, for each value, the row of a column that has this value. The column is of a table in `questions/`.
 
     Args:
         among: The column to search.
@@ -149,7 +149,7 @@ def find_rows(among: pa.ChunkedArray, values: Any, table: str) -> Ints:
         The index of each value in `among` (n).
 
     Raises:
-        StoreError: If the column does not have one of the values.
+        StoreError: If a value is not in the column.
     """
     rows = row_numbers(values, among.combine_chunks())
     if (rows < 0).any():

@@ -34,12 +34,12 @@ _STOP_S: Final = 1.0
 """Maximum seconds to wait for the worker threads when a run ends early."""
 
 _SWITCH_S: Final = 0.05
-"""Seconds between switches of Python threads. Shorter intervals gain nothing, as most threads wait for a server."""
+"""Seconds between switches of Python threads. Shorter intervals gain nothing: most threads wait for a server."""
 
 
 _PACKAGE: Final = f"{__name__.partition('.')[0]}."
 _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-"""Folders of the standard library and of installed packages. A traceback line in them is not a line of a method."""
+"""Folders of the standard library and of installed packages. Code in these folders is not a method's own."""
 
 
 class Entries(Protocol):
@@ -54,7 +54,7 @@ class Entries(Protocol):
 
 
 class _Stopped(BaseException):
-    """Signal to a method that the run has ended. A BaseException, so that `except Exception` does not catch it."""
+    """Signal to a method that the run has ended. `except Exception` does not catch it, as it is a BaseException."""
 
 
 def answer_one(
@@ -73,21 +73,22 @@ def answer_one(
         sequence: The sequence of the question.
         observe: The function that returns a crop of a frame.
         panorama: The function that returns the whole panorama of a frame.
-        stopped: Called before each call that the method makes to its task. True ends the question without an entry.
+        stopped: Called before each call that the method makes to a function of its task. If it returns True, the
+            question ends without an entry.
 
     Returns:
         The entry for the journal. Its status is "error" if the method raises an exception or returns no prediction.
 
     Raises:
         RunStoppedError: If no further question can be answered now, for example at the cost limit of the run.
-        KeyboardInterrupt: If this is the main thread and the user interrupts it.
+        KeyboardInterrupt: If the user interrupts the program while this function runs in the main thread.
     """
     steps: list[Step] = []
     writes: list[Write] = []
     calls: Counter[str] = Counter()
 
     def counted(name: str, function: Callable[..., R]) -> Callable[..., R]:
-        """Return the function with a counter of its successful calls. A call raises _Stopped if the run has ended."""
+        """Wrap a function so that its successful calls are counted. A call raises _Stopped if the run has ended."""
 
         def call(*values: Any, **named: Any) -> R:
             if stopped():
@@ -134,13 +135,13 @@ def answer_one(
 def _reason(error: BaseException) -> str:
     """Return an exception as one line: its message, and the line of the method's code that raised it.
 
-    The message begins with the type of the exception, unless the exception is one of this package.
+    The message begins with the type of the exception, unless this package defines the exception.
     """
     text = " ".join(str(error).split()).encode("utf-8", "backslashreplace").decode()
     frames = list(traceback.walk_tb(error.__traceback__))
     outside = [(f.f_code, line) for f, line in frames if not str(f.f_globals.get("__name__")).startswith(_PACKAGE)]
     user_frames = [frame for frame in outside if not frame[0].co_filename.startswith(_LIBRARIES)]
-    # An error of this package says what to do. A line number in a library would add nothing to it.
+    # The message of this package's errors says what to do. A line number in a library would add nothing to it.
     frames_shown = user_frames or ([] if isinstance(error, AvrError) else outside)
     message = text if isinstance(error, AvrError) else f"{type(error).__name__}: {text}"
     if not frames_shown:
@@ -155,7 +156,7 @@ def for_many_threads() -> Iterator[None]:
     import cv2
 
     pool, interval = cv2.getNumThreads(), sys.getswitchinterval()
-    # OpenCV's own threads spin after each small task, and take the cores from the threads that answer questions.
+    # After each small task, OpenCV's own threads busy-wait. The threads that answer questions then lack CPU time.
     cv2.setNumThreads(1)
     sys.setswitchinterval(_SWITCH_S)
     try:
@@ -239,11 +240,11 @@ def answer_all(
         if stopped:
             raise stopped[0]
     finally:
-        # Wait, because the process would abort if a thread decoded an image when the interpreter ends. The wait is
-        # limited, because a thread that waits for a server does no such harm.
+        # Wait for the threads, because the process would abort if a thread were decoding an image when the interpreter
+        # ends. The wait is limited, because a thread that only waits for a server causes no abort.
         stop.set()
         deadline = time.monotonic() + _STOP_S
         for thread in threads:
-            # If an interrupt came early, some threads have not started.
+            # If an interrupt came early, some threads have not started, and `join` would raise an error.
             if thread.is_alive():
                 thread.join(max(0.0, deadline - time.monotonic()))

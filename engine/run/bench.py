@@ -1,6 +1,6 @@
 """Hand out the questions and pictures of a store as tasks and episodes. Only public files of the store are read.
 
-The module `judge` scores predictions. It reads the private files: answers and evidence.
+Predictions are scored by the module `judge`, which reads the private files: answers and evidence.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
 
 
 class Bench:
-    """Questions of a store and their pictures, for methods, people and agents. Safe for many threads.
+    """Questions of a store and their pictures, for methods, people and agents. Many threads may share a bench.
 
         bench = Bench.open("store")
         episode = bench.episode(bench.questions[0].question_id)
 
     Attributes:
         questions: The questions, in order. If names are opaque, the questions have the opaque names of their sequences.
-        sequences: All sequences of the store, by name or opaque name.
-        observed: The sequences that have a question, sorted by real name.
+        sequences: All sequences of the store, by name. If names are opaque, the keys are the opaque names.
+        observed: The sequences of the questions in `questions`, sorted by real name.
         observer: The source of the pictures of the sequences in `observed`.
-        folders: The real name of each sequence, by opaque name. None if names are not opaque.
+        folders: The real name of each sequence in `observed`, by opaque name. None if names are not opaque.
         synthetic: Whether at least one question is about the sample world.
     """
 
     def __init__(self, store: Store, questions: Sequence[QuestionRow], image_root: str | None, opaque: bool) -> None:
-        """Hold questions that are already selected. `Bench.open` selects them.
+        """Hold questions that are already selected. To select questions, call `Bench.open`.
 
         Args:
             store: The store.
@@ -140,7 +140,7 @@ class Bench:
 
 
 _LABELS_BESIDE: Final = ("image_stitched", "images")
-"""Names of the folders between the panoramas and JRDB's root folder, innermost first. The root also has the labels."""
+"""Names of the folders between the panoramas and JRDB's root folder, innermost first. Labels are also in the root."""
 
 
 def root_of_images(images: str | Path) -> Path:
@@ -162,7 +162,7 @@ def find_images(store: Store, images: str | Path | None) -> str | None:
         `images` if it is not None, otherwise the folder that the store names. None if the store has no panoramas.
 
     Raises:
-        StoreError: If `images` is None and the store has no manifest, which names the folder.
+        StoreError: If `images` is None and the store has no manifest, which would name the folder.
     """
     if images is not None:
         return str(images)

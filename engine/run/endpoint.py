@@ -1,6 +1,6 @@
 """Connect to the server of a model: check it before a run, start the simulated model, and store calibrations.
 
-STORE/conventions/<model>.json    the calibration of a model: how the model writes boxes, as `calibrate` found
+STORE/conventions/<model>.json    the calibration of a model: how the model writes boxes, as `calibrate` measured
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Endpoint:
     Attributes:
         convention: How the model writes boxes.
         client: The client that sends requests to the server.
-        settings: Plain JSON for the manifest of a run. A run can be resumed only with equal settings.
+        settings: Settings for the manifest of a run, as plain JSON. A run can be resumed only with equal settings.
         warnings: One line for each check that failed.
         served: The id of the model in the server's first reply.
     """
@@ -45,7 +45,7 @@ class Endpoint:
         method: str | None = None,
         strict: bool = False,
     ) -> None:
-        """Send the requests of the preflight to a server, and compare its options with the calibration.
+        """Send the requests of the preflight to a server, and compare `options` with the options of the calibration.
 
         Args:
             calibration: The calibration of the model, or None.
@@ -54,7 +54,7 @@ class Endpoint:
             options: The options of the requests.
             cache: The file that stores finished calls. None stores none.
             method: The name of the method. Only checks that this method needs must pass. If None, all checks must pass.
-            strict: Whether a failed check that must pass is an error. Otherwise it is a warning.
+            strict: Whether to raise an error if a check that must pass fails. Otherwise, `warnings` lists the failure.
 
         Raises:
             EndpointError: If the server does not reply, if `strict` is true and a check that must pass fails, or if
@@ -88,14 +88,14 @@ class Endpoint:
         }
 
     def changed(self) -> str:
-        """Return a line on the models of later replies if they differ from the first reply's model, or ""."""
+        """Return a warning if a later reply names another model than the first reply. Otherwise return ""."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
         return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
 
 
 @contextlib.contextmanager
 def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None) -> Iterator[str]:
-    """Yield the address of the server of a model. The simulated model gets a server that ends with the block.
+    """Yield the address of a model's server. If the server is the simulated model's, it is stopped after the block.
 
     Args:
         model: The id of the model.
@@ -107,7 +107,7 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
         The address.
 
     Raises:
-        EndpointError: If there is no address and the model is not the simulated model.
+        EndpointError: If `base_url` is None and the model is not the simulated model.
     """
     from jrdb_avr.agent.simulated.server import marker_server
 

@@ -77,8 +77,8 @@ class RunResult(Displayed):
         """Return a summary of the run as one row.
 
         Returns:
-            The run id, the number of questions and the number of each status, the sums of model calls, looks and
-            tokens, the mean seconds per question, and the cost in dollars if the price is known.
+            The run id, the number of all questions, the number of questions with each status, the total numbers of
+            model calls, looks and tokens, the mean seconds per question, and the cost in dollars if the price is known.
         """
         status = self.predictions["status"].to_pylist()
         sums = {name.removeprefix("n_"): pc.sum(self.predictions[name]).as_py() or 0 for name in _SUMS}
@@ -127,7 +127,7 @@ def evaluate(
 
     Args:
         store: The store, or its folder. A public store (`export --public`) is enough.
-        method: A method object, a name of `METHODS`, or "FILE.py:NAME" or "MODULE:NAME" of your own method.
+        method: A method object, a name of `METHODS`, or for your own method "FILE.py:NAME" or "MODULE:NAME".
         model: The id of the model at its server. "simulated" or "simulated:PROFILE" is the simulated model, and "none"
             means that the method uses no model.
         options: All further options.
@@ -136,11 +136,12 @@ def evaluate(
         live_scores: Called from another thread with the scores so far, each time they change.
 
     Returns:
-        The run id, the predictions, and what is needed to sum them up.
+        The result of the run, which has the run id and the table `predictions`.
 
     Raises:
         InputError: If an argument or option is wrong, or if options contradict each other.
-        StoreError: If the store has no such questions or panoramas, or if the run exists and cannot be resumed.
+        StoreError: If no question is selected, if no selected question has panoramas, or if the run exists and cannot
+            be resumed.
         EndpointError: If the server of the model does not reply or fails a check that must pass.
 
     Example:
@@ -175,7 +176,7 @@ def evaluate(
         see = bench.observer
         answer_all(player, bench.questions, bench.sequences, see, see.stored, run, files.concurrency, advance)
         if world is not None:
-            # Written before the tables, because a run that has the table `predictions` counts as complete.
+            # The counts are written before the tables, because a run with the table `predictions` counts as complete.
             add_world_counts(store, run_id, world.graph.counts)
         predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):
@@ -192,7 +193,7 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
         options: The argument `options` of `evaluate`.
 
     Raises:
-        InputError: If they contradict each other. The message names the options as on the command line.
+        InputError: If two arguments or options contradict each other. The message names options as on the command line.
     """
     playing, endpoint, selection = options.method, options.endpoint, options.selection
     if isinstance(method, str) and method not in METHODS and not is_custom(method):
@@ -257,7 +258,7 @@ def _name(method: str | Method) -> str:
 
 
 def _knobs(model: str, options: EvaluateOptions) -> Knobs | None:
-    """Return the knobs of the simulated model, or None for any other model. Each epoch has another seed."""
+    """Return the knobs of the simulated model, or None for any other model. The seed differs in each epoch."""
     if (profile := profile_of(model)) is None:
         return None
     knobs = options.method.marker or profile
@@ -296,7 +297,7 @@ def _make(
 
 @contextlib.contextmanager
 def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | None) -> Iterator[WorldModel | None]:
-    """Yield the world model of a run, with the facts in the journal, or None if the method has no world model."""
+    """Yield the run's world model, which has all facts of the journal. Yield None for a method without world model."""
     if method not in WORLD_METHODS:
         yield None
         return

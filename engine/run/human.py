@@ -24,7 +24,7 @@ from jrdb_avr.schema.method import Observation
 
 
 class _Move(msgspec.Struct, forbid_unknown_fields=True):
-    """A move, and the id of its question. The id shows if a late move belongs to a question that has ended."""
+    """A move, and the id of its question. The id shows whether the move belongs to a question that has ended."""
 
     question_id: str
     move: dict[str, Any]
@@ -34,7 +34,7 @@ _MOVE: Final = msgspec.json.Decoder(_Move)
 
 
 class HumanDesk:
-    """Answers to the requests of one person's page. The person plays the questions of a run one after another."""
+    """Handler of the requests that one person's page sends. The person answers the questions of a run in turn."""
 
     def __init__(self, bench: Bench, run: Run, page: str) -> None:
         self._bench, self._run, self._page = bench, run, page

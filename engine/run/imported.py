@@ -78,7 +78,7 @@ def _in_order(predictions: pa.Table, questions: Sequence[QuestionRow]) -> pa.Tab
 
 
 def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
-    """Return whether an import of the same file has begun. Raise StoreError if the run has other predictions."""
+    """Return whether an import of the same file has begun this run. Raise StoreError if it has other predictions."""
     if has_manifest(store, run_id):
         manifest = read_run_manifest(store, run_id)
         if (manifest.method, manifest.settings, manifest.questions_sha256) == (

@@ -1,6 +1,6 @@
 """Store each finished question of a run in a journal on disk, and write the tables of the run from the journal.
 
-    runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced to disk at once
+    runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced to disk when it finishes
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
 
 If a run is killed, its journal keeps all finished questions. The tables are sorted by sequence and question.
@@ -43,7 +43,7 @@ class Finished(msgspec.Struct, frozen=True):
         return bool(self.prediction["status"] == "error")
 
 
-# Made at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
+# This line runs at import, because msgspec crashes if several threads make a type's first decoder at the same time.
 _FINISHED: Final = msgspec.json.Decoder(Finished)
 
 _DAMAGE: Final = (msgspec.DecodeError, UnicodeDecodeError, ValueError, TypeError, OverflowError, pa.ArrowException)
@@ -52,7 +52,7 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
     pa.string(): str,
     pa.int32(): Annotated[int, msgspec.Meta(ge=-(2**31), le=2**31 - 1)],
     pa.int64(): Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)],
-    # A float cannot represent every larger whole number, and Arrow refuses larger numbers.
+    # From 2**53 on, a float cannot represent every whole number, and Arrow refuses such numbers.
     pa.float64(): Annotated[float, msgspec.Meta(gt=-(2.0**53), lt=2.0**53)],
     pa.bool_(): bool,
 }
@@ -109,7 +109,7 @@ def finished_entry(
 
 
 def _check(entry: Finished, question: Question) -> None:
-    """Raise ValueError or a msgspec error if an entry is not valid, or if the journal or a table would change it."""
+    """Raise ValueError or a msgspec error if an entry is not valid, or if storing would change it."""
     line, row = msgspec.json.encode(entry), entry.prediction
     _STORABLE.decode(line)
     if _FINISHED.decode(line) != entry:
@@ -136,7 +136,7 @@ def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
 
 
 def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) -> list[Question]:
-    """Return the questions that have no entry in `finished`, or an entry that is an error, in the given order."""
+    """Return the questions that have not finished and those that ended in an error, in the given order."""
     return [question for question in questions if (entry := finished.get(question.question_id)) is None or entry.failed]
 
 
@@ -149,7 +149,7 @@ class LinePosition(NamedTuple):
 
 
 class KeptEntries(Mapping[str, Finished]):
-    """Entries of a journal by question id. An entry is read from its file on access, because transcripts are large."""
+    """Entries of a journal by question id. Each access reads the entry from disk, because transcripts are large."""
 
     def __init__(self, folder: Path, positions: dict[str, LinePosition]) -> None:
         """Hold the folder of the journal, and the position of the line of each question."""
@@ -227,9 +227,9 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
 
 class Journal(contextlib.ExitStack):
-    """Journal of a run. It has a file per sequence. A file has one line per question, the first to finish on top.
+    """Journal of a run, with one file per sequence. Each file has one line per finished question.
 
-    If a question has several lines, the last line counts.
+    The lines are in the order in which the questions finished. If a question has several lines, the last line counts.
     """
 
     def __init__(self, folder: Path, sequence_of: Mapping[str, str]) -> None:
@@ -277,7 +277,7 @@ class Journal(contextlib.ExitStack):
         path = segment_path(self._folder, sequence)
         try:
             exists = path.exists()
-            # Without a buffer, because closing the file would try again to write bytes that failed.
+            # The file has no buffer. Otherwise, closing the file would try again to write the bytes that failed.
             with path.open("ab", buffering=0) as file:
                 end = file.seek(0, os.SEEK_END)
                 try:
@@ -285,8 +285,8 @@ class Journal(contextlib.ExitStack):
                         line = line[file.write(line) :]
                     os.fsync(file.fileno())
                 except OSError:
-                    # Remove the partial line, because later lines would follow it. If the removal fails and no line
-                    # follows, opening the journal removes the partial line.
+                    # Remove the partial line, because the next line would be appended to it. If the removal fails and
+                    # the run ends here, the partial line is removed when the journal is opened again.
                     with contextlib.suppress(OSError):
                         file.truncate(end)
                     raise
@@ -325,7 +325,7 @@ _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {
 """Functions that return the rows of an entry, by the name of the table."""
 
 _GROUP: Final = 200
-"""Maximum number of questions in a row group. Their transcripts are in memory while the group is written."""
+"""Maximum number of questions in a row group. The group's transcripts are in memory while it is written."""
 
 
 def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
@@ -340,17 +340,17 @@ def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
         The table.
 
     Raises:
-        ValueError: If an entry does not fit the table. Some of these errors are raised as other types by Arrow.
+        ValueError: If an entry does not fit the table. For some entries, Arrow raises an error of another type.
     """
     rows = [{"run_id": run_id, **row} for entry in entries for row in _TABLES[name](entry)]
-    # The cast refuses a null in a column that must have none. `from_pylist` does not.
+    # `from_pylist` accepts a null in a column that must not have nulls. The cast refuses it.
     return pa.Table.from_pylist(rows, RUNS[name]).cast(RUNS[name])
 
 
 def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
     """Write the tables of a run, sorted by sequence, question and step.
 
-    Each row group holds at most `_GROUP` questions. It has whole sequences, unless one sequence is larger than that.
+    Each row group holds at most `_GROUP` questions. A sequence is divided only if it has more questions than that.
 
     Args:
         store: The store.
@@ -375,7 +375,7 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
 
 def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
-    """Yield groups of at most `_GROUP` questions. Only a part that is larger than a group is divided."""
+    """Yield groups of at most `_GROUP` questions. A list in `parts` is divided only if it is longer than that."""
     group: list[str] = []
     for part in parts:
         if len(group) + len(part) > _GROUP and group:

@@ -4,8 +4,8 @@
 
 The child process reads the answers. Each line of its standard input is a row of `predictions` as JSON. For each row,
 the child prints four digits: the answer score, the evidence score, the combined score, and 1 if the output of the model
-could not be read (else 0). If the child cannot read the answers, it prints one line with the reason. It ends when its
-standard input closes.
+could not be read (else 0). If the child cannot read the answers, it prints one line with the reason. The child
+ends when its standard input closes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class QuestionScore(NamedTuple):
 
 
 class Judge(contextlib.ExitStack):
-    """Judge that scores predictions by the answers of a store. Safe for many threads, which take turns.
+    """Judge that compares predictions with the answers of a store. Threads that share a judge take turns.
 
     Example:
         with Judge.open("store") as judge:
@@ -52,7 +52,7 @@ class Judge(contextlib.ExitStack):
     def __init__(self, store: Store) -> None:
         """Start the child process. Raise StoreError if the store's answers are missing or cannot be read."""
         super().__init__()
-        # Keys are removed, because the child never talks to the server of the model.
+        # API keys are removed, because the child never talks to the server of the model.
         environment = {name: value for name, value in os.environ.items() if not name.endswith("_API_KEY")}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "jrdb_avr.engine.run.judge", str(store.path)],
@@ -125,7 +125,7 @@ class Judge(contextlib.ExitStack):
 
 
 def judge_lines(store: Store, lines: IO[str]) -> None:
-    """Read rows of `predictions` as JSON lines, and print the four digits of each."""
+    """Read rows of `predictions` as JSON lines, and print the four digits of each row."""
     import pyarrow as pa
 
     from jrdb_avr.engine.report.scoring import score_predictions

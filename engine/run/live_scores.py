@@ -20,7 +20,7 @@ from jrdb_avr.schema.errors import AvrError
 
 @dataclass(frozen=True, slots=True)
 class LiveScore:
-    """Scores so far: the number of judged questions, and how many of them have each of the three scores."""
+    """Scores so far: the number of judged questions, and the number of these questions that have each score."""
 
     judged: int
     answer: int
@@ -40,13 +40,14 @@ def report_scores(
 
     Args:
         store: The store, which has the answers.
-        before: Entries that had finished before the block.
+        before: Entries of the questions that finished before the block.
         report: Called from the other thread with the scores so far, each time they change.
 
     Yields:
-        A function to call with each entry that finishes. If a question has several entries, the last one counts.
+        A function that the block must call with the entry of each finished question. If a question has several
+        entries, the last entry counts.
     """
-    # The queue may grow if judging is slow. It has no transcripts, because transcripts are large.
+    # The queue may grow if judging is slow. So it holds predictions without transcripts, because these are large.
     entries: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
     for entry in before:
         entries.put(entry.prediction)

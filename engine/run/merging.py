@@ -1,4 +1,4 @@
-"""Join the shards of a run into one run. `evaluate --shard` answers a shard, on any machine."""
+"""Join the shards of a run into one run. Each shard was answered by `evaluate --shard`, on any machine."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 
 _KEYS: Final = ("run", "id", "episode", "source", "target", "observation", "freed")
-"""Fields of a fact (`schema.beliefs.Fact`) that have the run id, or a key that begins with the run id."""
+"""Fields of a fact (`schema.beliefs.Fact`) that hold the run id, or a text that begins with the run id."""
 
 
 def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -> pa.Table:
     """Make one run of all shards of a run. The shards remain in the store.
 
     Args:
-        store: The store, or its folder. The folder `runs` of the store has the shards.
+        store: The store, or its folder. The shards are runs of this store.
         run_ids: The run ids of all shards.
         run_id: The id of the new run.
 
@@ -42,7 +42,7 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
 
     Raises:
         StoreError: If a shard is missing or unfinished, if shards differ in questions, method, model or settings, if
-            the shards together do not have the selected questions of the store, or if the new run exists.
+            the shards together lack a selected question or have further questions, or if the new run exists.
         LockedError: If another process uses a shard, or uses the graph of the store.
     """
     store = Store.of(store)
@@ -50,7 +50,7 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
     manifests = [read_run_manifest(store, name) for name in names]
     selection = _check_shards(store, manifests)
     if store.run_path(run_id).exists():
-        # Its answers may come from another model, even if its settings are equal.
+        # The answers of the existing run may come from another model, even if all settings are equal.
         raise StoreError(f"run {run_id!r} exists: give another --run-id, or delete it by 'runs remove'")
     with contextlib.ExitStack() as stack:
         answers = [stack.enter_context(Run(store, name)).finished for name in names]
@@ -58,7 +58,7 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
             if missing := set(manifest.question_ids) - set(finished):
                 raise StoreError(f"run {manifest.run_id!r} lacks {len(missing)} answers: finish it with --resume")
         first, synthetic = manifests[0], any(manifest.synthetic for manifest in manifests)
-        # The graph is opened before the run, because a graph in use must not leave an unfinished run.
+        # The graph is opened before the run is made. If another process uses the graph, no unfinished run is left.
         has_world = first.method in WORLD_METHODS and store.graph_path.exists()
         graph = stack.enter_context(open_graph(store.graph_path)) if has_world else None
         run = stack.enter_context(Run(store, run_id))
@@ -95,7 +95,7 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
 
 
 def _shard(manifest: RunManifest) -> tuple[QuestionSelection, tuple[int, int]]:
-    """Return the selection of the whole run, and the number of the shard with the number of all shards."""
+    """Return the selection of the whole run, and a pair: the index of the shard from 1, and the number of shards."""
     try:
         selection = msgspec.convert(manifest.selection, QuestionSelection)
     except msgspec.ValidationError as error:
@@ -106,7 +106,7 @@ def _shard(manifest: RunManifest) -> tuple[QuestionSelection, tuple[int, int]]:
 
 
 def _rename_world(entry: Finished, old: str, new: str) -> Finished:
-    """Return a copy of an entry. The keys of its facts begin with the new run id instead of the old one."""
+    """Return a copy of an entry. In all facts of the copy, the new run id replaces the old run id."""
     world = [{**row, "fact": _rename_fact(row["fact"], old, new)} for row in entry.world]
     return msgspec.structs.replace(entry, world=world)
 
@@ -124,7 +124,7 @@ def _rename_fact(fact: str, old: str, new: str) -> str:
 
 
 def _join_calls(folders: Sequence[Path], folder: Path) -> None:
-    """Join the stored model calls of all shards in one file, so that a resumed run need not pay for them again."""
+    """Join the stored model calls of all shards in one file, so that a resumed run need not repeat these calls."""
 
     def write(path: Path) -> None:
         with path.open("wb") as joined:

@@ -1,8 +1,9 @@
-"""Make a method from its name, as `evaluate --method` takes it: a built-in method or a custom method.
+"""Make a built-in or custom method from its name. The name is the value of `evaluate --method`.
 
 The name of a custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is a function or a class. It is
 called with the chat client, or with None if the run has no model, and must return a `schema.method.Method`. If the
-method has a function `settings()`, the run stores its result. A custom method runs with all rights of the user.
+method has a function `settings()`, the run stores the settings that it returns. A custom method runs with all rights of
+the user.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel
     """Yield the world model of a run in a graph file, and close it at the end of the block.
 
     Args:
-        path: The graph file. It is made if it is missing.
+        path: The graph file. If it is missing, a new file is made.
         run_id: The id of the run.
         record: The run's world rows so far. Facts that the graph lacks are written to it before the block starts.
 
@@ -131,7 +132,7 @@ _SPEC: Final = re.compile(r"(?P<where>.+):(?P<name>[A-Za-z_][A-Za-z0-9_]*)")
 
 
 class CustomMethod:
-    """A custom method with settings. If the user's class has no settings, the file or module alone is recorded."""
+    """A custom method and its settings, which a run records. A user's method need not have settings of its own."""
 
     def __init__(self, spec: str, method: Any) -> None:
         if not callable(getattr(method, "answer", None)) or not isinstance(getattr(method, "name", None), str):
@@ -147,7 +148,12 @@ class CustomMethod:
         return str(self._method.name)
 
     def settings(self) -> dict[str, Any]:
-        """Return the file or module of the method under "from", and the method's own settings under "settings"."""
+        """Return the settings of the method.
+
+        Returns:
+            A dict with two keys. "from" is FILE.py:NAME without the folder of the file, or MODULE:NAME. "settings" is
+            what the user's own function `settings()` returns, or an empty dict if there is no such function.
+        """
         settings: Any = getattr(self._method, "settings", dict)()
         return {"from": Path(self._spec).name, "settings": settings}
 
@@ -163,7 +169,7 @@ def is_custom(spec: str) -> bool:
 
 
 def load_custom_method(spec: str, chat: Chat | None) -> CustomMethod:
-    """Import a custom method, and make it by a call with the chat client.
+    """Import the function or class of a custom method, and call it with the chat client.
 
     Args:
         spec: FILE.py:NAME or MODULE:NAME.
@@ -197,7 +203,7 @@ def _module(where: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(Path(where).stem, where)
         assert spec is not None and spec.loader is not None, "the name ends in .py"
         module = importlib.util.module_from_spec(spec)
-        # Registered, because a dataclass in the file looks up its module.
+        # The module is registered, because a dataclass in the file looks up its own module in `sys.modules`.
         sys.modules.setdefault(spec.name, module)
         spec.loader.exec_module(module)
     except FileNotFoundError:

@@ -34,24 +34,24 @@ def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
         sequences: The real names.
 
     Returns:
-        The opaque name by real name.
+        The opaque name of each sequence, by real name.
 
     Raises:
-        StoreError: If the file of the key is damaged, or if it cannot be read or written.
+        StoreError: If the key file is damaged, or if the key file cannot be read or written.
     """
     key = _key(key_path(store))
     return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
 
 
 def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return a copy of a table with new names of sequences.
+    """Return a copy of a table in which the sequences have new names.
 
     Args:
         table: A table that has the column `sequence`.
         names: The new name for each old name.
 
     Returns:
-        The table, with its rows and columns in the same order.
+        The copy. Its rows and columns are in the same order as in the given table.
     """
     renamed = pa.array([names[name] for name in table["sequence"].to_pylist()], pa.string())
     return table.set_column(table.column_names.index("sequence"), table.schema.field("sequence"), renamed)
@@ -59,7 +59,7 @@ def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
 
 def key_fingerprint(store: Store) -> str:
     """Return a text that identifies the store's key without revealing it. Raise StoreError as `opaque_names` does."""
-    # The opaque name of "" identifies the key. It is not in use, because no sequence has an empty name.
+    # The opaque name of "" depends only on the key. No run uses this name, because no sequence has an empty name.
     return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 

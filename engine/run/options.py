@@ -113,7 +113,7 @@ class RunOptions(Options):
     such a run ends in its epoch. In each epoch, the simulated model has another seed.
     """
 
-    run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL. A non-default --policy is added.")
+    run_id: str | None = option(None, "Run name. Default: METHOD-MODEL (with another --policy: METHOD-POLICY-MODEL).")
     resume: bool = option(
         False,
         "Continue a run that was stopped. Questions that ended in an error are asked again. If more questions are "

@@ -24,7 +24,7 @@ _REASONS: Final = 3
 
 
 _TRASH: Final = ".removed-"
-"""Prefix of folders that are being deleted. If a deletion is killed, the next removal of a run deletes the rest."""
+"""Prefix of folders that are being deleted. If a deletion is killed, the next call of `remove_run` completes it."""
 
 
 class _Line(msgspec.Struct):
@@ -161,7 +161,7 @@ def _idle(folder: Path) -> Iterator[None]:
 
 
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
-    """Return the status and the reason of each finished question. Without predictions, read them from the journal."""
+    """Return the status and reason of each finished question. If no table was written, read them from the journal."""
     folder = store.run_path(run_id)
     path = folder / "predictions.parquet"
     try:
@@ -171,7 +171,7 @@ def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
         answers = {}
         for segment in segments(journal_folder(folder)):
             with segment.open("rb") as lines:
-                # Another process may be writing the last line.
+                # A line without an end is skipped, because another process may be writing it.
                 for line in (msgspec.json.decode(text, type=_Line) for text in lines if text.endswith(b"\n")):
                     answers[line.question_id] = {
                         name: str(line.prediction.get(name, "")) for name in ("status", "reason")

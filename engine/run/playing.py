@@ -1,4 +1,4 @@
-"""Make runs of a person, or of an agent outside this program, who answers questions move by move."""
+"""Make the run of a player: a person, or an agent outside this program. The player answers move by move."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def played_run(
     Args:
         store: The store.
         method: The name of the method in the manifest.
-        model: The name of the player, which the manifest has as the name of the model.
+        model: The name of the player. The manifest stores it as the name of the model.
         run_id: The id of the run.
         questions: The selection of questions. None selects all questions.
         limit: Maximum number of questions. None sets no maximum.
@@ -48,7 +48,8 @@ def played_run(
         The bench and the run.
 
     Raises:
-        StoreError: If the store has no such questions or panoramas, or if the run exists and cannot be resumed.
+        StoreError: If no question is selected, if no selected question has panoramas, or if the run exists and cannot
+            be resumed.
         InputError: If the selection names a question, family, template or sequence that the store lacks.
     """
     image_root = find_images(store, images)
@@ -74,7 +75,7 @@ def due_questions(bench: Bench, run: Run) -> list[str]:
 
 @dataclass
 class Play:
-    """A question in progress: its episode, the recorded steps, and the performance counter at its start."""
+    """A question in progress: its episode, its recorded steps, and the value of `time.perf_counter()` at its start."""
 
     episode: Episode
     steps: list[Step]

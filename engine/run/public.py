@@ -31,11 +31,11 @@ _KEPT: Final = (0xC0, 0xC1, 0xC2, 0xC4, _SCAN, 0xDB, 0xDD)
 """Markers of segments that decoders need: size, Huffman tables, scan, quantisation tables and restart interval."""
 _JFIF: Final = b"\xff\xe0\x00\x10JFIF\0\1\1\0\0\1\0\1\0\0"
 _ADOBE: Final = b"\xff\xee\x00\x0eAdobe\0\x64\0\0\0\0"
-"""Segments that say how colours are stored, without free text. One byte follows `_ADOBE`."""
+"""Segments that say how colours are stored, without free text. The last byte of `_ADOBE` comes from the file."""
 _MARKER: Final = re.compile(rb"\xff+([\xc0-\xc2\xc4\xd9-\xdd\xe0-\xef\xfe])")
-"""Pattern of the markers that a picture may have between scans. Bytes 0xFF before a marker are padding."""
+"""Pattern of a marker outside the data of a scan. Further bytes 0xFF before the marker are padding."""
 _NEXT_MARKER: Final = re.compile(rb"(?<!\xff)\xff+[^\x00\xd0-\xd7\xff]")
-"""Pattern of the marker that ends a scan. In the scan, 0xFF is followed only by a zero or by a restart marker."""
+"""Pattern of the marker that ends a scan. Inside a scan, only a zero or a restart marker may follow 0xFF."""
 
 
 def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = False) -> int:
@@ -51,7 +51,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
 
     Raises:
         InputError: If the folder is not empty.
-        StoreError: If the store has no questions or no panoramas, if it has a training set, or if a file is not a JPEG.
+        StoreError: If the store has no questions or panoramas, if it has a training set, or if a picture is not a JPEG.
     """
     store = Store.of(store)
     store.refuse_training()
@@ -70,7 +70,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
             schema = pa.schema([field for field in QUESTIONS[name] if field.name not in HIDDEN])
             renamed = rename_sequences(table.select(schema.names), names)
             if opaque:
-                # Sorted anew, because the order of the real names would reveal which sequence is which.
+                # The rows are sorted anew, because the order of the real names would reveal which sequence is which.
                 renamed = renamed.sort_by(schema.names[0])
             write_table(public.question_path(name), renamed, schema, metadata)
         frames = dict(zip(real, sequences["frames"].to_pylist(), strict=True))
@@ -86,7 +86,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
 
 
 def _copy_pictures(source: Path, target: Path, frames: list[int]) -> bool:
-    """Copy the pictures of a sequence that exist, without metadata. Return whether there are any."""
+    """Copy the existing pictures of a sequence without their metadata. Return whether at least one exists."""
     target.mkdir(parents=True)
     paths = [path for frame in frames if (path := source / f"{frame:06d}.jpg").is_file()]
     for path in paths:
@@ -104,7 +104,7 @@ def strip_metadata(data: bytes, path: Path) -> bytes:
         path: The path of the file, for messages.
 
     Returns:
-        The bytes of a file that has the same pixels.
+        The bytes of a JPEG file that has the same pixels and no metadata.
 
     Raises:
         StoreError: If the file is not a JPEG, if its end is missing, or if it has an unusual segment.

@@ -30,7 +30,7 @@ _ACCESS: Final = (
 """Settings of an endpoint that do not influence replies, such as its address."""
 
 _MAY_BE_EMPTY: Final = ("server version",)
-"""Settings that are empty if the server was too busy to report them. An empty value equals any other value."""
+"""Settings that are empty if the server was too busy to report them. An empty value counts as equal to any other."""
 
 
 class Run(Journal):
@@ -83,7 +83,7 @@ class Run(Journal):
             method: The name of the method.
             model: The id of the model.
             question_ids: The ids of the questions.
-            settings: Everything else that influences the answers, as plain JSON.
+            settings: All other settings that influence the answers, as plain JSON.
             synthetic: Whether the run uses the simulated model or the sample world.
             selection: The result of `QuestionSelection.record()` for these questions.
 
@@ -114,8 +114,8 @@ class Run(Journal):
             entry: The entry.
 
         Raises:
-            StoreError: If writing fails, or if `finish` was called before. The thread of a player may call this
-                function so late.
+            StoreError: If writing fails, or if `finish` has already been called. This can happen if a player's last
+                move arrives while the run ends.
         """
         with self._writing:
             if self._over:
@@ -140,7 +140,7 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
 
     Args:
         store: The store of the run.
-        manifest: The manifest.
+        manifest: The manifest of the new or resumed run.
 
     Raises:
         StoreError: If a setting that influences predictions differs. The message names the setting.
@@ -162,7 +162,7 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
 
 
 def find_difference(first: RunManifest, second: RunManifest) -> str:
-    """Return the name of the first setting that differs between two runs and influences predictions, otherwise ""."""
+    """Return the name of a setting that influences predictions and differs between two runs, or "" if none differs."""
     before, now = _shaping(first), _shaping(second)
     for what in dict.fromkeys(["method", "model", *sorted(before.keys() | now.keys())]):
         pair = before.get(what), now.get(what)

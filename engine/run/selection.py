@@ -21,7 +21,7 @@ _COLUMNS: Final = {
     "templates": "template",
     "sequences": "sequence",
 }
-"""Column of the table `questions` that each option with names selects by."""
+"""For each option that lists names or ids, the column of the table `questions` that must have one of these values."""
 
 
 def select_questions(
@@ -30,7 +30,8 @@ def select_questions(
     """Select questions that have panoramas.
 
     Questions without panoramas are left out first, with a warning. The options `limit` and `per_template` then count
-    only the remaining questions. A shard leaves out no question, because machines may have different panoramas.
+    only the remaining questions. If the selection is a shard, a question without panoramas is an error instead, because
+    the machines that answer the shards must agree on the questions.
 
     Args:
         questions: All questions of the store, in the order of the questions file.
@@ -45,7 +46,8 @@ def select_questions(
     Raises:
         InputError: If the selection names a question, family, template or sequence that the store lacks, or if it
             selects by a column that a public store leaves out.
-        StoreError: If no question matches, if no matching question has panoramas, or if a question of a shard has none.
+        StoreError: If no question matches, if no matching question has panoramas, or if the selection is a shard and
+            one of its questions has no panoramas.
     """
     if selection.shard is None:
         return draw_questions(_with_panoramas(matching(questions, selection), image_root), selection)
@@ -69,7 +71,7 @@ def draw_questions(questions: Sequence[QuestionRow], selection: QuestionSelectio
         The selected questions, in the order that `select_questions` describes.
 
     Raises:
-        InputError: If the selection has `per_template`, and the store is public.
+        InputError: If the selection has `per_template`, but the store is a public store, which has no templates.
         StoreError: If `questions` is empty.
     """
     if not questions:
