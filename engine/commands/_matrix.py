@@ -12,8 +12,8 @@
     temperature = "none"
 
 A key is the long name of an option. Its value replaces the value of the command line. If a value is a list, the table
-describes one run per element. If several values are lists, it describes one run per combination of elements. Only the
-list of an option that may be repeated is a single value.
+describes one run per element. If several values are lists, it describes one run per combination of elements. An option
+that may be repeated is an exception, because its list is a single value.
 """
 
 from __future__ import annotations

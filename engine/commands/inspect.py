@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.option("--sample", type=click.IntRange(1, 1000), help="Show this many random questions instead of QUESTIONs.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random questions.")
 @page_option("inspect.html")
-@click.option("--import", "decisions", type=FILE, help="Store the decisions of a file that the page saved.")
+@click.option("--import", "decisions", type=FILE, help="Store the decisions from a file that the page saved.")
 @click.option("--reviewer", help="With --import: name of the reviewer.")
 @form_option
 def command(

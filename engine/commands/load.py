@@ -106,7 +106,7 @@ def _verify(store: Store, form: RowFormat) -> None:
     if faults:
         remedy = "ROOT" if any(check.reload for check in faults) else "--rebuild"
         path = clean(store.path)
-        note(f"{path} is not what was loaded: run 'jrdb-avr load {remedy} --store {path}'")
+        note(f"{path} changed after the load: run 'jrdb-avr load {remedy} --store {path}'")
         sys.exit(1)
 
 

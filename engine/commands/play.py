@@ -50,7 +50,7 @@ def command(store: Store, name: str, run_id: str | None, resume: bool, port: int
         LocalServer(HumanDesk(bench, run, render("play.html", who=name)).respond, port) as server,
     ):
         click.echo(server.url)
-        note("open this address in a browser; Ctrl-C ends, and --resume goes on")
+        note("open this address in a browser; Ctrl-C ends the command, and --resume continues the run")
         server.serve_forever()
     if run.finished:
         note(f"next: {scoring_steps(store.path, run_id)}")

@@ -160,10 +160,10 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     if questions:
         # Other columns already show which of the two runs is right.
         columns = [name for name in questions[0] if name != "only"]
-        title = f"{len(questions)} questions that only one of the runs scores: {score}"
+        title = f"{len(questions)} questions that only one of the runs has right, by the score '{score}'"
         print_rows(questions, title, columns)
     else:
-        note(f"no question is scored by only one of the runs: {score}")
+        note(f"no question is right in only one of the runs, by the score '{score}'")
     note(f"next: jrdb-avr view --store {store.path} --answers")
     if compared.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")

@@ -98,7 +98,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
         store.manifest()
     method = read_run_manifest(store, run_id).method
     if method not in WORLD_METHODS:
-        raise StoreError(f"run {run_id!r} has no world model: of the methods {' and '.join(WORLD_METHODS)} keep one")
+        raise StoreError(f"run {run_id!r} has no world model: only the methods {' and '.join(WORLD_METHODS)} keep one")
     if record is None:
         raise StoreError(f"run {run_id!r} is not finished: repeat its 'jrdb-avr evaluate' with --resume, then merge")
     return record

@@ -1,1 +1,1 @@
-"""Adapters that offer the benchmark to other frameworks. Some of them need packages of an extra of this package."""
+"""Adapters that offer the benchmark to other frameworks. Some need additional packages, which the extras install."""

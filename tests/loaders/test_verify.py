@@ -71,7 +71,7 @@ def test_one_changed_byte_is_found_in_its_file(copy, file, remedy, position):
     (fault,) = [line for line in out.splitlines() if " is not the file that was " in line]
     assert code == 1 and file in fault
     assert (
-        err.splitlines()[-1] == f"{copy.path} is not what was loaded: run 'jrdb-avr load {remedy} --store {copy.path}'"
+        err.splitlines()[-1] == f"{copy.path} changed after the load: run 'jrdb-avr load {remedy} --store {copy.path}'"
     )
 
 

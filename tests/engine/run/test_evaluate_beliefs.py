@@ -192,7 +192,7 @@ def test_merging_what_is_not_there_is_one_line(store, live, tmp_path):
     for run_id, words in (
         ("none", r"has no run 'none': did you mean one"),
         ("half", r"'half' is not finished: repeat its 'jrdb-avr evaluate' with --resume"),
-        ("base", r"'base' has no world model: of the methods agent and agent-passive"),
+        ("base", r"'base' has no world model: only the methods agent and agent-passive"),
         ("../one", r"cannot be a run id"),
     ):
         with pytest.raises(AvrError, match=words) as caught:
