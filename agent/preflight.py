@@ -12,8 +12,8 @@
     tokens    the server counts tokens (a warning: the run's counts would be 0)
     model     replies name the requested model (a warning: the run records the name)
 
-A failed check is only a warning, which the run records, because weak models shall be scored too. `require` refuses a
-run only if the method of the run needs a check that failed.
+By default, a failed check is only a warning in the manifest of the run, so that weak models are scored too. `require`
+refuses a run only if the method of the run needs a check that failed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 
 CROPS: Final = max(BUDGET, LIMITS.looks)
-"""Number of crops in the request that checks crops, which is the maximum that a method sends."""
+"""Number of crops in the request of the check `crops`. No method sends more crops in one request."""
 
 SENDERS: Final = {
     "panoramas": ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world"),
@@ -68,14 +68,15 @@ _VALUES: Final = ["amber-41", "cobalt-17"]
 _KEY_SCHEMA: Final = closed_object({_KEY: {"type": "string", "enum": _VALUES}})
 _CORNER_SCHEMA: Final = closed_object({"corner": {"type": "string", "enum": list(CORNERS)}})
 _SEEN_CORNERS: Final = 3
-"""Minimum number of right corners. If the server drops pictures, all four replies are equal, and one is right."""
+"""Minimum number of right corners. If the server drops pictures, all four replies are equal, so only one is right."""
 
 
 @dataclass(frozen=True)
 class Check:
     """The result of one check.
 
-    needed: whether a run suffers if the check fails. methods: the methods that need the check. Empty if all need it.
+    needed: whether a run suffers if the check fails. methods: the methods that need the check, or
+    nothing if all methods need it.
     """
 
     name: str
@@ -117,7 +118,7 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
         The lines of the failed checks.
 
     Raises:
-        EndpointError: If a check failed that the method needs.
+        EndpointError: If a check that the method needs has failed.
     """
     for check in checks:
         if check.needed and not check.passed and (method is None or not check.methods or method in check.methods):
@@ -128,8 +129,8 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
 class _Probe(NamedTuple):
     """The result of a request.
 
-    reply: None if the server refuses the request. value: the JSON object of the reply, empty if it cannot be read.
-    fault: why the object cannot be read. remedy: what the user can do, if only one thing can help.
+    reply: the reply, or None if the server refuses the request. value: the JSON object of the reply, empty if it
+    cannot be read. fault: why it cannot be read. remedy: the only thing that can help, or "" if several things can.
     """
 
     reply: Reply | None
@@ -217,7 +218,7 @@ def _schema(client: Client, shaped: _Probe) -> Check:
     others = " or ".join(form for form in get_args(ResponseFormat) if form != declared)
     remedy = f"use a model and a server that keep to {declared}, or declare --response-format {others}"
     if shaped.reply is None and declared != "none" and client.options.thinks(client.convention):
-        # llama.cpp refuses a schema if it cannot separate thinking, which the template turns on, from the reply.
+        # If the template turns thinking on, llama.cpp refuses a schema unless it can separate thinking from the reply.
         remedy = f"declare --thinking off; else {remedy}"
     ignored = declared == "json_schema" and (list(shaped.value) != [_KEY] or shaped.value[_KEY] not in _VALUES)
     fault = shaped.fault or ("ignored: another object came" if ignored else "")
@@ -240,7 +241,7 @@ def _picture(send: Callable[..., _Probe]) -> Check:
 def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     """Send the largest number of pictures in one request, and yield the checks.
 
-    The marked picture is neither the first nor the last, because a server may pass on only the first or only the last.
+    The marked picture is neither the first nor the last, because a server may pass on only the first or last one.
     """
     question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
     panoramas = [

@@ -123,7 +123,7 @@ class ParsedReply:
 
 @dataclass
 class Attempt:
-    """State of one attempt to answer a question. Used by only one thread."""
+    """State of one attempt to answer a question. Only one thread may use an attempt."""
 
     task: Task
     chat: Chat | None
@@ -188,10 +188,10 @@ class Attempt:
         """Make a model call. If its reply cannot be read, make a second call that states the error.
 
         Args:
-            messages: Returns the chat of a call. Its argument is the lines about an unreadable reply, which are empty
-                for the first call.
+            messages: Called before each model call to get its chat. The argument has a line about the reply that could
+                not be read. It is empty before the first model call.
             schema: The JSON Schema of the reply.
-            read: Reads the reply, or raises DecodeError.
+            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.
@@ -214,7 +214,7 @@ class Attempt:
             parts: The parts of the user message between the question and the instructions.
             stage: The instructions of the stage, which come last.
             schema: The JSON Schema of the reply.
-            read: Reads the reply, or raises DecodeError.
+            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.
@@ -368,7 +368,7 @@ class Attempt:
             The parsed parts, and the faults of parts that could not be read.
 
         Raises:
-            DecodeError: If the reply does not have exactly these two keys.
+            DecodeError: If the reply has any other key. A missing key counts as a fault of its part.
         """
         unread = {"answer": None, "evidence_bboxes": None}
         parts = decode.only_keys({**unread, **reply}, unread, "the reply")

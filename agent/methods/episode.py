@@ -34,7 +34,7 @@ def most_moves(budget: int) -> int:
     """Return the maximum number of moves.
 
     Args:
-        budget: The maximum of looks.
+        budget: The maximum number of looks.
 
     Returns:
         The number of moves.
@@ -43,14 +43,14 @@ def most_moves(budget: int) -> int:
 
 
 class Remaining(NamedTuple):
-    """Numbers of looks and of moves that are left."""
+    """The number of looks and the number of moves that are left."""
 
     looks: int
     moves: int
 
 
 class Episode:
-    """Episode of one question. Each move is a look or an answer. Only one thread may use it at a time.
+    """Episode of one question. Each move is a look or an answer. Only one thread may use an episode.
 
     question: the public columns of the question. frames: the frames that can be observed, ascending. answered: whether
     an answer has ended the episode. turns: one line per move so far. error: why the last move was malformed, or "".
@@ -70,7 +70,7 @@ class Episode:
             task: The question, with the functions that return its pictures.
             budget: The maximum number of looks.
             convention: How the player writes boxes.
-            chat: The model of a method that makes its calls through `attempt`.
+            chat: The model, for a method that makes model calls through `attempt`. None if a player makes the moves.
         """
         self.attempt = Attempt(task, chat, convention)
         self.question: Question = task.question
@@ -123,7 +123,7 @@ class Episode:
 
     @property
     def left(self) -> Remaining:
-        """The looks and moves that are left. Both are 0 after the end."""
+        """The looks and moves that are left. Both are 0 after the final answer."""
         if self.answered:
             return Remaining(0, 0)
         return Remaining(self.budget - self.attempt.looks, most_moves(self.budget) - len(self.turns))
@@ -173,7 +173,7 @@ class Episode:
             move: The move as a model writes it, such as `{"action": "observe", "frame_id": ..., ...}`.
 
         Returns:
-            The crop of a look; None after an answer.
+            The crop if the move is a look, or None if the move is an answer.
 
         Raises:
             RefusedError: If the move is refused or malformed.
@@ -187,7 +187,7 @@ class Episode:
             reply: The reply.
 
         Returns:
-            The crop of a look; None after an answer.
+            The crop if the move is a look, or None if the move is an answer.
 
         Raises:
             RefusedError: If the move is refused, or the reply cannot be read.
@@ -201,7 +201,7 @@ class Episode:
             reason: Why the reply is malformed.
 
         Raises:
-            RefusedError: If this function is called, in every case.
+            RefusedError: In every case. The message is the reason.
         """
 
         def read() -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""ReAct: the model looks, thinks, looks again, and answers. Every turn sends the whole history.
+"""ReAct: the model looks, thinks, looks again, and answers. Every turn sends the history of looks again.
 
-The rules are those of `Episode`, and each turn is a move of it. After a malformed turn, the next turn states the error.
-Each request has all earlier crops, or only the newest crops, with their metadata. Servers may therefore be stateless,
-and a finished call can be repeated from its request alone.
+The rules are the rules of `Episode`, and each turn is a move of an episode. After a malformed turn, the next turn
+states the error. Each request has all earlier crops, or only the newest crops, with their metadata. Servers may
+therefore be stateless, and a finished call can be repeated from its request alone.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class ReAct:
         """Play an episode to its end.
 
         Args:
-            episode: The episode, with the chat of this method.
+            episode: A new episode that was made with the chat of this method.
 
         Returns:
             The prediction.

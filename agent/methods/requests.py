@@ -27,7 +27,7 @@ def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]
 
     Returns:
         For each i from 0 to n - 1, the frame at position i * (m - 1) / (n - 1). Positions are rounded to the nearest,
-        and halves up. If n is 1, the middle frame, or the earlier of two middle frames. If m is at most n, all frames.
+        and halves up. If n is 1: the middle frame, or the earlier of two middle frames. If m is at most n: all frames.
 
     Raises:
         ValueError: If n is below 1.
@@ -138,7 +138,7 @@ def shared_settings(convention: Convention) -> dict[str, Any]:
     """Return the settings that every method has in a run's manifest.
 
     Args:
-        convention: The backbone's convention.
+        convention: The convention of the model.
 
     Returns:
         The settings.
@@ -154,14 +154,14 @@ def history_settings(history: int | None) -> dict[str, Any]:
         history: The number of newest pictures that are sent. None sends all.
 
     Returns:
-        The settings, empty if all pictures are sent.
+        The settings. They are empty if all pictures are sent.
     """
     return {} if history is None else {"history": history}
 
 
 @dataclass(frozen=True)
 class FixedContextMethod:
-    """Base class of methods that answer from `n` evenly spaced panoramas. `stages` are the settings of the calls."""
+    """Base class of methods that answer from `n` evenly spaced panoramas. `stages` has the numbers of calls."""
 
     name: ClassVar[str]
     stages: ClassVar[Mapping[str, int]]

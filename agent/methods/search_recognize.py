@@ -45,7 +45,7 @@ class SearchRecognize(FixedContextMethod):
             proposal = _box(attempt, panorama_parts(panoramas), stage, on_panoramas(panoramas))
         except DecodeError:
             return answer_from(attempt, panoramas, "monolithic")
-        # Columns are rounded to hundredths, because the prompt must not show rounding errors.
+        # The angle is rounded to 0.001 degrees (0.01 columns), because the prompt must not show rounding errors.
         crop = attempt.look(proposal.frame, round(center_angle(proposal.box[0], proposal.box[2]), 3))
         stage = render("search_recognize_refine", frame_id=crop.frame_id)
         try:
@@ -58,7 +58,7 @@ class SearchRecognize(FixedContextMethod):
 
 
 def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Evidence) -> Answer:
-    """Return the prediction, with the model's answer about the person in the refined box."""
+    """Return the model's answer to the question about the person in the refined box."""
     question, text = attempt.task.question, mode_text(attempt.task)
     box = ", ".join(f"{value:.1f}" for value in refined.box)
     parts: tuple[Part, ...] = (

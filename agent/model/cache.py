@@ -1,9 +1,9 @@
 """Store finished calls on disk under the sha256 of the whole request, so that no call is paid for twice.
 
 A file holds the calls of one run, one per line. Each line is appended by a single write, and readers skip incomplete
-lines. A process that is killed, or processes that append at once, therefore lose at most some calls. The file is not
-synced to disk. If the machine loses power, the newest calls may be lost, and a resumed run makes these calls again.
-Requests contain no API key, so the file contains no API key.
+lines. If a process is killed, or if processes append at the same time, only the lines that are being written can be
+lost. All other calls stay readable. The file is not synced to disk. If the machine loses power, the newest calls may be
+lost, and a resumed run makes these calls again. Requests contain no API key, so the file contains no API key.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ class _Entry(msgspec.Struct):
     reply: Reply
 
 
-# Made at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
+# This runs at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 _ENTRY: Final = msgspec.json.Decoder(_Entry)
 _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 class Calls:
-    """A file of finished calls, for many threads at once.
+    """A file of finished calls. Many threads may use it at the same time.
 
-    If a request has several lines, the newest line that this process knows counts. The file is opened by the first call
-    of a method. Lines that other processes have written by then are read too.
+    If a request has several lines, the newest line that this process knows counts. The file is opened when
+    it is first read or written. Lines that other processes have written by then are read too.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,7 +83,7 @@ class Calls:
             return None
 
     def tokens(self) -> tuple[int, int]:
-        """Return the tokens of the calls that the file held when it was opened: those in prompts, and those in replies.
+        """Return the number of prompt tokens and of reply tokens of all calls that the file held when it was opened.
 
         Raises:
             StoreError: If the file cannot be read.
@@ -104,11 +104,11 @@ class Calls:
         Raises:
             StoreError: If the file cannot be written.
         """
-        # The line begins with a line end, because the last line may have been cut short.
+        # The line begins with a line end, because the last line of the file may be incomplete.
         line = b"\n" + msgspec.json.encode({"request": digest, "reply": reply}) + b"\n"
         try:
             file = self._open()
-            # Without a lock, because a thread that waits for the interpreter after its write would hold up all others.
+            # No lock is held, because a thread that waits for the interpreter after its write would delay all others.
             while line:
                 line = line[file.write(line) :]
             self._unread.add(digest)
@@ -129,7 +129,7 @@ class Calls:
         return self._file
 
     def _index(self) -> None:
-        """Note the position and the tokens of each line that was not indexed before."""
+        """Store the position of each line that was not indexed before, and count its tokens."""
         with contextlib.suppress(FileNotFoundError), self._path.open("rb") as lines:
             lines.seek(self._indexed)
             for line in lines:
@@ -137,8 +137,8 @@ class Calls:
                     break
                 with contextlib.suppress(*_UNREADABLE):
                     entry = _ENTRY.decode(line)
-                    # The position is stored first, so that a concurrent reader always finds the call in one of the two
-                    # places.
+                    # The position is stored first, so that a concurrent reader always finds the call in `_lines` or in
+                    # `_unread`.
                     self._lines[entry.request] = self._indexed, len(line)
                     self._unread.discard(entry.request)
                     self._prompt_tokens += entry.reply.prompt_tokens

@@ -41,7 +41,7 @@ LEAST_READABLE: Final = 0.5
 CLEAR: Final = 0.4
 """Minimum share of a key's replies that, under the chosen reading, have an IoU of at least 0.5 with the known box."""
 LEAD: Final = 0.2
-"""Minimum difference between this share under the chosen reading and under any reading that gives other boxes."""
+"""Minimum lead of the chosen reading's share (as in `CLEAR`) over the share of any reading that gives other boxes."""
 _SAME: Final = 0.9
 _IN_FLIGHT: Final = 8
 
@@ -107,7 +107,7 @@ class _Written(NamedTuple):
 
 
 def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] = lambda steps: None) -> Calibration:
-    """Request boxes of drawn rectangles and find the reading that explains them.
+    """Request boxes of drawn rectangles, and find the reading that explains these boxes.
 
     Args:
         client: The client of the model's server.
@@ -115,10 +115,10 @@ def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] 
         advance: Called with 1 after each reply.
 
     Returns:
-        The calibration. If no reading was chosen, it states the reason.
+        The calibration. If no reading was chosen, the calibration states the reason.
 
     Raises:
-        EndpointError: If the server refuses a request or breaks.
+        EndpointError: If the server refuses a request, or if all retries fail.
     """
     pictures = drawn_rectangles(n, SEED)
     requests = [request(drawn) for drawn in pictures]
@@ -193,7 +193,7 @@ class _Tried(NamedTuple):
 
 
 def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple[list[Score], str]:
-    """Return a score per reading, in which the chosen readings are marked, and the reason if none may be chosen."""
+    """Return a score per reading, which says whether the reading is chosen, and why none may be chosen, or ""."""
     scores: list[Score] = []
     reasons = []
     for key in KEYS:

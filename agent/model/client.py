@@ -3,7 +3,7 @@
 A call that finishes cleanly is stored under the sha256 of the whole request, so that it is never paid for twice. The
 client repeats a call if the transport or the server breaks the call (timeout, unreadable reply, 5xx). If the server is
 busy (429, 503, 529) or cannot be reached, the client repeats the call for a longer time. Any other refusal raises an
-EndpointError at once. API keys come from the environment and are sent only in the headers of requests.
+EndpointError immediately. API keys come from the environment and are sent only in the headers of requests.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _VERSION_TIMEOUT_S: Final = 5.0
 _BUSY: Final = (429, 503, 529)
 """Statuses of a server that will take the request later: too many requests, a model that loads, an overload."""
 _NO_CREDIT: Final = "insufficient_quota"
-"""The error code of a response with status 429 that no waiting mends."""
+"""Error code of a response with status 429 if the account has no credit left, so that waiting does not help."""
 _REMEDIES: Final = {
     401: "; put the server's key into ${key}",
     403: "; put a key that may use the model into ${key}",
@@ -84,7 +84,7 @@ class _PassingError(_BrokenError):
 
 
 class Client:
-    """Client that completes chats at `base_url` with `model`. Safe for many threads at once."""
+    """Client that completes chats at `base_url` with `model`. Many threads may share a client."""
 
     def __init__(
         self,
@@ -104,7 +104,7 @@ class Client:
             base_url: The server's address.
             model: The model id that requests name.
             options: The request settings.
-            convention: How the model switches thinking, and which part of a reply is its answer.
+            convention: How thinking is turned on and off, and which part of a reply is the answer.
             cache: The file of finished calls. None stores no calls.
             bounds: Maxima of each exchange with the server.
             pause: Called with a number of seconds in order to wait that long.
@@ -152,9 +152,9 @@ class Client:
             The reply.
 
         Raises:
-            EndpointError: If the server refuses the request, or breaks after all retries.
-            RunStoppedError: If the server was busy or out of reach for two minutes in which no other call succeeded
-                either, or if the calls have cost the maximum.
+            EndpointError: If the server refuses the request, or if all retries fail.
+            RunStoppedError: If the server was busy or could not be reached for two minutes, and no other call succeeded
+                in this time. Also if the server refuses the key, or if the calls have cost all credit or `max_cost`.
         """
         request = self.options.request(self.model, self.convention, schema)
         if self._calls is None:
@@ -169,7 +169,7 @@ class Client:
         return reply
 
     def _cacheable(self, reply: Reply) -> bool:
-        """Return whether a reply finished cleanly, has an answer, and comes from the first model that replied."""
+        """Return whether a reply finished cleanly, has an answer, and names the same model as the first reply."""
         of_model = reply.model == next(iter(self.served), reply.model)
         return of_model and reply.finished and bool(answer_text(reply, self.convention))
 
@@ -184,13 +184,13 @@ class Client:
             The reply.
 
         Raises:
-            EndpointError: If the server refuses the request, or breaks after all retries.
+            EndpointError: If the server refuses the request, or if all retries fail.
         """
         request = {**self.options.request(self.model, self.convention, schema), "messages": wire(messages)}
         return self._send(request, probe=True)
 
     def server_version(self) -> str:
-        """Return the version that the server reports at `/version`, or "". vLLM has this address."""
+        """Return the version that the server reports at `/version`, as vLLM does. Return "" if it reports none."""
         import httpx2
 
         timeout_s = min(self.options.timeout_s, _VERSION_TIMEOUT_S)
@@ -266,7 +266,7 @@ class Client:
         except httpx2.HTTPError as error:
             raise _BrokenError(f"the reply broke off ({self._one_line(error)})") from None
         try:
-            # Keys are hidden, because a server may repeat its request in the reply, and replies are stored.
+            # Keys are hidden, because a server may quote the request in its reply, and replies are stored.
             reply = read_completion(self._credentials.hide_in_json(data), response.status_code)
         except ErrorReply as error:
             raise self._refusal(error, response.headers.get("retry-after", "")) from None
@@ -282,7 +282,7 @@ class Client:
         return reply
 
     def _refusal(self, error: ErrorReply, retry_after: str) -> Exception:
-        """Return the error for a reply that reports one."""
+        """Return the exception to raise for a reply that reports an error."""
         reason = f"HTTP {error.status}: {self._one_line(error.reason.strip() or 'the server gives no reason')}"
         busy = error.status in _BUSY and error.code != _NO_CREDIT
         if busy or error.status >= 500:
@@ -296,12 +296,12 @@ class Client:
         return (RunStoppedError if stops else EndpointError)(f"{self.base_url}: {reason}{remedy}")
 
     def _one_line(self, error: object) -> str:
-        # The key is hidden before the text is cut. Otherwise the beginning of a key could stay at the cut.
+        # The key is hidden before the text is cut. Otherwise the beginning of a key could stay visible.
         return " ".join(self._credentials.hide(str(error)).split())[:300] or type(error).__name__
 
 
 def _pause_s(state: RetryCallState) -> float:
-    """Return the pause in seconds that the server names, or else one that doubles with each attempt."""
+    """Return the pause in seconds: the one that the server names, or else one that doubles with each attempt."""
     broken = state.outcome and state.outcome.exception()
     assert isinstance(broken, _BrokenError), "only these are repeated"
     least, most = _PAUSE_S

@@ -17,8 +17,8 @@ Order = Literal["xyxy", "yxyx"]
 Scale = Literal["thousandths", "pixels", "unit", "resized"]
 """The unit of the numbers of a box, in order of simplicity.
 
-In these units the full width is 1000, the image's width in pixels, 1, or the width in pixels after the model has
-resized the image.
+The full width of an image is 1000 ("thousandths"), its width in pixels ("pixels"), 1 ("unit"), or its width in pixels
+after the model has resized it ("resized").
 """
 
 SCALE: Final = 1000
@@ -100,7 +100,7 @@ class Convention:
 CONTRACT: Final = Convention("contract", {CONTRACT_KEY: "xyxy"})
 """Convention of models from families without a declared convention."""
 
-# The default budget is 280 soft tokens of 48 x 48 pixels: a whole panorama shrinks to some 60 % a side.
+# By default, an image becomes at most 280 tokens of 48 x 48 pixels. A panorama shrinks to about 60 % of each side.
 _GEMMA_4: Final = Convention(
     "gemma-4",
     {CONTRACT_KEY: "xyxy", "box_2d": "yxyx"},
@@ -132,7 +132,7 @@ def convention_of(model: str) -> Convention:
         model: The model id, in any spelling.
 
     Returns:
-        The family's convention; CONTRACT if the family is unknown.
+        The family's convention, or CONTRACT if the family is unknown.
     """
     plain = re.sub(r"[\s_:/]+", "-", model.lower())
     return next((convention for pattern, convention in _FAMILIES if pattern.search(plain)), CONTRACT)

@@ -40,8 +40,8 @@ def box_key(entry: object, convention: Convention = CONTRACT, requested: str = C
         requested: The key that the prompt requests.
 
     Returns:
-        The key of the box. If the object has no such key or several, the requested key. `only_keys` then refuses the
-        object.
+        The key of the box. If the object has none or several of these keys, it is the requested key, so that
+        `only_keys` refuses the object.
     """
     keys = [key for key in {requested: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
     return keys[0] if len(keys) == 1 else requested
@@ -55,7 +55,7 @@ def read_box(
     Args:
         value: Four numbers.
         size: Width and height of the image in pixels.
-        convention: The backbone's convention.
+        convention: The convention of the model.
         key: The key of the box in the reply. An unknown key is read like the contract's key.
         what: The name of the box in errors.
 
@@ -102,7 +102,7 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
-    """Return four checked numbers. They must be integers, or finite numbers if the scale is 0 to 1."""
+    """Return four checked numbers. They must be integers, or finite numbers if the scale is "unit"."""
     whole = reading.scale != "unit"
     kinds = (int,) if whole else (int, float)
     numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
@@ -158,7 +158,8 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
     text = answer_text(reply, convention)
     if not text:
         raise DecodeError(f"the reply is empty{_instead(reply)}")
-    # No regular expression is used, because one that looks for the end from every blank takes hours for a long reply.
+    # No regular expression matches the end of the fence. It would start at every blank, which takes hours for a long
+    # reply.
     fence = _FENCE.match(text)
     if fence and text.endswith("```"):
         text = text[fence.end() : max(fence.end(), len(text) - 3)]
@@ -276,7 +277,7 @@ def frame_id(value: object, what: str = "frame_id") -> int:
         what: The name of the value in errors.
 
     Returns:
-        The frame.
+        The index of the frame.
 
     Raises:
         DecodeError: If the value is not a string of six digits.
@@ -365,7 +366,7 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
         value: The part of the reply.
         frames: The frames of the images to which the box may refer.
         size: Width and height of these images in pixels.
-        convention: The backbone's convention.
+        convention: The convention of the model.
 
     Returns:
         The box.

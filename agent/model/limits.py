@@ -13,7 +13,7 @@ MINUTE_S = 60.0
 
 @dataclass
 class Sent:
-    """The time of a request, and its number of tokens, which is an estimate until the reply has arrived."""
+    """The time of a request in seconds, and the number of its tokens, which is estimated until the reply arrives."""
 
     at: float
     tokens: float
@@ -40,7 +40,7 @@ class RateLimit:
         """Wait until a request may be sent, and count the request.
 
         Returns:
-            The record of the request, for `count`.
+            The record of the request. The caller passes it to `count` when the reply has arrived.
         """
         while True:
             with self._lock:
@@ -49,8 +49,8 @@ class RateLimit:
                     self._sent.popleft()
                 mean = self._tokens / max(self._replies, 1)
                 tokens = sum(sent.tokens for sent in self._sent) + mean
-                # A request is always admitted if no other counts. Otherwise a request of more than `tpm` tokens would
-                # wait for ever.
+                # A request is always admitted if no other was sent in the last minute. Otherwise a request of more than
+                # `tpm` tokens would wait for ever.
                 if not self._sent or (len(self._sent) < self._rpm and tokens <= self._tpm):
                     self._sent.append(Sent(now, mean))
                     return self._sent[-1]

@@ -115,7 +115,8 @@ def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:
         seen: A crop or a panorama.
 
     Returns:
-        Sequence, frame, time and angle of the picture.
+        The frame id and the time in seconds. For a crop also the angle and the width in degrees, and the left column in
+            stitched pixels.
     """
     metadata = {"frame_id": seen.frame_id, "timestamp": round(seen.timestamp, 3)}
     if isinstance(seen, Panorama):
@@ -166,7 +167,8 @@ def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
         messages: A chat.
 
     Returns:
-        The role and the text of each message. The name of a picture stands for it, so that it can be made again.
+        The role and the text of each message. A text has the name of each picture, so that the picture can be made
+            again.
     """
     return [{"role": message.role, "content": message.text} for message in messages]
 

@@ -36,7 +36,7 @@ class EndpointOptions(Options):
     and the limits. The object holds no key, only the name of the environment variable with the key.
 
     Raises:
-        InputError: If no request can have these values.
+        InputError: If a value cannot be sent in a request, or if values contradict each other.
     """
 
     base_url: str | None = option(None, "Address of an OpenAI-compatible server, such as http://localhost:8000/v1.")
@@ -75,7 +75,7 @@ class EndpointOptions(Options):
     max_cost: float | None = option(
         None,
         "Stop the run when its calls have cost this much by --prices. Requests in progress may add to the cost. To go "
-        "on, use --resume with a higher maximum. The costs so far count, except of replies cut off or refused.",
+        "on, raise it and use --resume. Earlier costs then count too, except for replies that were cut off or refused.",
         minimum=0,
         metavar="DOLLARS",
     )
@@ -150,8 +150,8 @@ class EndpointOptions(Options):
             convention: The convention of the model.
 
         Returns:
-            The arguments by name, empty if the chat template already turns thinking on or off as the option `thinking`
-            asks, or has no switch for thinking.
+            The arguments by name. They are empty if the chat template has no switch for thinking, or if the
+            switch is not needed, because the template already does by default what the option `thinking` requests.
         """
         thinks = self.thinking == "on"
         changes = convention.switches and self.thinking != "template" and convention.thinks != thinks

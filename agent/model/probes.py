@@ -2,7 +2,7 @@
 
 Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name.
 Inside it is a mark of `schema.markers`. The black and white grid of the mark distinguishes the rectangle from the plain
-shapes around it. A person, a model and the simulated model can all see it. The pictures depend only on a seed. The
+shapes around it. People, models and the simulated model can see the mark. The pictures depend only on a seed. The
 simulated model recognizes the prompt of such a picture by the last line of the prompt.
 """
 
@@ -53,7 +53,7 @@ _TRIES: Final = 200
 
 @dataclass(frozen=True)
 class DrawnPicture:
-    """A picture with its size in pixels, and the box (in pixels) and the colour of the rectangle in it."""
+    """A picture, its size in pixels, and its marked rectangle: the box in pixels and the colour."""
 
     picture: Picture
     size: tuple[int, int]
@@ -107,7 +107,7 @@ def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPic
 
 
 def _free_boxes(rng: random.Random, width: int, height: int, n: int) -> list[Box]:
-    """Return `n` random boxes that do not touch each other, or fewer if no further place is found."""
+    """Return `n` random boxes that do not touch each other, or fewer if no more free space is found."""
     boxes: list[Box] = []
     tries = 0
     while len(boxes) < n and tries < _TRIES:
@@ -141,8 +141,8 @@ def _shape(image: MarkImage, box: Box, color: str, round_: bool) -> None:
 def _marked(image: MarkImage, box: Box, color: str, identity: int) -> None:
     _shape(image, box, color, False)
     draw(image, box, Mark(identity))
-    # The mark's frame has another colour than the prompt names, so the outermost two pixels, which no mark reaches, get
-    # the rectangle's colour again.
+    # The frame of the mark hides the colour that the prompt names. So the outermost two pixels get this colour again.
+    # The grid of the mark does not reach these pixels.
     x, y, w, h = (int(v) for v in box)
     for thick in range(2):
         image[[y + thick, y + h - 1 - thick], x : x + w] = _COLORS[color]

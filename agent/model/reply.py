@@ -62,7 +62,7 @@ class _Completion(msgspec.Struct):
     usage: Any = None
 
 
-# Used once at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
+# This runs at import, because msgspec crashes if several threads make the first decoder of a type at the same time.
 msgspec.convert({"choices": []}, _Completion)
 
 _FAILED: Final = ("error", "abort")
@@ -73,7 +73,7 @@ _ENDS: Final = {
     **dict.fromkeys(("length", "max_tokens", "max_output_tokens", "model_length"), "length"),
     "safety": "content_filter",
 }
-"""Finish reason of chat completions for each finish reason of other protocols that some servers pass on."""
+"""Finish reasons of chat completions, by finish reason. Some servers pass on the finish reasons of other protocols."""
 
 
 def read_completion(data: bytes, status: int = 200) -> Reply:
@@ -87,7 +87,7 @@ def read_completion(data: bytes, status: int = 200) -> Reply:
         The reply.
 
     Raises:
-        ErrorReply: The status or the body reports an error.
+        ErrorReply: If the status or the body reports an error.
         ValueError: If the body is not a chat completion.
     """
     failed = not 200 <= status < 300
@@ -163,7 +163,7 @@ def _text(value: object) -> str:
 
 
 def _tokens(usage: object, name: str) -> int:
-    """Return a number of tokens. Return 0 if it is missing or invalid, because the reply itself may be valid."""
+    """Return a count of tokens. If it is missing or invalid, return 0, because the reply itself may be valid."""
     count = usage.get(name) if isinstance(usage, dict) else None
     return count if type(count) is int and 0 <= count <= _MOST_TOKENS else 0
 
@@ -196,7 +196,7 @@ def thinking_text(reply: Reply, convention: Convention) -> str:
     """
     for text in (reply.content, reply.reasoning):
         for opening, closing in convention.thinking:
-            # The chat template may hold the opening delimiter, so that it is missing in the reply.
+            # If the chat template holds the opening delimiter, the reply has only the closing delimiter.
             before, closed, _ = text.rpartition(closing)
             inner = before if closed else text if text.lstrip().startswith(opening) else ""
             if thinking := inner.replace(opening, "").strip():

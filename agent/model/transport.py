@@ -43,13 +43,13 @@ BOUNDS: Final = Bounds()
 
 
 class Connections:
-    """HTTP connections of a client to one server. Safe for many threads at once."""
+    """HTTP connections of a client to one server. Many threads may share them."""
 
     def __init__(self, base_url: str, bounds: Bounds) -> None:
         """Prepare connections that follow no redirect.
 
         Args:
-            base_url: The server's address. If it is this machine, the proxies of the environment are not used.
+            base_url: The server's address. If the server is this machine, the proxies of the environment are not used.
             bounds: The maxima of each exchange.
 
         Raises:
@@ -85,9 +85,9 @@ class Connections:
             The response and the bytes of its body.
 
         Raises:
-            EndpointError: If the server redirects, because the key must not be sent elsewhere. If the reply is too
-                long, or is compressed (decompression bomb). httpx2.HTTPError: If the server cannot be reached, or the
-                reply breaks off or does not end in time.
+            EndpointError: If the server redirects, because the key must not be sent elsewhere. Also if the reply is too
+                long, or if it is compressed, because it could unpack to a huge size.
+            httpx2.HTTPError: If the server cannot be reached, or if the reply breaks off or does not end in time.
         """
         import httpx2
 
@@ -142,7 +142,7 @@ class Credentials:
 
         Args:
             key_variable: The environment variable that holds the server's key. It may be unset.
-            header_variables: The environment variable that holds the value, for each further header.
+            header_variables: For each further header, the environment variable that holds the header's value.
 
         Raises:
             EndpointError: If a variable has no value that a header can hold. The message does not contain the value.
@@ -154,8 +154,8 @@ class Credentials:
             self.headers["Authorization"] = f"Bearer {key}"
         self.headers |= values
         words = [word for value in values.values() for word in (value, *value.split()) if len(word) >= _SECRET // 2]
-        # The longest secret comes first, because the words of a header's value are secrets too, and are parts of the
-        # value.
+        # The longest secret is replaced first. If a word of a header's value were replaced first, the whole value would
+        # not be found any more.
         self._secrets = sorted(filter(None, [key, *words]), key=len, reverse=True)
         long = ["".join(map(_forms, secret)) for secret in self._secrets if len(secret) >= _SECRET]
         # The last pattern matches an escaped backslash, so that the second of its two characters is not taken for the
@@ -203,12 +203,12 @@ def checked_url(base_url: str) -> str:
         The address without a slash at its end.
 
     Raises:
-        EndpointError: If the address cannot be used, or holds a password.
+        EndpointError: If the address cannot be used, or if it may hold a secret.
     """
     import httpx2
 
     if _SECRETIVE.search(base_url):
-        # The address is printed and stored with the run.
+        # The address must hold no secret, because it is printed and stored with the run.
         raise EndpointError(
             "--base-url must hold no password, key or fragment: name a key's variable by --api-key-env or --header"
         )
