@@ -48,7 +48,8 @@ class RateLimit:
                 while self._sent and self._sent[0].at + MINUTE_S <= now:
                     self._sent.popleft()
                 mean = self._tokens / max(self._replies, 1)
-                tokens = sum(sent.tokens for sent in self._sent) + mean
+                # The sum is only made if it is needed, because a minute may hold thousands of requests.
+                tokens = mean + sum(sent.tokens for sent in self._sent) if self._tpm < math.inf else 0.0
                 # A request is always admitted if no other was sent in the last minute. Otherwise a request of more than
                 # `tpm` tokens would wait for ever.
                 if not self._sent or (len(self._sent) < self._rpm and tokens <= self._tpm):
