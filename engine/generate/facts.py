@@ -1,0 +1,268 @@
+"""Three-valued facts of one sequence at its keyframes, as sets of people.
+
+Six statements in `queries/search` return which person has which label at which keyframe. `Facts` keeps their rows and
+answers two questions from them: of which people a condition holds (`match`), and to which people a relation leads
+(`follow`). Each answer has the people of whom the fact is possible and those of whom it is certain.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Set
+from typing import Any, Final, NamedTuple
+
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.labels import ACTIONS, AGES, GENDERS, INTERACTIONS, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.panorama import angle_error, clockwise
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP, Relation
+from jrdb_avr.schema.rules import SLACK, LoadRules
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
+
+Sighting = Mapping[str, Any]
+"""Row of the statement `seen`: one person at one keyframe."""
+
+
+class Fit(NamedTuple):
+    """The people of whom a fact may be true, and those of whom it is certainly true, by track."""
+
+    could: Set[int]
+    certain: Set[int]
+
+
+STATEMENTS: Final = ("seen", "performs", "handles", "interacts", "beside", "member")
+"""Names of the statements in `queries/search` that return all facts of a sequence."""
+
+_WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
+"""Values of columns of sightings that generation knows. Any other value counts as unknown."""
+
+_COLUMNS: Final = {"distance": "distance_word"}
+"""Columns of sightings that have another name than the kind of condition."""
+
+_Marks = dict[int, bool]
+"""People with a label by track, each with whether the label is certain."""
+
+
+class Facts:
+    """The facts of one sequence at its keyframes.
+
+    Attributes:
+        people: Sightings by frame and track.
+    """
+
+    def __init__(self, graph: Graph, sequence: str, rules: LoadRules, *, with_faces: bool) -> None:
+        """Read all facts of a sequence.
+
+        Args:
+            graph: Graph with the scene of the sequence.
+            sequence: Name of the sequence.
+            rules: Thresholds of sectors and of directions between people.
+            with_faces: Whether gender and age may describe only people with a visible face.
+        """
+        self._rules, self._with_faces = rules, with_faces
+        self.people: dict[int, dict[int, Sighting]] = defaultdict(dict)
+        self._labels: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
+        self._pairs: dict[int, dict[tuple[int, str], _Marks]] = defaultdict(lambda: defaultdict(dict))
+        self._matches: dict[tuple[Condition, int], Fit] = {}
+        self._follows: dict[tuple[str, int, int], Fit] = {}
+        rows = {name: graph.query(read_statement(f"search/{name}.cypher"), {"sequence": sequence}) for name in STATEMENTS}
+        for row in rows["seen"].to_pylist():
+            row |= {name: row[name] if row[name] in words else None for name, words in _WORDS.items()}
+            self.people[row["frame"]][row["who"]] = row
+        self._read_labels({name: table.to_pylist() for name, table in rows.items() if name != "seen"})
+        self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
+
+    def _read_labels(self, rows: Mapping[str, Iterable[Mapping[str, Any]]]) -> None:
+        for row in rows["performs"]:
+            if row["value"] in ACTIONS:
+                self._mark(self._labels, row, ("action", row["value"]), row["who"])
+        for row in rows["handles"]:
+            if row["verb"] in VERBS:
+                self._mark(self._labels, row, (row["verb"], row["value"] if row["value"] in OBJECTS else None), row["who"])
+        for row in (*rows["interacts"], *rows["beside"]):
+            if row["other"] in self.people[row["frame"]]:
+                self._mark(self._pairs, row, (row["who"], row["value"]), row["other"])
+        groups: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
+        for row in rows["member"]:
+            self._mark(groups, row, ("group", row["value"]), row["who"])
+        self._grouped = {frame: {who for marks in found.values() for who in marks} for frame, found in groups.items()}
+        for frame, found in groups.items():
+            for marks in found.values():
+                for who, certain in marks.items():
+                    others = self._pairs[frame][who, SAME_GROUP] if len(marks) > 1 else {}
+                    for other in marks.keys() - {who}:
+                        others[other] = others.get(other, False) or (certain and marks[other])
+
+    def _mark(self, table: Any, row: Mapping[str, Any], topic: tuple[Any, Any], who: int) -> None:
+        """Mark that a person with a box has a label. A label is certain if one of its rows is."""
+        if row["who"] in self.people[row["frame"]]:
+            marks = table[row["frame"]][topic]
+            marks[who] = marks.get(who, False) or row["certain"]
+
+    # -- conditions ---------------------------------------------------------------------------------------------------
+
+    def match(self, condition: Condition, frame: int) -> Fit:
+        """Find the people of whom a condition holds.
+
+        Args:
+            condition: Condition of one person.
+            frame: Keyframe.
+
+        Returns:
+            The people with a box in this frame of whom the condition may hold, and of whom it certainly holds.
+        """
+        if (key := (condition, frame)) not in self._matches:
+            self._matches[key] = self._match(condition, frame)
+        return self._matches[key]
+
+    def _match(self, condition: Condition, frame: int) -> Fit:
+        labels = self._labels[frame]
+        match condition.kind:
+            case "action":
+                return _fit(labels.get(("action", condition.action), {}), self._without(frame, "listed"))
+            case "object":
+                unknown = labels.get((condition.verb or "", None), {}).keys()
+                marks = labels.get((condition.verb or "", condition.object), {})
+                return _fit(marks, self._without(frame, "handles_listed") | unknown)
+            case "interaction":
+                return self._match_interaction(condition.interaction or "", frame)
+            case "sector":
+                return self._match_sector(str(condition.value), frame)
+        return self._match_value(condition, frame)
+
+    def _match_interaction(self, label: str, frame: int) -> Fit:
+        people = self.people[frame]
+        marks = {who: any(met.values()) for (who, name), met in self._pairs[frame].items() if name == label}
+        # A person without a list may interact with each other person.
+        anybody = len(people) > 1 and self._without(frame, "interactions_listed")
+        return _fit(marks, people.keys() if anybody else ())
+
+    def _match_sector(self, sector: str, frame: int) -> Fit:
+        off = {who: angle_error(row["angle"], ROBOT_SECTORS[sector]) for who, row in self.people[frame].items()}
+        could, certain = (
+            {who for who, degrees in off.items() if degrees <= limit + SLACK}
+            for limit in (self._rules.sector_false_deg, self._rules.sector_true_deg)
+        )
+        return Fit(could, certain)
+
+    def _match_value(self, condition: Condition, frame: int) -> Fit:
+        people, column = self.people[frame], _COLUMNS.get(condition.kind, condition.kind)
+        wanted = condition.value if condition.action is None else condition.action
+        possible = {None, wanted}
+        if condition.kind != "pose":
+            possible |= may_be_called(str(wanted))
+        could = {who for who, row in people.items() if row[column] in possible}
+        certain = {who for who in could if people[who][column] == wanted}
+        if condition.kind == "pose":
+            # A closed gap of a pose leaves the pose possible beside the pose that is listed.
+            could |= self._labels[frame].get(("action", wanted), {}).keys()
+        if condition.kind == "distance":
+            could |= {who for who, row in people.items() if row["distance_other"] == wanted}
+            certain = {who for who in certain if people[who]["distance_other"] is None}
+        return Fit(could, certain)
+
+    def _without(self, frame: int, column: str) -> set[int]:
+        """Return the people of whom a list of labels was not read."""
+        return {who for who, row in self.people[frame].items() if not row[column]}
+
+    # -- relations ----------------------------------------------------------------------------------------------------
+
+    def follow(self, relation: str, who: int, frame: int) -> Fit:
+        """Find the people to whom a relation leads.
+
+        Args:
+            relation: Label of the relation.
+            who: Track of the person from whom the relation leads.
+            frame: Keyframe at which the person has a box.
+
+        Returns:
+            The other people with a box in this frame who may have the relation, and who certainly have it.
+        """
+        if (key := (relation, who, frame)) not in self._follows:
+            self._follows[key] = self._follow(RELATIONS[relation], who, frame)
+        return self._follows[key]
+
+    def _follow(self, relation: Relation, who: int, frame: int) -> Fit:
+        if relation.kind == "window":
+            return self._look_aside(relation, who, frame)
+        marks = self._pairs[frame].get((who, relation.label), {})
+        if relation.kind == "first":
+            return _fit(marks, ())
+        others = self.people[frame].keys() - {who}
+        if relation.kind == "group":
+            unread = self.people[frame].keys() - self._grouped.get(frame, set())
+        else:
+            unread = self._without(frame, "interactions_listed" if relation.kind == "social" else "located")
+        return _fit(marks, others if who in unread else unread & others)
+
+    def _look_aside(self, window: Relation, who: int, frame: int) -> Fit:
+        """Find the people within some degrees at one side. Near the edges of the window it is unknown."""
+        margin, people = self._rules.neighbor_margin_deg, self.people[frame]
+        could, certain = set(), set()
+        for other in people.keys() - {who}:
+            right = clockwise(people[who]["angle"], people[other]["angle"])
+            left = 360.0 - right if right > 0 else 0.0
+            turn = left if window.side == "left" else right
+            unknown = min(left, right) <= margin or abs(turn - window.degrees) <= margin
+            if unknown or turn < window.degrees:
+                could.add(other)
+                certain |= set() if unknown else {other}
+        return Fit(could, certain)
+
+    # -- one person ---------------------------------------------------------------------------------------------------
+
+    def relations_of(self, who: int, frame: int) -> tuple[str, ...]:
+        """Return the relations that a person may have with some other person because of a label.
+
+        Args:
+            who: Track of the person.
+            frame: Keyframe.
+
+        Returns:
+            Labels of relations that a question may name, in the order of `QUESTION_RELATIONS`.
+        """
+        return self._relations.get(frame, {}).get(who, ())
+
+    def conditions_of(self, who: int, frame: int) -> list[Condition]:
+        """Return the conditions that certainly hold of a person and may describe the person.
+
+        Args:
+            who: Track of the person.
+            frame: Keyframe at which the person has a box.
+
+        Returns:
+            The conditions, those with a time at the time "t0".
+        """
+        row, labels = self.people[frame][who], self._labels[frame]
+        conditions = [Condition(attribute="sector", value=sector, at="t0") for sector in ROBOT_SECTORS]
+        if row["group_size"] is not None:
+            conditions.append(Condition(attribute="group_size", value=int(row["group_size"]), at="t0"))
+        if row["distance_word"]:
+            conditions.append(Condition(attribute="distance", value=row["distance_word"], at="t0"))
+        if row["face"] or not self._with_faces:
+            conditions += [Condition(attribute=name, value=row[name]) for name in ("gender", "age") if row[name]]
+        if row["pose"]:
+            conditions.append(Condition(action=row["pose"], at="t0"))
+        for (verb, value), marks in labels.items():
+            if who not in marks or value is None or verb in POSES:
+                continue
+            if verb == "action":
+                conditions += [Condition(action=value, at="t0")] if value not in POSES else []
+            elif value not in PERSON_CATEGORIES:
+                conditions.append(Condition(object=value, verb=verb, at="t0"))
+        labels_met = [label for label in self.relations_of(who, frame) if label in INTERACTIONS]
+        conditions += [Condition(interaction=label, at="t0") for label in labels_met]
+        return [condition for condition in conditions if who in self.match(condition, frame).certain]
+
+
+def _fit(marks: _Marks, possible: Iterable[int]) -> Fit:
+    return Fit(marks.keys() | set(possible), {who for who, certain in marks.items() if certain})
+
+
+def _labels_of(pairs: Iterable[tuple[int, str]]) -> dict[int, tuple[str, ...]]:
+    """Return the labels of each person, from pairs of a person and a label."""
+    labels: dict[int, set[str]] = defaultdict(set)
+    for who, label in pairs:
+        labels[who].add(label)
+    return {who: tuple(label for label in QUESTION_RELATIONS if label in held) for who, held in labels.items()}
