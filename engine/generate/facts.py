@@ -13,7 +13,16 @@ from typing import Any, Final, NamedTuple
 
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.labels import ACTIONS, AGES, GENDERS, INTERACTIONS, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.labels import (
+    ACTIONS,
+    AGES,
+    GENDERS,
+    INTERACTIONS,
+    OTHER_ACTIONS,
+    POSES,
+    ROBOT_SECTORS,
+    may_be_called,
+)
 from jrdb_avr.schema.panorama import angle_error, clockwise
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP, Relation
@@ -66,11 +75,13 @@ class Facts:
         self._pairs: dict[int, dict[tuple[int, str], _Marks]] = defaultdict(lambda: defaultdict(dict))
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
-        rows = {name: graph.query(read_statement(f"search/{name}.cypher"), {"sequence": sequence}) for name in STATEMENTS}
-        for row in rows["seen"].to_pylist():
+        rows = {}
+        for name in STATEMENTS:
+            rows[name] = graph.query(read_statement(f"search/{name}.cypher"), {"sequence": sequence}).to_pylist()
+        for row in rows["seen"]:
             row |= {name: row[name] if row[name] in words else None for name, words in _WORDS.items()}
             self.people[row["frame"]][row["who"]] = row
-        self._read_labels({name: table.to_pylist() for name, table in rows.items() if name != "seen"})
+        self._read_labels(rows)
         self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
 
     def _read_labels(self, rows: Mapping[str, Iterable[Mapping[str, Any]]]) -> None:
@@ -79,7 +90,8 @@ class Facts:
                 self._mark(self._labels, row, ("action", row["value"]), row["who"])
         for row in rows["handles"]:
             if row["verb"] in VERBS:
-                self._mark(self._labels, row, (row["verb"], row["value"] if row["value"] in OBJECTS else None), row["who"])
+                category = row["value"] if row["value"] in OBJECTS else None
+                self._mark(self._labels, row, (row["verb"], category), row["who"])
         for row in (*rows["interacts"], *rows["beside"]):
             if row["other"] in self.people[row["frame"]]:
                 self._mark(self._pairs, row, (row["who"], row["value"]), row["other"])
@@ -232,7 +244,7 @@ class Facts:
             frame: Keyframe at which the person has a box.
 
         Returns:
-            The conditions, those with a time at the time "t0".
+            The conditions in a fixed order. Those that hold at a time hold at "t0".
         """
         row, labels = self.people[frame][who], self._labels[frame]
         conditions = [Condition(attribute="sector", value=sector, at="t0") for sector in ROBOT_SECTORS]
@@ -244,12 +256,11 @@ class Facts:
             conditions += [Condition(attribute=name, value=row[name]) for name in ("gender", "age") if row[name]]
         if row["pose"]:
             conditions.append(Condition(action=row["pose"], at="t0"))
-        for (verb, value), marks in labels.items():
-            if who not in marks or value is None or verb in POSES:
-                continue
-            if verb == "action":
-                conditions += [Condition(action=value, at="t0")] if value not in POSES else []
-            elif value not in PERSON_CATEGORIES:
+        held = {topic for topic, marks in labels.items() if who in marks}
+        conditions += [Condition(action=name, at="t0") for name in OTHER_ACTIONS if ("action", name) in held]
+        things = [(verb, value) for verb, value in held if verb in VERBS and value is not None]
+        for verb, value in sorted(things, key=lambda thing: (VERBS.index(thing[0]), OBJECTS.index(thing[1]))):
+            if verb not in POSES and value not in PERSON_CATEGORIES:
                 conditions.append(Condition(object=value, verb=verb, at="t0"))
         labels_met = [label for label in self.relations_of(who, frame) if label in INTERACTIONS]
         conditions += [Condition(interaction=label, at="t0") for label in labels_met]
