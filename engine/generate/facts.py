@@ -1,16 +1,17 @@
 """Three-valued facts of one sequence at its keyframes, as sets of people.
 
-Six statements in `queries/search` return which person has which label at which keyframe. `Facts` keeps their rows and
-answers two questions from them: of which people a condition holds (`match`), and to which people a relation leads
-(`follow`). Each answer has the people of whom the fact is possible and those of whom it is certain.
+The statements in `queries/search` return which person is seen, and has which label, at which keyframe. `Facts` keeps
+their rows and answers two questions from them: of which people a condition holds (`match`), and to which people a
+relation leads (`follow`). Each answer has the people of whom the fact is possible and those of whom it is certain.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, Final, NamedTuple
 
+from jrdb_avr.queries.compiler.reads import Seen
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.labels import (
@@ -26,7 +27,7 @@ from jrdb_avr.schema.labels import (
 from jrdb_avr.schema.panorama import angle_error, clockwise
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP, Relation
-from jrdb_avr.schema.rules import SLACK, LoadRules
+from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
 
 Sighting = Mapping[str, Any]
@@ -40,8 +41,11 @@ class Fit(NamedTuple):
     certain: Set[int]
 
 
-STATEMENTS: Final = ("seen", "performs", "handles", "interacts", "beside", "member")
-"""Names of the statements in `queries/search` that return all facts of a sequence."""
+Key = tuple[Any, ...]
+"""Kind of a fact, sequence, and what the fact is about."""
+
+_LABELS: Final = ("performs", "handles", "interacts", "beside", "member")
+"""Names of the statements in `queries/search` that return the labels of people at keyframes."""
 
 _WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
 """Values of columns of sightings that generation knows. Any other value counts as unknown."""
@@ -57,7 +61,8 @@ class Facts:
     """The facts of one sequence at its keyframes.
 
     Attributes:
-        people: Sightings by frame and track.
+        keyframes: Frames at which facts are known, in order.
+        people: Sightings by keyframe and track.
     """
 
     def __init__(self, graph: Graph, sequence: str, rules: LoadRules, *, with_faces: bool) -> None:
@@ -75,13 +80,22 @@ class Facts:
         self._pairs: dict[int, dict[tuple[int, str], _Marks]] = defaultdict(lambda: defaultdict(dict))
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
-        rows = {}
-        for name in STATEMENTS:
-            rows[name] = graph.query(read_statement(f"search/{name}.cypher"), {"sequence": sequence}).to_pylist()
-        for row in rows["seen"]:
+
+        def rows(name: str, **values: int) -> list[dict[str, Any]]:
+            text = read_statement(f"search/{name}.cypher")
+            return graph.query(text, {"sequence": sequence, **values}).to_pylist()
+
+        frames = rows("frames")
+        self.keyframes = [row["frame"] for row in frames if row["keyframe"]]
+        self._annotated = {row["frame"] for row in frames if row["annotated"]}
+        self._boxes = set()
+        for row in rows("seen", phase=self.keyframes[0] % KEYFRAME_STEP) if self.keyframes else ():
             row |= {name: row[name] if row[name] in words else None for name, words in _WORDS.items()}
             self.people[row["frame"]][row["who"]] = row
-        self._read_labels(rows)
+            self._boxes.add((row["who"], row["frame"]))
+        for frame in self.people.keys() - set(self.keyframes):
+            del self.people[frame]
+        self._read_labels({name: rows(name) for name in _LABELS})
         self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
 
     def _read_labels(self, rows: Mapping[str, Iterable[Mapping[str, Any]]]) -> None:
@@ -221,6 +235,42 @@ class Facts:
                 could.add(other)
                 certain |= set() if unknown else {other}
         return Fit(could, certain)
+
+    # -- reads --------------------------------------------------------------------------------------------------------
+
+    def pose(self, who: int, frame: int) -> str | None:
+        """Return the posture of a person at a keyframe, or None if it is unknown or the person has no box."""
+        row = self.people.get(frame, {}).get(who)
+        return None if row is None else row["pose"]
+
+    def seen(self, who: int, frame: int) -> Seen:
+        """Return whether a person is in clear view at a keyframe, and the distance from the robot.
+
+        Args:
+            who: Track of the person.
+            frame: Keyframe.
+
+        Returns:
+            Presence is False if the frame, and the frames one second before and after, are annotated and have no box of
+            the person. Presence is None if it is unknown. The distance is None unless the 3D box has lidar points.
+        """
+        row = self.people.get(frame, {}).get(who)
+        present = True if row is not None and row["clear"] else False if self.is_absent(who, frame) else None
+        return Seen(present, row["distance"] if row is not None and row["located"] else None)
+
+    def is_absent(self, who: int, frame: int) -> bool:
+        """Return whether a person is certainly absent at a keyframe."""
+        near = (frame - KEYFRAME_STEP, frame, frame + KEYFRAME_STEP)
+        return self._annotated.issuperset(near) and not any((who, other) in self._boxes for other in near)
+
+    def ask(self, keys: Sequence[Key]) -> list[Any]:
+        """Return the facts for keys such as `("match", sequence, condition, frame)`, as `perturb` asks for them."""
+        return [getattr(self, kind)(*arguments) for kind, _, *arguments in keys]
+
+    def people_at(self, frame: int) -> Fit:
+        """Return all people with a box at a keyframe."""
+        people = self.people.get(frame, {}).keys()
+        return Fit(people, people)
 
     # -- one person ---------------------------------------------------------------------------------------------------
 
