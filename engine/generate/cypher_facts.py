@@ -62,6 +62,10 @@ class CypherFacts:
         self._noted.clear()
         return bool(by_statement)
 
+    def count(self, sequence: str, relation: str, who: int, first: int, last: int) -> int | None:
+        """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
+        return self._reader.counts([(Person(0, sequence, who), relation, first, last)]).get(0)
+
     def _look_up(self, name: str, keys: Sequence[Key]) -> None:
         if name in _BY_READS:
             self._known |= zip(keys, getattr(self, f"_read_{name}")(keys), strict=True)

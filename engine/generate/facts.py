@@ -87,6 +87,7 @@ class Facts:
 
         frames = rows("frames")
         self.keyframes = [row["frame"] for row in frames if row["keyframe"]]
+        self.keyframe_set = frozenset(self.keyframes)
         self._annotated = {row["frame"] for row in frames if row["annotated"]}
         self._boxes = set()
         for row in rows("seen", phase=self.keyframes[0] % KEYFRAME_STEP) if self.keyframes else ():

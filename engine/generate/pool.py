@@ -1,0 +1,150 @@
+"""The pool of a template in one sequence: proposals are proven in the order of a hash until nothing else can be used.
+
+Whatever reads the same as a proposal that stays is dropped without a proof.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jrdb_avr.engine.generate import views
+from jrdb_avr.engine.generate.cypher_facts import CypherFacts
+from jrdb_avr.engine.generate.facts import Key
+from jrdb_avr.engine.generate.near_duplicates import near_frames
+from jrdb_avr.engine.generate.perturb import MissingFactsError, NoAnswerError, make_program, prove
+from jrdb_avr.engine.generate.proofs import failing
+from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
+from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.questions import Proof
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import Template
+from jrdb_avr.schema.wording.text import stated_actions
+
+Proven = tuple[Proposal, list[Proof]]
+
+
+class Prover:
+    """Proves proposals of one sequence over its sets of facts."""
+
+    def __init__(self, search: Search, cypher: CypherFacts) -> None:
+        """Make a prover.
+
+        Args:
+            search: Sequence of the proposals.
+            cypher: Source of the facts that the sets lack: what happens between keyframes.
+        """
+        self._search, self._cypher = search, cypher
+
+    def ask(self, keys: Sequence[Key]) -> list[Any]:
+        """Return facts by key, as `perturb` asks for them."""
+        if keys[0][0] == "start":
+            return [self._search.layer.start(*arguments) for _, _, *arguments in keys]
+        return self._cypher.ask(keys) if keys[0][0] == "onsets" else self._search.layer.facts.ask(keys)
+
+    def prove(self, proposal: Proposal) -> list[Proof] | None:
+        """Return the proofs of a proposal about conditions, hops and times, or None if one of them does not hold."""
+        template, rules = proposal.template, self._search.rules
+        if template.pose_answer and proposal.answer in stated_actions(proposal.plan):
+            return None
+        if not template.single_view and self._fits_one_view(proposal):
+            return None
+        if template.counts:
+            stretch = proposal.frames["t1"], proposal.frames["t2"]
+            if self._cypher.count(proposal.sequence, proposal.relations[0], proposal.target, *stretch) != len(
+                proposal.counted
+            ):
+                return None
+        program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
+        viewpoint = template.spec.mode == "frame_viewpoint"
+        answer = decode_answer(template.spec.mode, proposal.answer) if viewpoint else proposal.answer
+        while True:
+            try:
+                proofs = prove(program, answer, self._search.layer.facts.keyframes, rules, self)
+                break
+            except NoAnswerError:
+                return None
+            except MissingFactsError:
+                self._cypher.fill()
+        return None if failing(template.name, proofs, rules) else proofs
+
+    def _fits_one_view(self, proposal: Proposal) -> bool:
+        """Return whether one view shows everybody at t0, and the target when the answer is read."""
+        needed = [(who, proposal.frames["t0"]) for who in proposal.people.values()]
+        needed += [(proposal.target, proposal.frames[name]) for name in proposal.template.decisive if name != "t0"]
+        boxes = [self._search.layer.boxes[one] for one in needed]
+        x, w = (np.array([box[side] for box in boxes]) for side in "xw")
+        return bool(views.single_view(x, w, self._search.rules.visible_share))
+
+
+def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list[Proven]:
+    """Prove the proposals of a template.
+
+    Args:
+        search: Sequence to search.
+        forms: Forms of the template that the layers of the sequence allow. They compete with each other.
+        prover: Prover of the sequence.
+
+    Returns:
+        The proposals that stay, each with its proofs.
+    """
+    if forms[0].name == "presence":
+        return _fill_presence(search, forms[0], prover)
+    groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
+    for form in forms:
+        for proposal in propose(search, form):
+            groups[proposal.target, proposal.answer].append(proposal)
+    kept: list[Proven] = []
+    near = near_frames(forms[0].name, search.rules)
+    for _, members in sorted(groups.items()):
+        kept += _thin_out(sorted(members, key=lambda one: one.key), near, search.rules, prover)
+    return kept
+
+
+def _thin_out(members: Iterable[Proposal], near: int, rules: Rules, prover: Prover) -> list[Proven]:
+    """Prove proposals of one target and answer in their order; drop those that read the same as one that stays."""
+    kept: list[Proven] = []
+    for proposal in members:
+        if len(kept) == rules.max_per_person:
+            break
+        if any(_is_near(proposal.read, other.read, near) for other, _ in kept):
+            continue
+        if (proofs := prover.prove(proposal)) is not None:
+            kept.append((proposal, proofs))
+    return kept
+
+
+def _is_near(read: Sequence[int], other: Sequence[int], near: int) -> bool:
+    return all(abs(a - b) <= near for a, b in zip(read, other, strict=True))
+
+
+def _fill_presence(search: Search, template: Template, prover: Prover) -> list[Proven]:
+    """Prove questions of presence: pairs of times in the order of a hash, each with one description."""
+    groups: dict[tuple[int, str], list[tuple[bytes, tuple[int, int], list[Any]]]] = defaultdict(list)
+    for who, answer, times, rows in propose_presence(search, template):
+        groups[who, answer].append((_hash(search.sequence, who, *times), times, rows))
+    near, kept = near_frames(template.name, search.rules), []
+    for _, members in sorted(groups.items()):
+        stay: list[Proven] = []
+        for _, times, rows in sorted(members, key=lambda one: one[0]):
+            if len(stay) == search.rules.max_per_person:
+                break
+            if any(_is_near(times, other.read, near) for other, _ in stay):
+                continue
+            rows.sort(key=lambda row: _hash(search.sequence, row["name"], *times))
+            for row in rows:
+                proposal = make_proposal(search, template, row)
+                if (proofs := prover.prove(proposal)) is not None:
+                    stay.append((proposal, proofs))
+                    break
+        kept += stay
+    return kept
+
+
+def _hash(*parts: Any) -> bytes:
+    return hashlib.blake2b(repr(parts).encode(), digest_size=8).digest()
