@@ -58,10 +58,27 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
         barred = {POSES[code] for code in np.flatnonzero(stated).tolist()}
         frame = int(candidates.frames[candidates.template.decisive[-1]][row])
         barred |= context.onsets.possible_poses(_target(context.scene, candidates, row), frame) - {truth}
-        sets = _sets(truth, frozenset(barred))
+        sets = pose_sets(truth, frozenset(barred))
+    return arrange(sets, truth, key, _perturbed(context, candidates, row))
+
+
+def arrange(
+    sets: tuple[tuple[str, ...], ...], truth: str, key: str, perturbed: Iterator[tuple[str, str]]
+) -> tuple[Choices, ...]:
+    """Order sets of answers by hash, those with most answers of perturbed programs first.
+
+    Args:
+        sets: Sets of four answers.
+        truth: True answer.
+        key: Key of the question, which is part of the hash.
+        perturbed: Answers of perturbed programs with their names, the most telling first.
+
+    Returns:
+        The choices of each set.
+    """
     texts = {text for one in sets for text in one}
     mistakes: dict[str, str] = {}
-    for text, perturbation in _perturbed(context, candidates, row):
+    for text, perturbation in perturbed:
         if text in texts and text != truth:
             mistakes.setdefault(text, perturbation)
         if len(mistakes) == len(texts) - 1:
@@ -72,8 +89,8 @@ def make_choices(context: SearchContext, candidates: Candidates, row: int, key: 
 
 
 @lru_cache(1024)
-def _sets(truth: str, barred: frozenset[str]) -> tuple[tuple[str, ...], ...]:
-    """The sets of poses for a pose, without poses that may be no choice."""
+def pose_sets(truth: str, barred: frozenset[str]) -> tuple[tuple[str, ...], ...]:
+    """Return the sets of postures with a posture and without postures that may be no choice."""
     return tuple(one for one in APART if truth in one and not barred.intersection(one))[:SETS]
 
 

@@ -24,7 +24,7 @@ from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
 
 LAYER_NODES: Final[dict[str, str]] = {
     "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, seen INT64, earlier INT64, "
@@ -64,6 +64,9 @@ class Layer:
         segments: Rows of `Segment` by id, each with the column `track`.
         boxes: Columns of sightings by track and frame.
         images: Frames that have an image, or empty if the sequence has no images.
+        doubtful: Uncertain postures by track, each with the first and the last frame.
+        fps: Frames per second.
+        action_step: Frames from one list of actions to the next.
     """
 
     facts: Facts
@@ -72,6 +75,9 @@ class Layer:
     segments: dict[int, Row] = field(default_factory=dict)
     boxes: Mapping[tuple[int, int], Row] = field(default_factory=dict)
     images: frozenset[int] = frozenset()
+    doubtful: dict[int, list[tuple[str, int, int]]] = field(default_factory=lambda: defaultdict(list))
+    fps: float = FPS
+    action_step: int = KEYFRAME_STEP
 
     def has_image(self, frame: int) -> bool:
         """Return whether a frame has an image, or the sequence has no images at all."""
@@ -114,7 +120,7 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
     Args:
         facts: Facts of the sequence.
         sequence: Name of the sequence.
-        tables: Interval tables `frames`, `sightings` and `segments` of the sequence.
+        tables: Interval tables `sequence`, `frames`, `sightings`, `segments` and `actions` of the sequence.
         rules: Rules of descriptions, and thresholds.
         low: First id of a node.
 
@@ -124,6 +130,11 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
     images = frozenset(row["frame"] for row in tables["frames"].select(["frame", "image"]).to_pylist() if row["image"])
     columns = tables["sightings"].select(["track", "frame", "x", "y", "w", "h", "angle", "clear"]).to_pylist()
     layer = Layer(facts, boxes={(row["track"], row["frame"]): row for row in columns}, images=images)
+    (head,) = tables["sequence"].to_pylist()
+    layer.fps, layer.action_step = head["fps"], head["action_step"]
+    for row in tables["actions"].select(["track", "action", "first", "last", "certain"]).to_pylist():
+        if row["action"] in POSES and not row["certain"]:
+            layer.doubtful[row["track"]].append((row["action"], row["first"], row["last"]))
     x, w = (np.array([row[side] for row in columns], dtype=np.float64) for side in "xw")
     for row, ahead in zip(columns, views.ahead(x, w, rules.visible_share).tolist(), strict=True):
         row["ahead"] = ahead

@@ -264,25 +264,35 @@ def prove(program: Program, answer: Answer, keyframes: Sequence[int], rules: Rul
         NoAnswerError: If the program finds no single person.
         MissingFactsError: If facts are missing. All facts that can be asked for have been asked for.
     """
-    people = find_people(program, source)
-    held = replace(program, held=people["a"])
-    proofs: list[Proof | None] = []
-    for condition in program.conditions:
-        left = replace(program, conditions=tuple(one for one in program.conditions if one is not condition))
-        proofs.append(_prove_condition(condition, left, source))
-    for kind, variant, perturbed in (*_hops(held), *_shifts(held, program, keyframes, rules)):
-        proofs.append(_prove(kind, variant, perturbed, answer, keyframes, rules, source))
-    if program.moves == "construction":
-        proofs += [Proof(kind, BY_CONSTRUCTION, None, "not_run") for kind in ("time.shift", "time.drop")]
-    else:
-        begin = program.frame + frames(rules.min_wait_s) if program.moves == "times" else keyframes[0]
-        moving = held if program.moves == "times" else program
-        moved = [_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin]
-        proofs.append(_prove_drop(moved, answer, keyframes, rules, source))
+    proofs = list(iterate_proofs(program, answer, keyframes, rules, source))
     known = [proof for proof in proofs if proof is not None]
     if len(known) < len(proofs):
         raise MissingFactsError
     return known
+
+
+def iterate_proofs(
+    program: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
+) -> Iterator[Proof | None]:
+    """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
+    people = find_people(program, source)
+    for condition in program.conditions:
+        left = replace(program, conditions=tuple(one for one in program.conditions if one is not condition))
+        yield _prove_condition(condition, left, source)
+    for kind, variant, perturbed in _hops(replace(program, held=people["a"])):
+        yield _prove(kind, variant, perturbed, answer, keyframes, rules, source)
+    if program.moves == "construction":
+        yield from (Proof(kind, BY_CONSTRUCTION, None, "not_run") for kind in ("time.shift", "time.drop"))
+        return
+    moving, begin = program, keyframes[0]
+    if program.moves == "times":
+        # The person of whom the answer is read stays the same.
+        moving = replace(program, edges=(), target="a", held=people[program.target])
+        begin = program.frame + frames(rules.min_wait_s)
+    for variant, perturbed in _shifts(moving, keyframes, rules):
+        yield _prove("time.shift", variant, perturbed, answer, keyframes, rules, source)
+    moved = [_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin]
+    yield _prove_drop(moved, answer, keyframes, rules, source)
 
 
 def _prove_condition(condition: Condition, left: Program, source: FactSource) -> Proof | None:
@@ -334,7 +344,7 @@ def _outcome(
     perturbed: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
 ) -> tuple[str, str | None]:
     """Compare the answer of a perturbed program with the question's answer; return the outcome, and a choice's text."""
-    if not {perturbed.frame, *perturbed.times}.issubset(keyframes):
+    if not all(frame in keyframes for frame in (perturbed.frame, *perturbed.times)):
         return "unknown", None
     try:
         if isinstance(answer, FrameViewpoint):
@@ -380,18 +390,13 @@ def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
     return tuple(changed(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
 
 
-def _shifts(
-    held: Program, program: Program, keyframes: Sequence[int], rules: Rules
-) -> Iterator[tuple[str, str, Program | None]]:
+def _shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
     """Yield the programs with moved times. None stands for a time outside the sequence or before the description."""
-    if program.moves == "construction":
-        return
-    moving = held if program.moves == "times" else program
-    first = max(program.frame + 1, keyframes[0]) if program.moves == "times" else keyframes[0]
+    first = max(moving.frame + 1, keyframes[0]) if moving.moves == "times" else keyframes[0]
+    later = _later(moving)
     for by in (-frames(rules.shift_s), frames(rules.shift_s)):
-        later = _later(moving)
         inside = min(later) + by >= first and max(later) + by <= keyframes[-1]
-        yield "time.shift", f"{by / FPS:+g} s", _moved(moving, by) if inside else None
+        yield f"{by / FPS:+g} s", _moved(moving, by) if inside else None
 
 
 def _later(program: Program) -> list[int]:

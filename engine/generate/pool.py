@@ -17,7 +17,14 @@ from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.near_duplicates import near_frames
-from jrdb_avr.engine.generate.perturb import MissingFactsError, NoAnswerError, make_program, prove
+from jrdb_avr.engine.generate.perturb import (
+    Answer,
+    MissingFactsError,
+    NoAnswerError,
+    Program,
+    iterate_proofs,
+    make_program,
+)
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
 from jrdb_avr.schema.answer_modes import decode_answer
@@ -49,7 +56,7 @@ class Prover:
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or None if one of them does not hold."""
-        template, rules = proposal.template, self._search.rules
+        template = proposal.template
         if template.pose_answer and proposal.answer in stated_actions(proposal.plan):
             return None
         if not template.single_view and self._fits_one_view(proposal):
@@ -65,12 +72,25 @@ class Prover:
         answer = decode_answer(template.spec.mode, proposal.answer) if viewpoint else proposal.answer
         while True:
             try:
-                proofs = prove(program, answer, self._search.layer.facts.keyframes, rules, self)
-                break
+                return self._prove(program, answer, template)
             except NoAnswerError:
                 return None
             except MissingFactsError:
                 self._cypher.fill()
+
+    def _prove(self, program: Program, answer: Answer, template: Template) -> list[Proof] | None:
+        """Return the proofs if they hold. Stop at the first that fails, unless another one of its kind is enough."""
+        rules, proofs, missing = self._search.rules, [], False
+        for proof in iterate_proofs(program, answer, self._search.layer.facts.keyframes, rules, self):
+            if proof is None:
+                missing = True
+                continue
+            proofs.append(proof)
+            alternative = proof.kind == "time.shift" or (proof.kind == "hop.stop" and template.joins)
+            if not alternative and failing(template.name, [proof], rules):
+                return None
+        if missing:
+            raise MissingFactsError
         return None if failing(template.name, proofs, rules) else proofs
 
     def _fits_one_view(self, proposal: Proposal) -> bool:

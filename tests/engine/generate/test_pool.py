@@ -1,11 +1,12 @@
-"""The pools of proven proposals are those of the set-wise search; of presence, a part of what it proves."""
+"""The pools of proven proposals are those of the set-wise search, row by row; of presence, a part of what it proves."""
 
 import random
 from collections import Counter
 
 import numpy as np
+import pyarrow as pa
 import pytest
-from keyframe_layers import searched
+from keyframe_layers import layers_in_memory, searched
 from random_worlds import lively_world, random_world, sociable_world
 from worlds import load_world
 
@@ -16,7 +17,10 @@ from jrdb_avr.engine.generate.layer import LAYER_NODES, LAYER_RELS, make_layer
 from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Search
+from jrdb_avr.engine.generate.question import rows_of
 from jrdb_avr.engine.generate.search import find_candidates
+from jrdb_avr.engine.generate.selection import POOL
+from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.graph import SCENE_NODES, table_ddl
 from jrdb_avr.schema.plan import canonical
@@ -50,7 +54,8 @@ def layer_graph(layer, sequence):
 
 def search_of(scene_graph, store, sequence, with_faces):
     facts = Facts(scene_graph, sequence, RULES.load, with_faces=with_faces)
-    tables = {name: store.interval(name, sequence) for name in ("frames", "sightings", "segments")}
+    tables = {name: store.interval(name, sequence) for name in ("sequence", "frames", "sightings", "segments")}
+    tables["actions"] = store.facts("actions", sequence)
     layer = make_layer(facts, sequence, tables, RULES)
     return Search(layer_graph(layer, sequence), sequence, layer, RULES)
 
@@ -64,8 +69,6 @@ def old_pool(context, forms):
         tables.append(to_table(context, candidates, rows))
         reads.append(frame_lists(candidates, form.read, rows))
     proven, kept = set(), set()
-    import pyarrow as pa
-
     whole = pa.concat_tables(tables)
     read = pa.concat_arrays(
         [array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array for array in reads]
@@ -82,6 +85,8 @@ def old_pool(context, forms):
 def check_pools(store, sequence, graph, only=None):
     """The pool of each template is the same; return the number of questions by template."""
     compared = Counter()
+    with layers_in_memory():
+        result = search_sequence(SequenceJob(store.path, sequence, 0, RULES))
     with searched(store, sequence, RULES) as context:
         search = search_of(graph, store, sequence, "pose" in context.scene.layers)
         prover = Prover(search, CypherFacts(graph, RULES.load))
@@ -90,12 +95,16 @@ def check_pools(store, sequence, graph, only=None):
             if not allowed or (only and name not in only):
                 continue
             proven, kept = old_pool(context, allowed)
-            found = {(canonical(one.plan), one.answer, one.target) for one, _ in fill_pool(search, allowed, prover)}
+            pool = fill_pool(search, allowed, prover)
+            found = {(canonical(one.plan), one.answer, one.target) for one, _ in pool}
             if name == "presence":
                 assert found <= proven
                 assert bool(found) == bool(kept)
             else:
                 assert found == kept, (sequence, name, len(found - kept), len(kept - found))
+                rows = {row["key"]: row for row in result.pool.to_pylist() if row["template"] == name}
+                made = pa.Table.from_pylist(list(rows_of(search, pool)), schema=POOL).to_pylist()
+                assert {row["key"]: row for row in made} == rows
             compared[name] += len(found)
     return compared
 
