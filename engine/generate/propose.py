@@ -18,7 +18,7 @@ import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.facts import Fit
-from jrdb_avr.engine.generate.layer import Layer
+from jrdb_avr.engine.generate.layer import Layer, Row
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values
@@ -29,8 +29,6 @@ from jrdb_avr.schema.relations import RELATIONS, RELATIONS_OF
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.templates import Slots, Template
 from jrdb_avr.schema.wording.people import in_order
-
-Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)

@@ -2,5 +2,4 @@
 // param sequence: text
 MATCH (n:Name)-[:Describes]->(m:Moment)
 WHERE n.sequence = $sequence AND n.general AND m.clear AND m.image
-RETURN n.id AS name, m.track AS a, m.frame AS t0, m.ahead AS ahead
-ORDER BY name
+RETURN n.id AS name, m.track AS a, m.frame AS t0, m.ahead AS ahead ORDER BY name

@@ -2,5 +2,4 @@
 // param sequence: text
 MATCH (f:Frame)
 WHERE f.sequence = $sequence
-RETURN f.frame AS frame, f.annotated AS annotated, f.keyframe AS keyframe, f.image AS image
-ORDER BY frame
+RETURN f.frame AS frame, f.annotated AS annotated, f.keyframe AS keyframe, f.image AS image ORDER BY frame
