@@ -15,6 +15,7 @@ from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS, may_be_called
@@ -25,8 +26,8 @@ from jrdb_avr.schema.rules import LoadRules
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
 
-_BY_READS: Final = ("pose", "seen", "start")
-"""Kinds of facts that the compiler's reads return."""
+_BY_READS: Final = {"pose": "value", "seen": "seen", "start": "start"}
+"""Kinds of facts that the compiler's reads return, with the names of their statements in `queries/reads/scene`."""
 
 
 class CypherFacts:
@@ -66,13 +67,36 @@ class CypherFacts:
         """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
         return self._reader.counts([(Person(0, sequence, who), relation, first, last)]).get(0)
 
+    def known_keys(self) -> list[Key]:
+        """Return the keys of all facts that are known, in a fixed order."""
+        return sorted(self._known, key=repr)
+
+    def statement(self, name: str, keys: Sequence[Key]) -> tuple[str, dict[str, Any]]:
+        """Return the statement of some facts of one kind.
+
+        Args:
+            name: Name of the statement, as `statement_of` returns it.
+            keys: Keys of the facts.
+
+        Returns:
+            The text of the statement, and the values of its parameters.
+        """
+        rows = [row_of(key) | {"id": number} for number, key in enumerate(keys)]
+        if name in _BY_READS:
+            rows = self._reader.rows_on_grid(rows) if name == "start" else rows
+            text, values = read_statement(f"reads/scene/{_BY_READS[name]}.cypher"), {"plans": rows}
+        else:
+            text, values = read_statement(f"necessity/{name}.cypher"), {"asked": rows}
+        own = {name: self._reader.values[name] for name in parameters(text) if name not in values}
+        return text, values | own
+
     def _look_up(self, name: str, keys: Sequence[Key]) -> None:
         if name in _BY_READS:
             self._known |= zip(keys, getattr(self, f"_read_{name}")(keys), strict=True)
             return
-        text = read_statement(f"necessity/{name}.cypher")
+        text, values = self.statement(name, keys)
         rows: dict[int, list[dict[str, Any]]] = defaultdict(list)
-        for row in self._reader.query(text, {"asked": [row_of(key) | {"id": i} for i, key in enumerate(keys)]}):
+        for row in self._reader.query(text, values):
             rows[row["id"]].append(row)
         for number, key in enumerate(keys):
             found = rows[number]
@@ -110,12 +134,17 @@ def statement_of(key: Key) -> str:
 
 
 def row_of(key: Key) -> dict[str, Any]:
-    """Return the row of `$asked` for a fact that a statement in `queries/necessity` returns."""
+    """Return the row of a statement's parameter for a fact."""
     kind, scope, *about = key
     if kind == "onsets":
         who, action, frame = about
         return {"scope": scope, "person": f"{scope}/{who}", "t": frame, "v": action, "posture": action in POSES}
+    if kind == "start":
+        who, action, after = about
+        return {"scope": scope, "who": who, "action": action, "posture": action in POSES, "after": after}
     frame = about[-1]
+    if kind in _BY_READS:
+        return {"scope": scope, "who": about[0], "t": frame}
     row: dict[str, Any] = {"at": f"{scope}/{frame:06d}", "t": frame}
     if kind == "match":
         return row | _condition_values(about[0])
