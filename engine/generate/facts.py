@@ -83,7 +83,8 @@ class Facts:
 
         def rows(name: str, **values: int) -> list[dict[str, Any]]:
             text = read_statement(f"search/{name}.cypher")
-            return graph.query(text, {"sequence": sequence, **values}).to_pylist()
+            found: list[dict[str, Any]] = graph.query(text, {"sequence": sequence, **values}).to_pylist()
+            return found
 
         frames = rows("frames")
         self.keyframes = [row["frame"] for row in frames if row["keyframe"]]

@@ -88,9 +88,9 @@ class Layer:
         for name, columns in LAYER_NODES.items():
             types = dict(column.strip("`").split()[:2] for column in columns.replace("`", "").split(", "))
             yield from self._table(name, types)
-        for name, (source, _, columns) in LAYER_RELS.items():
+        for name, (source, _, more) in LAYER_RELS.items():
             ends = {"from": "STRING" if source == "Person" else "INT64", "to": "INT64"}
-            yield from self._table(name, ends | dict(column.split() for column in columns))
+            yield from self._table(name, ends | dict(column.split() for column in more))
 
     def _table(self, name: str, types: Mapping[str, str]) -> Iterator[tuple[str, pa.Table]]:
         if rows := self.rows[name]:
@@ -143,14 +143,11 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
         if who not in facts.people.get(frame, {}):
             continue
         for one in describe(facts, sequence, who, frame, rules):
-            name = {
-                "id": low + len(layer.names),
-                "sequence": sequence,
-                "conditions": f"[{conditions_json(one.conditions)}]",
-            }
-            layer.names[name["id"]] = one.conditions
-            layer.rows["Name"].append(name | {"general": one.general, "poseless": one.poseless})
-            layer.rows["Describes"].append({"from": name["id"], "to": number})
+            name = low + len(layer.names)
+            layer.names[name] = one.conditions
+            row = {"id": name, "sequence": sequence, "conditions": f"[{conditions_json(one.conditions)}]"}
+            layer.rows["Name"].append(row | {"general": one.general, "poseless": one.poseless})
+            layer.rows["Describes"].append({"from": name, "to": number})
         for relation, target in find_leads(facts, who, frame).items():
             layer.rows["Leads"].append({"from": number, "to": ids[target, frame], "relation": relation})
     _add_segments(layer, sequence, tables["segments"].to_pylist(), low)

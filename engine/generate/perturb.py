@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 from msgspec.structs import replace as changed
 
@@ -219,13 +219,13 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     who = find_people(program, source)[program.target]
     if program.read == "start_view":
         (start,) = source.ask([("start", program.sequence, who, program.action, program.frame)])
-        return _known(start)
+        return cast(FrameViewpoint, _known(start))
     seen = [("seen", program.sequence, who, frame) for frame in program.times]
     if program.read == "action":
         view, pose = source.ask([*seen, ("pose", program.sequence, who, program.times[0])])
         if view.present is False:
             raise NoAnswerError("empty")
-        return _known(pose)
+        return str(_known(pose))
     first, second = source.ask(seen)
     if program.read == "presence":
         return PRESENCE_ANSWERS[3 - 2 * _known(first.present) - _known(second.present)]
@@ -289,8 +289,8 @@ def iterate_proofs(
         # The person of whom the answer is read stays the same.
         moving = replace(program, edges=(), target="a", held=people[program.target])
         begin = program.frame + frames(rules.min_wait_s)
-    for variant, perturbed in _shifts(moving, keyframes, rules):
-        yield _prove("time.shift", variant, perturbed, answer, keyframes, rules, source)
+    for variant, shifted in _shifts(moving, keyframes, rules):
+        yield _prove("time.shift", variant, shifted, answer, keyframes, rules, source)
     moved = [_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin]
     yield _prove_drop(moved, answer, keyframes, rules, source)
 

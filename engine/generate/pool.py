@@ -9,13 +9,14 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
+from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.perturb import (
     Answer,
@@ -28,6 +29,7 @@ from jrdb_avr.engine.generate.perturb import (
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
 from jrdb_avr.schema.answer_modes import decode_answer
+from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import Template
@@ -39,14 +41,15 @@ Proven = tuple[Proposal, list[Proof]]
 class Prover:
     """Proves proposals of one sequence over its sets of facts."""
 
-    def __init__(self, search: Search, cypher: CypherFacts) -> None:
+    def __init__(self, search: Search, cypher: CypherFacts, held_out: Sequence[Extent] = ()) -> None:
         """Make a prover.
 
         Args:
             search: Sequence of the proposals.
             cypher: Source of the facts that the sets lack: what happens between keyframes.
+            held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
-        self._search, self._cypher = search, cypher
+        self._search, self._cypher, self._held_out = search, cypher, held_out
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
@@ -57,6 +60,8 @@ class Prover:
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or None if one of them does not hold."""
         template = proposal.template
+        if any(_touches(proposal, extent) for extent in self._held_out):
+            return None
         if template.pose_answer and proposal.answer in stated_actions(proposal.plan):
             return None
         if not template.single_view and self._fits_one_view(proposal):
@@ -68,8 +73,9 @@ class Prover:
             ):
                 return None
         program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
-        viewpoint = template.spec.mode == "frame_viewpoint"
-        answer = decode_answer(template.spec.mode, proposal.answer) if viewpoint else proposal.answer
+        answer: Answer = proposal.answer
+        if template.spec.mode == "frame_viewpoint":
+            answer = cast(FrameViewpoint, decode_answer(template.spec.mode, proposal.answer))
         while True:
             try:
                 return self._prove(program, answer, template)
@@ -164,6 +170,15 @@ def _fill_presence(search: Search, template: Template, prover: Prover) -> list[P
                     break
         kept += stay
     return kept
+
+
+def _touches(proposal: Proposal, extent: Extent) -> bool:
+    """Return whether a proposal needs a person of a held-out question at the same time."""
+    template, counted = proposal.template, proposal.counted
+    times = [proposal.frames[name] for name in (*template.stated, *template.read, *template.decisive)]
+    times += [frame for _, frame in counted]
+    people = {*proposal.people.values(), *(who for who, _ in counted)}
+    return min(times) <= extent.last and max(times) >= extent.first and not people.isdisjoint(extent.tracks)
 
 
 def _hash(*parts: Any) -> bytes:

@@ -43,7 +43,7 @@ def make_row(search: Search, proposal: Proposal, proofs: list[Proof]) -> dict[st
         return None
     record = make_record(search, proposal, proofs, sets[0])
     template, frames = proposal.template, proposal.frames
-    row = {"key": proposal.key, "form": template.query, "answer_text": proposal.answer}
+    row: dict[str, Any] = {"key": proposal.key, "form": template.query, "answer_text": proposal.answer}
     row |= {"stated": list(stated_actions(proposal.plan)), "times": [frames[name] for name in template.stated]}
     row |= {"read_frames": list(proposal.read), "event": _event(search, proposal)}
     row["sets"] = [msgspec.json.encode(choices).decode() for choices in sets if choices.texts]
@@ -166,7 +166,7 @@ def _choice_sets(search: Search, proposal: Proposal, proofs: list[Proof]) -> tup
         return (Choices((), 0, ()),)
     sets: tuple[tuple[str, ...], ...] = (PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS,)
     if template.pose_answer:
-        barred = {pose for pose in POSES if pose in stated_actions(proposal.plan)}
+        barred: set[str] = {pose for pose in POSES if pose in stated_actions(proposal.plan)}
         frame = proposal.frames[template.decisive[-1]]
         doubtful = search.layer.doubtful.get(proposal.target, [])
         barred |= {pose for pose, first, last in doubtful if first <= frame <= last} - {truth}
