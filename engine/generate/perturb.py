@@ -7,12 +7,12 @@ and from statements over the stored graph.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
 from functools import reduce
 from typing import Any, Final, Protocol, cast
 
-from msgspec.structs import replace as changed
+import msgspec
+from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.facts import Fit, Key
 from jrdb_avr.schema.answer_modes import same_answer
@@ -66,8 +66,7 @@ class FactSource(Protocol):
         """
 
 
-@dataclass(frozen=True)
-class Program:
+class Program(msgspec.Struct, frozen=True):
     """A plan that can be run.
 
     Attributes:
@@ -291,7 +290,7 @@ def iterate_proofs(
         begin = program.frame + frames(rules.min_wait_s)
     for variant, shifted in _shifts(moving, keyframes, rules):
         yield _prove("time.shift", variant, shifted, answer, keyframes, rules, source)
-    moved = [_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin]
+    moved = (_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin)
     yield _prove_drop(moved, answer, keyframes, rules, source)
 
 
@@ -324,20 +323,21 @@ def _prove(
 
 
 def _prove_drop(
-    moved: Sequence[Program], answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
+    moved: Iterable[Program], answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
 ) -> Proof | None:
     """Prove that the time is needed: at different times there are different answers. None if facts are missing."""
-    texts, missing = [], False
+    kind, variant, known, missing = "time.drop", "all keyframes", [], False
     for program in moved:
         try:
-            texts.append(_outcome(program, answer, keyframes, rules, source)[1])
+            text = _outcome(program, answer, keyframes, rules, source)[1]
         except MissingFactsError:
             missing = True
-    if missing:
-        return None
-    known = [text for text in texts if text is not None]
-    outcome = "different" if len(set(known)) > 1 else "same" if len(known) > 1 else "empty"
-    return Proof("time.drop", "all keyframes", outcome in PROVING, outcome)
+            continue
+        known += [] if text is None else [text]
+        if known and known[-1] != known[0]:
+            return Proof(kind, variant, True, "different")
+    outcome = "same" if len(known) > 1 else "empty"
+    return None if missing else Proof(kind, variant, outcome in PROVING, outcome)
 
 
 def _outcome(
@@ -387,7 +387,7 @@ def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
     edges = tuple(edge for edge in program.edges if edge is not skipped)
     if skipped.target == program.target:
         return edges
-    return tuple(changed(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
+    return tuple(replace(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
 
 
 def _shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:

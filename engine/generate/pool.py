@@ -8,10 +8,10 @@ from __future__ import annotations
 import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any, Final
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.distractors import Choices, arrange, pose_sets
