@@ -84,7 +84,8 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
         across: Name of the column that gives the inner keys.
 
     Returns:
-        The row for each outer key and inner key. Keys are in the order of their first appearance.
+        A dictionary by outer key of dictionaries by inner key, which hold the rows. Keys are in the order of their
+        first appearance.
     """
     groups: dict[str, dict[str, Row]] = {}
     for row in rows:
