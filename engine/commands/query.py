@@ -42,7 +42,7 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
-        click.option("--parquet", type=FILE, help="Parquet file to write instead of printing the rows."),
+        click.option("--parquet", type=FILE, help="Write the rows to this Parquet file instead of printing them."),
     ):
         function = decorate(function)
     return function
@@ -53,8 +53,8 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def cypher(**options: Any) -> None:
     """Query the graph of a store with Cypher.
 
-    QUERY is a statement that only reads, the name of a saved query (see --list), the path of a file FILE.cypher that
-    holds a statement, or - to read a statement from standard input.
+    QUERY has one of four forms: a statement that only reads; the name of a saved query (see --list); the path
+    FILE.cypher of a file with a statement; or - to read a statement from standard input.
 
     Examples:
       jrdb-avr cypher --list
@@ -69,8 +69,10 @@ def cypher(**options: Any) -> None:
 def sql(**options: Any) -> None:
     """Query the tables of a store with SQL.
 
-    QUERY is a statement that only reads, the name of a saved query (see --list), the path of a file FILE.sql that holds
-    a statement, or - to read a statement from standard input. 'jrdb-avr schema tables' lists the tables.
+    QUERY has one of four forms: a statement that only reads; the name of a saved query (see --list); the path FILE.sql
+    of a file with a statement; or - to read a statement from standard input.
+
+    'jrdb-avr schema tables' lists the tables.
 
     Examples:
       jrdb-avr sql 'SHOW TABLES' --store S

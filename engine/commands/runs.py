@@ -89,9 +89,9 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
 def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
     """Merge all shards of a run into one run. 'evaluate --shard' writes the shards.
 
-    If shards were written on other machines, first copy the folders of these runs into the folder runs of the store.
-    The shards must have the same method, model and settings. Their selections of questions must be equal except for the
-    shard. Merging leaves the shards unchanged.
+    If shards were written on other machines, first copy the folders of the shards into the folder 'runs' of the
+    store. The shards must have the same method, model and settings. Their selections of questions must be equal except
+    for the shard. Merging leaves the shards unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs
 
@@ -141,9 +141,10 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     """Compare two runs on the questions that both runs contain.
 
     The table shows the scores of both runs in percent, and the difference in points: the second score minus the first.
-    It also shows a 95 % interval of the difference, the number of questions that only one run has right, and the
-    p-value of the exact McNemar test. Below the table, the command lists the questions that only one run has right by
-    --score. With --json or --csv, it prints only this list.
+    It also shows a 95 % interval of the difference, the number of questions that are right in only one run, and the
+    p-value of the exact McNemar test. Below the table, the command lists the questions that are right in only one run.
+    --score names the score that decides whether a question is right. With --json or --csv, the command prints only this
+    list.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals

@@ -28,7 +28,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     help="Frames that get a panorama. 'changes': keyframes, and the frames just before and just after a label changes.",
 )
 @click.option(
-    "--full-scale", is_flag=True, help="Write 27 sequences as large as the JRDB test split, without panoramas."
+    "--full-scale", is_flag=True, help="Write 27 sequences, in total as large as JRDB's test split, without panoramas."
 )
 @workers_option
 @form_option

@@ -63,7 +63,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Drop the world models of runs from the graph. The folders of the runs keep them for the next 'load'."""
+    """Drop the world models of runs from the graph. The folders of the runs keep a copy for the next 'load'."""
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.schema.errors import StoreError
