@@ -124,7 +124,7 @@ def note(message: object) -> None:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print AvrWarnings of the `with` block as notes on stderr."""
+    """Print the AvrWarnings that occur in the `with` block as notes on stderr."""
     with warnings.catch_warnings(action="always", category=AvrWarning):
         warnings.showwarning = lambda message, *where: note(message)
         yield
@@ -137,8 +137,8 @@ def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[s
     Args:
         beside: Function that returns the text beside the bars. It is called several times per second.
 
-    Yields: A function that moves the bar of a step. Its arguments are the step's name, the finished count and the total
-    count.
+    Yields: A function that advances the progress bar of a step. Its arguments are the step's name, the finished count
+    and the total count.
     """
     from rich.console import Console
     from rich.progress import (

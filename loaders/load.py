@@ -26,11 +26,12 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.graph import build_scene, stage_scene, write_graph
 from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.loaders.intervals.neighbors import beside_warnings
 from jrdb_avr.loaders.intervals.persons import disagreements
 from jrdb_avr.loaders.intervals.spans import absent_partners
 from jrdb_avr.loaders.intervals.timeline import step_of
 from jrdb_avr.loaders.layers.calibration import cameras_check
-from jrdb_avr.loaders.problems import Problems, shorten
+from jrdb_avr.loaders.problems import shorten
 from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
@@ -136,8 +137,9 @@ def rebuild(
 ) -> dict[str, SequenceEntry]:
     """Derive the intervals and the graph of a store again from its annotation tables.
 
-    If the world model of a run cannot be put into the new graph, an AvrWarning names the run. If a load was killed
-    while it moved its tables, call `resume` first.
+    If the world model of a run cannot be put into the new graph, an AvrWarning names the run. If a sequence has too
+    many facts of relative places, an AvrWarning names the facts that are left out. If a load was killed while it moved
+    its tables, call `resume` first.
 
     Args:
         store: store to rebuild.
@@ -166,7 +168,9 @@ def rebuild(
             entries[shards[i].sequence] = entry
             advance(1)
         left_out = _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
-    for line in left_out:
+    sightings = {name: store.interval("sightings", name) for name in entries}
+    views = [f"{name}: {line}" for name, table in sightings.items() for line in beside_warnings(table)]
+    for line in [*left_out, *views]:
         warnings.warn(line, AvrWarning, stacklevel=2)
     return entries
 
@@ -199,12 +203,7 @@ def load_shard(shard: Shard) -> ShardResult:
         }
         if not read.frames:
             return ShardResult(SequenceReport(sequence, read.problems, files=files), None)
-        try:
-            intervals = derive(sequence, read.tables, shard.rules)
-        except InputError as error:
-            refused = Problems(sequence)
-            refused.add("sequence", str(error))
-            return ShardResult(SequenceReport(sequence, [*read.problems, *refused.listed()], files=files), None)
+        intervals = derive(sequence, read.tables, shard.rules)
         entry = _write(Store(shard.staging), sequence, read.tables, intervals)
         tables, cameras = read.tables, cameras_check(read.tables["calibration"])
         labels, images = frame_range(read.label_frames), frame_range(read.frames["images"][0])
@@ -227,7 +226,10 @@ def load_shard(shard: Shard) -> ShardResult:
             cameras=cameras,
             disagreements=disagreements(tables),
             absent_partners=absent_partners(tables["interactions"], tables["boxes_2d"]),
-            warnings=sequence_warnings(labels, images, read.heading, cameras),
+            warnings=[
+                *sequence_warnings(labels, images, read.heading, cameras),
+                *beside_warnings(intervals["sightings"]),
+            ],
         )
         return ShardResult(report, entry)
 

@@ -13,7 +13,7 @@ class Problem(msgspec.Struct):
     """Number of parts that were refused or skipped for one reason, with the first part as an example."""
 
     kind: str
-    """What each counted part is: "sequence", "file", "frame", "record" or "field"."""
+    """What each counted part is: "file", "frame", "record" or "field"."""
     reason: str
     count: int
     file: str
@@ -41,7 +41,7 @@ class Problems:
         """Count refused or skipped parts. Parts of the same kind, reason and field are counted together.
 
         Args:
-            kind: "sequence", "file", "frame", "record" or "field".
+            kind: "file", "frame", "record" or "field".
             reason: reason of the refusal.
             frame: frame key or name of the first part. Of the calls that are counted together, only the first sets the
                 frame and the value of the example.

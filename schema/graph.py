@@ -101,7 +101,7 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
 }
 
-STORAGE_VERSION: Final = 9
+STORAGE_VERSION: Final = 10
 """Version of the tables of the graph. A graph with another version must be built again."""
 
 

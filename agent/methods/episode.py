@@ -158,8 +158,8 @@ class Episode:
         """Submit the final answer.
 
         Args:
-            answer: The `answer` part, as in `answer_schema`.
-            evidence: The `evidence_bboxes` part, as in `answer_schema`.
+            answer: The answer, in the form that `answer_schema` requires of the key `answer`.
+            evidence: The evidence, in the form that `answer_schema` requires of the key `evidence_bboxes`.
 
         Raises:
             RefusedError: If the answer is refused. Its readable parts are kept.
@@ -181,7 +181,7 @@ class Episode:
         return self._carry_out(lambda: dict(move))
 
     def reply(self, reply: Reply) -> Observation | None:
-        """Make the move of a model's reply.
+        """Decode a model's reply as a move, and make the move.
 
         Args:
             reply: The reply.
@@ -201,7 +201,7 @@ class Episode:
             reason: Why the reply is malformed.
 
         Raises:
-            RefusedError: In every case. The message is the reason.
+            RefusedError: Always. The message is the reason.
         """
 
         def read() -> dict[str, Any]:

@@ -72,7 +72,7 @@ def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Ev
 
 
 def _box(attempt: Attempt, parts: tuple[Part, ...], stage: str, image: ImageFrame) -> Evidence:
-    """Return the box that a stage gives, as evidence in stitched pixels."""
+    """Make the model call of a stage that requests a box. Return the box as evidence in stitched pixels."""
     return attempt.ask_stage(
         parts, stage, _BOX_SCHEMA, lambda reply: attempt.read_evidence(_only(reply, "evidence_bboxes"), image)
     )

@@ -1,9 +1,9 @@
 """Find out how a model writes boxes, by asking for the boxes of drawn rectangles.
 
-The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as
-the prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
+The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as the
+prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
 model writes boxes, every reading is compared with the known boxes. A reading is chosen only if it explains the replies
-and no other reading does nearly as well. No question of a store is used.
+well, and no other reading explains them nearly as well. No question of a store is used.
 """
 
 from __future__ import annotations
@@ -50,9 +50,11 @@ _READINGS: Final = tuple(Reading(order, scale) for scale in get_args(Scale) for 
 
 
 class Score(msgspec.Struct, frozen=True):
-    """Measure of how well a reading explains the `n` replies that write their box under one key.
+    """Measure of how well a reading explains the replies that write their box under one key.
 
-    median_iou: the median IoU with the known boxes. share: the share of boxes with an IoU of at least 0.5.
+    key: the key. order, scale: the reading. n: the number of replies with this key. median_iou: the median IoU of the
+    boxes in these replies with the known boxes. share: the share of these boxes with an IoU of at least 0.5. chosen:
+    whether the reading is chosen for the key.
     """
 
     key: str
@@ -65,11 +67,12 @@ class Score(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """The content of `STORE/conventions/<model>.json`: a model's readings under one way of requesting boxes.
+    """The content of `STORE/conventions/<model>.json`: the readings of a model's boxes.
 
-    asked: the number of requests. asked_sha256: the hash of the requests. boxes, scales: the order and the scale of the
-    numbers for each key with a chosen reading. Both are empty if no reading was clearly the best. reason: why no
-    reading was chosen.
+    response_format, thinking: the request settings for which the readings hold. asked: the number of requests.
+    asked_sha256: the hash of the requests. readable: the number of replies with a box. boxes: the order of the numbers,
+    for each key with a chosen reading. scales: the scale of the numbers, for each of these keys. Both are empty if no
+    reading was clearly the best. reason: why no reading was chosen, or "".
     """
 
     model: str
@@ -187,13 +190,13 @@ class _Tried(NamedTuple):
     score: Score
 
     def is_same(self, other: _Tried) -> bool:
-        """Return whether both readings give nearly the same boxes."""
+        """Return whether this reading and another reading give nearly the same boxes."""
         overlaps = [iou(a, b) if a and b else float(a is b) for a, b in zip(self.boxes, other.boxes, strict=True)]
         return statistics.median(overlaps) >= _SAME
 
 
 def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple[list[Score], str]:
-    """Return a score per reading, which says whether the reading is chosen, and why none may be chosen, or ""."""
+    """Return a score per key and reading, and the reason why no reading may be chosen, or ""."""
     scores: list[Score] = []
     reasons = []
     for key in KEYS:

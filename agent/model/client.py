@@ -72,7 +72,10 @@ class Chat(Protocol):
 
 @dataclass
 class _BrokenError(Exception):
-    """A failed attempt at a call that may be repeated. `pause` is the server's Retry-After in seconds."""
+    """A failed attempt at a call. The call may be repeated.
+
+    pause: the server's Retry-After in seconds, None if the server sends none.
+    """
 
     reason: str
     remedy: str = "look into the server's log, then run again"
@@ -106,7 +109,7 @@ class Client:
             options: The request settings.
             convention: How thinking is turned on and off, and which part of a reply is the answer.
             cache: The file of finished calls. None stores no calls.
-            bounds: Maxima of each exchange with the server.
+            bounds: Maximum durations of an exchange with the server, and the maximum size of a reply.
             pause: Called with a number of seconds in order to wait that long.
             clock: Called in order to get the time in seconds.
 
@@ -190,7 +193,7 @@ class Client:
         return self._send(request, probe=True)
 
     def server_version(self) -> str:
-        """Return the version that the server reports at `/version`, as vLLM does. Return "" if it reports none."""
+        """Return the version that the server reports at `/version`, or "" if the server reports none."""
         import httpx2
 
         timeout_s = min(self.options.timeout_s, _VERSION_TIMEOUT_S)
@@ -202,7 +205,7 @@ class Client:
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
     def _send(self, request: Mapping[str, Any], *, probe: bool = False) -> Reply:
-        """Send a request, and again with the newer name of the token limit if the server refuses the older name."""
+        """Send a request. If the server refuses the older name of the token limit, send it with the newer name."""
         longer = self._longer_name
         if longer:
             request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}
@@ -301,7 +304,7 @@ class Client:
 
 
 def _pause_s(state: RetryCallState) -> float:
-    """Return the pause in seconds: the one that the server names, or else one that doubles with each attempt."""
+    """Return the pause in seconds: the server's Retry-After, or a pause that doubles with each attempt."""
     broken = state.outcome and state.outcome.exception()
     assert isinstance(broken, _BrokenError), "only these are repeated"
     least, most = _PAUSE_S

@@ -1,10 +1,10 @@
 """Decode a model's reply. The rules are strict, and the same for every method.
 
-A reply must be one JSON object. The object may be in a code fence. Thinking may come before the object if it is in the
-declared delimiters. A box is four numbers under a key. The model's convention, which is fixed before the first reply,
-says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are not swapped.
-An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded independently, so one of
-them can be valid if the other is not. No function here gets a true answer or a true box.
+A reply must be one JSON object. The object may be in a code fence. Thinking may come before the object if declared
+delimiters enclose the thinking. A box is four numbers under a key. The model's convention, which is fixed before the
+first reply, says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are
+not swapped. An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded
+independently, so one of them can be valid if the other is not. No function here gets a true answer or a true box.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def box_key(entry: object, convention: Convention = CONTRACT, requested: str = C
 
     Args:
         entry: An object of a reply.
-        convention: The convention of the model. The keys of the convention are accepted too.
+        convention: The convention of the model, which lists further accepted keys.
         requested: The key that the prompt requests.
 
     Returns:
-        The key of the box. If the object has none or several of these keys, it is the requested key, so that
-        `only_keys` refuses the object.
+        The only accepted key in the object. If the object has no accepted key or several accepted keys, the requested
+        key, so that `only_keys` refuses the object.
     """
     keys = [key for key in {requested: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
     return keys[0] if len(keys) == 1 else requested
@@ -167,7 +167,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
 
 
 def _instead(reply: Reply) -> str:
-    """Return a note for the error message on what an empty reply holds instead of an answer."""
+    """Return what an empty reply holds instead of an answer, as the end of an error message."""
     if reply.content.strip():
         return " after its thinking"
     if reply.reasoning.strip():
@@ -389,7 +389,7 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
 
 
 def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of an object with exactly these keys.
+    """Return the JSON Schema of an object with exactly the given keys.
 
     Args:
         properties: The schema of each key.

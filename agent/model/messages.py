@@ -87,14 +87,14 @@ def jpeg_picture(name: str, image: Image) -> Picture:
 
 
 def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Message]:
-    """Leave out all pictures except the newest.
+    """Return a chat without its older pictures.
 
     Args:
         messages: A chat.
-        most: Maximum number of pictures. None keeps all pictures.
+        most: Number of newest pictures to keep. None keeps all pictures.
 
     Returns:
-        The chat. The text lines before the omitted pictures stay.
+        The chat. The text before an omitted picture stays.
     """
     pictures = sum(isinstance(part, Picture) for message in messages for part in message.parts)
     left_out = 0 if most is None else pictures - most

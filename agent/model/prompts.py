@@ -32,7 +32,7 @@ def _template(name: str) -> Template:
 
 
 class ModeText(NamedTuple):
-    """Prompt lines of an answer mode: an example of the answer's form, the rule for it in words, and advice."""
+    """Prompt lines of an answer mode: an example of an answer, the rule for the form of an answer, and advice."""
 
     form: str
     rule: str

@@ -28,7 +28,7 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def finished(self) -> bool:
-        """Whether the reply ended by itself, and was not refused."""
+        """Whether the reply ended by itself and is not a refusal by the model."""
         return self.finish_reason == "stop" and not self.refusal
 
 
@@ -172,7 +172,8 @@ def answer_text(reply: Reply, convention: Convention) -> str:
     """Return the text of a reply without its thinking.
 
     Args:
-        reply: The reply. If a server sends the whole reply as `reasoning`, the text after the closing delimiter counts.
+        reply: The reply. If a server sends the whole reply as `reasoning`, the text after the closing delimiter is
+            used.
         convention: The convention, for the delimiters of thinking.
 
     Returns:

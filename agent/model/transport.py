@@ -1,4 +1,4 @@
-"""HTTP exchanges with a model's server: connections, deadlines, addresses, and secrets that messages must not show.
+"""HTTP exchanges with a model's server: connections, deadlines, addresses, and secrets, which are kept out of messages.
 
 Servers are untrusted. No redirect is followed, and no compressed reply is unpacked. Replies have a maximum size, and
 each exchange has a deadline.
@@ -108,7 +108,7 @@ class Connections:
             return response, bytes(data)
 
     def _bound_reads(self, event: str, details: Mapping[str, Any]) -> None:
-        """End the reads of a new connection at the deadline of the exchange.
+        """Make each read of a new connection fail after the deadline of the exchange.
 
         httpx2 limits only each single wait for bytes. Without this function, a server could hold a call for ever by
         sending one byte at a time, or endless interim responses (102 Processing).

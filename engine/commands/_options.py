@@ -24,7 +24,7 @@ FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
 def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
-    """Return the store at a path. Return None for None. Raise StoreError if a newer program version wrote the store."""
+    """Return the store at a path, or None if the path is None. Raise StoreError if a newer program wrote the store."""
     from jrdb_avr.queries.manifest import refuse_newer
     from jrdb_avr.queries.store import Store
 

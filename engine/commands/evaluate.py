@@ -173,7 +173,7 @@ def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
 
 
 def _epochs(evaluation: _Evaluation, count: int | None) -> list[_Evaluation]:
-    """Return one evaluation per epoch, or the evaluation itself if `--epochs` is not given."""
+    """Return a copy of the evaluation for each epoch, or only the evaluation if `--epochs` is not given."""
     options = evaluation.options
     if count is None:
         return [evaluation]

@@ -138,7 +138,7 @@ _REASONS: Final = ("why", "skipped", "reason")
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print rows as a table with at most three decimals. Print the explanations of the rows below the table."""
+    """Print rows as a table with at most three decimals. Below the table, print the explanations that the rows hold."""
     rounded = [
         {name: round(cell, 3) if isinstance(cell, float) else cell for name, cell in row.items()} for row in rows
     ]

@@ -80,7 +80,7 @@ def _signature(name: str, value: Any) -> str:
 
 
 def _short(parameter: inspect.Parameter) -> inspect.Parameter:
-    """Return the parameter. A default that is an options object with default values is printed as `Class()`."""
+    """Return a parameter for printing. A default that is an options object with default values prints as `Class()`."""
     kind = type(parameter.default)
     if not kind.__name__.endswith("Options") or parameter.default != kind():
         return parameter

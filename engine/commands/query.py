@@ -42,7 +42,7 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
-        click.option("--parquet", type=FILE, help="Write the rows to this Parquet file instead of printing them."),
+        click.option("--parquet", type=FILE, help="Parquet file to write instead of printing the rows."),
     ):
         function = decorate(function)
     return function
@@ -53,8 +53,8 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def cypher(**options: Any) -> None:
     """Query the graph of a store with Cypher.
 
-    QUERY has one of four forms: a statement that only reads; the name of a saved query (see --list); the path
-    FILE.cypher of a file with a statement; or - to read a statement from standard input.
+    QUERY is one of these: a read-only statement, the name of a saved query (see --list), the path of a file FILE.cypher
+    that holds a statement, or - to read a statement from standard input.
 
     Examples:
       jrdb-avr cypher --list
@@ -69,10 +69,8 @@ def cypher(**options: Any) -> None:
 def sql(**options: Any) -> None:
     """Query the tables of a store with SQL.
 
-    QUERY has one of four forms: a statement that only reads; the name of a saved query (see --list); the path FILE.sql
-    of a file with a statement; or - to read a statement from standard input.
-
-    'jrdb-avr schema tables' lists the tables.
+    QUERY is one of these: a read-only statement, the name of a saved query (see --list), the path of a file FILE.sql
+    that holds a statement, or - to read a statement from standard input. 'jrdb-avr schema tables' lists the tables.
 
     Examples:
       jrdb-avr sql 'SHOW TABLES' --store S
@@ -120,7 +118,7 @@ def _run(
 
 
 def _statement(language: Language, query: str) -> str:
-    """Return the query. If it names a file or standard input, return the text read from there.
+    """Return the text of the argument QUERY, or of the file or standard input that QUERY names.
 
     Raise InputError if the text cannot be read.
     """

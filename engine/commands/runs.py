@@ -34,7 +34,7 @@ def command() -> None:
 @store_option()
 @form_option
 def runs_list(store: Store, form: RowFormat) -> None:
-    """List the runs with their method, model, state, and number of questions per status.
+    """List the runs with their method, model, state, and numbers of answered, invalid and failed questions.
 
     The state of a run is "complete", "unfinished", "damaged" or "other questions". The state "other questions" means
     that the questions of the store have changed since the run began.
@@ -55,7 +55,7 @@ def runs_list(store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def show(run: str, store: Store, form: RowFormat) -> None:
-    """Show how a run's questions were selected, its settings, and the most frequent reasons for missing answers."""
+    """Show a run: the selection of its questions, its settings, and the most frequent reasons for missing answers."""
     from jrdb_avr.engine.run.overview import show_run
 
     facts = show_run(store, run)
@@ -70,7 +70,7 @@ def show(run: str, store: Store, form: RowFormat) -> None:
 
 
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
-    """Return a name and its value as lines. Each entry of a mapping, and each reason, is a line of its own."""
+    """Return a value as pairs (name, text): one pair per entry of a mapping, or per reason in a list of reasons."""
     if isinstance(value, dict):
         return [line for key, item in value.items() for line in _lines(f"{name}.{key}", item)]
     if isinstance(value, list) and name.startswith("commonest"):
@@ -89,9 +89,9 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
 def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
     """Merge all shards of a run into one run. 'evaluate --shard' writes the shards.
 
-    If shards were written on other machines, first copy the folders of the shards into the folder 'runs' of the
-    store. The shards must have the same method, model and settings. Their selections of questions must be equal except
-    for the shard. Merging leaves the shards unchanged.
+    If shards were written on other machines, first copy their run folders into the store's folder 'runs'. The shards
+    must have the same method, model and settings. Their selections of questions must be equal except for the shard.
+    Merging leaves the shards unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs
 
@@ -141,10 +141,10 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
     """Compare two runs on the questions that both runs contain.
 
     The table shows the scores of both runs in percent, and the difference in points: the second score minus the first.
-    It also shows a 95 % interval of the difference, the number of questions that are right in only one run, and the
-    p-value of the exact McNemar test. Below the table, the command lists the questions that are right in only one run.
-    --score names the score that decides whether a question is right. With --json or --csv, the command prints only this
-    list.
+    It also shows a 95 % interval of the difference, the number of questions that only one run has right, and the
+    p-value of the exact McNemar test. Below the table, the command lists the questions that only one run has right. The
+    option --score names the score by which a question counts as right. With --json or --csv, the command prints only
+    this list.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals

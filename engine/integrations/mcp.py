@@ -54,7 +54,7 @@ _Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
 
 @dataclass
 class _Open:
-    """A question that the agent has begun, with a lock that lets only one call move in it at a time."""
+    """A question that the agent has begun, and a lock, so that only one call at a time makes a move."""
 
     play: Play
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -70,7 +70,7 @@ class Desk:
         self._lock = threading.Lock()
 
     def server(self) -> MCPServer:
-        """Return an MCP server that has these tools."""
+        """Return an MCP server with the tools of this desk."""
         server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
         server.add_tool(self.next_question)
         # The output is not structured, because MCP has no structured form for a list that has a picture.
@@ -223,7 +223,7 @@ def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None])
 
 
 def _with_token(app: Any, token: str) -> Any:
-    """Return an ASGI application that forwards requests with the token to `app`, and answers all others with 401."""
+    """Return an ASGI application that passes a request on to `app` if it has the token, and else replies with 401."""
     expected = f"Bearer {token}".encode()
 
     async def checked(scope: Any, receive: Any, send: Any) -> None:

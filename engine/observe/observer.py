@@ -42,9 +42,8 @@ class Observer:
     """Source of crops and panoramas. Several threads may use the same observer.
 
     Panoramas are read from `image_root/<sequence>/<six digits>.jpg`. Memory holds at most `cached` decoded panoramas
-    and `CACHED_FILES` undecoded files. The least recently used panoramas and files are dropped first. `folders` gives
-    the folder name of each sequence that has a folder with another name. Messages about such a sequence do not show
-    the path.
+    and `CACHED_FILES` undecoded files. The least recently used panoramas and files are dropped first. For a sequence
+    with an opaque name, `folders` gives the name of its folder. Messages about such a sequence do not show the path.
     """
 
     def __init__(
@@ -221,7 +220,7 @@ class _Strip:
         return image
 
     def _laid_out(self) -> Image:
-        """Return the tiles from left to right (count, 480, width, 3).
+        """Return the tiles from left to right. Shape: (count, 480, width, 3).
 
         At the first use, the whole panorama is the only tile. If decoding fails, nothing is cached, because the file
         may exist at the next use.

@@ -110,8 +110,8 @@ class Inspected:
         people: Track id of each node of the plan.
         counted: Track id of each further person that the answer counts.
         moments: Frame of each time that the plan names.
-        annotated: Annotated frame that represents each of these times.
-        decisive: The needed box that shows the answer.
+        annotated: For each time that the plan names, the result of `nearest_annotated` for its frame.
+        decisive: The box that shows the answer. If the answer is a count, the first box that the answer needs.
         boxes: For each frame to show, the boxes of the people as (role, box).
         around: For each frame to show, the frames one second before and after as (-1 or 1, frame, boxes).
         timeline: Rows of the timeline.
@@ -162,15 +162,15 @@ def _box(row: Record) -> Box:
 
 
 def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
-    """Return the annotated frame that represents a frame on the page.
+    """Return the frame at which the page shows an event: a near annotated frame, or the frame of the event.
 
     Args:
-        frame: Index of the frame.
+        frame: Index of the frame of the event.
         frames: Indexes of the annotated frames.
-        step: Distance between annotated frames. An event may be up to half a step away from the nearest label.
+        step: Number of frames from one annotated frame to the next.
 
     Returns:
-        The nearest annotated frame if it is within half a step, otherwise the frame itself.
+        The nearest annotated frame if its distance is at most half of `step`, otherwise `frame`.
     """
     near = min(frames, key=lambda annotated: abs(annotated - frame), default=frame)
     return near if abs(near - frame) <= step // 2 else frame
@@ -267,7 +267,7 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
 
 
 def _times(plan: Plan) -> list[str]:
-    """Return one text per time of a plan, which describes the time in words."""
+    """Return a description in words of each time of a plan."""
     texts = []
     for name, time in plan.times.items():
         if time.frame is not None:
@@ -285,7 +285,7 @@ def _reads(plan: Plan) -> str:
 
 
 def _perturbation(question: Inspected, name: str | None) -> str:
-    """Return the name of the perturbation under which a wrong choice is true.
+    """Return the name of the perturbation of the plan that makes a wrong choice right.
 
     If the perturbation concerns a person, the person's role comes before the name.
     """

@@ -51,9 +51,9 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
         rows: Rows with columns `NAME`, `NAME_low` and `NAME_high`.
 
     Returns:
-        The rows with all values as text. Rows with too few sequences have no intervals. If there are such rows, the
-        column `interval` says so. If each run has only one row, a mark follows each `n` that differs from the `n` of
-        most runs.
+        The rows with all values as text. A row with too few sequences has no intervals. If there is such a row, the
+        rows keep the column `interval`, which says which rows have too few sequences. If each run has only one row, a
+        mark follows each `n` that differs from the most frequent `n`.
     """
     rows = without_rough(rows)
     few = any(row.get("interval") == TOO_FEW for row in rows)
@@ -71,28 +71,28 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
 
 
 def other_counts(rows: Rows) -> set[int]:
-    """Find the values of `n` that differ from the `n` of most runs.
+    """Find the values in the column `n` that differ from the most frequent value in this column.
 
     Args:
-        rows: Rows of a table.
+        rows: Rows of a table. Rows without a run are ignored.
 
     Returns:
-        The values. The set is empty if a run has several rows.
+        The values that differ. The set is empty if a run has several rows.
     """
     runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
     return set(runs) - set(sorted(runs, key=lambda n: (-runs.count(n), -n))[:1])
 
 
 def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
-    """Format the rows of a table of a report for a paper, with intervals.
+    """Format the rows of a report's table, with intervals, so that the table can be printed in a paper.
 
     Args:
         name: The name of the table.
         rows: The rows of the table.
 
     Returns:
-        The rows with all values as text. The table `main` has no macro averages. Its rows are grouped by model. The
-        model of the first row comes first.
+        The rows with all values as text. If the table is `main`, the macro averages are left out, and the rows are
+        grouped by model. The groups are in the order in which their models first occur.
     """
     printed: list[dict[str, Any]] = with_intervals(rows)
     if name != "main":
@@ -110,7 +110,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
 
 
 def without_rough(rows: Rows) -> list[dict[str, Any]]:
-    """Remove the bounds of intervals from rows that have too few sequences.
+    """Remove the bounds of intervals from each row that has too few sequences for an interval.
 
     Args:
         rows: Rows with a column `interval`.

@@ -1,4 +1,4 @@
-"""Score bundles by the answers of one store, and rank them. Each set of questions has its own ranking."""
+"""Score bundles with the answers of one store, and rank the bundles. Each set of questions has its own ranking."""
 
 from __future__ import annotations
 
@@ -52,12 +52,15 @@ class Leaderboard(Displayed):
 
     @property
     def rows(self) -> list[Row]:
-        """All entries as rows of plain values, one question set after another."""
+        """All entries as rows of plain values. The entries of a question set are together."""
         return [entry.flat() for entries in self.sets for entry in entries]
 
     @property
     def synthetic(self) -> bool:
-        """Whether any bundle used the simulated model or the sample world. Its scores would not describe JRDB."""
+        """Whether at least one bundle used the simulated model or the sample world.
+
+        The scores of such a bundle do not describe JRDB.
+        """
         return any(entry.bundle.run.synthetic for entries in self.sets for entry in entries)
 
     def _summary(self) -> str:
@@ -68,7 +71,7 @@ class Leaderboard(Displayed):
 
 
 def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Leaderboard:
-    """Score bundles and rank them by their combined score. Equal scores share a rank.
+    """Score bundles and rank them by their combined score. Bundles with equal combined scores have the same rank.
 
     Args:
         store: The store that has the answers, or its folder.
@@ -103,7 +106,7 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
 
 
 def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Scores:
-    """Score bundles by the answers of a store. Nothing is written.
+    """Score bundles with the answers of a store. Nothing is written.
 
     Args:
         store: The store that has the answers, or its folder.
@@ -115,7 +118,8 @@ def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou:
 
     Raises:
         InputError: If a bundle is altered or broken.
-        StoreError: If a bundle belongs to another questions file, or if its predictions do not match its questions.
+        StoreError: If a bundle belongs to another questions file than the file of the store, or if the predictions of
+            a bundle do not match the questions of the bundle.
     """
     return Scores(
         [

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 
 class Group(NamedTuple):
-    """A group of questions in the paper, with the counts of right predictions.
+    """A group of questions in the paper, with counts of the right predictions of the paper's agent.
 
     Attributes:
         families: This project's families that form the group.

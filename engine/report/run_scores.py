@@ -115,9 +115,10 @@ def score_runs(
     Args:
         truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         sources: Run ids, or folders of bundles.
-        read: Called with each source. It returns the run of the source.
+        read: Function that is called with each source and returns the run of the source.
         iou: Minimum IoU for right evidence, in (0, 1].
-        refuse: Called with the error when a run cannot be scored. If it returns, the run is left out.
+        refuse: Function that is called with the error if a run cannot be scored. If the function returns, the run is
+            left out. If the function raises the error, no further run is scored.
 
     Returns:
         Each source with its scored run, without the sources that cannot be scored.

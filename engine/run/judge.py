@@ -2,10 +2,11 @@
 
     python -m jrdb_avr.engine.run.judge STORE
 
-The child process reads the answers. Each line of its standard input is a row of `predictions` as JSON. For each row,
-the child prints four digits: the answer score, the evidence score, the combined score, and 1 if the output of the model
-could not be read (else 0). If the child cannot read the answers, it prints one line with the reason. The child
-ends when its standard input closes.
+The child process reads the answers and prints `ready`. If it cannot read the answers, it prints one line with the
+reason, and ends. Each line of its standard input is a row of `predictions` as JSON. For each row, the child prints a
+line with four digits: the answer score, the evidence score, the combined score, and 1 if the output of the model could
+not be read (else 0). If the store lacks the question of the row, this line is `unknown`. The child ends when its
+standard input closes.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class QuestionScore(NamedTuple):
 
 
 class Judge(contextlib.ExitStack):
-    """Judge that compares predictions with the answers of a store. Threads that share a judge take turns.
+    """Scorer of single predictions, which uses the answers of a store. If threads share a judge, they take turns.
 
     Example:
         with Judge.open("store") as judge:
@@ -91,7 +92,7 @@ class Judge(contextlib.ExitStack):
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
-        """Return the scores of a row of `predictions`. Raise the same errors as `score`, except ValueError."""
+        """Return the scores of a row of `predictions`. Raise InputError and StoreError as the method `score` does."""
         with self._lock:
             try:
                 assert self._process.stdin is not None, "stdin is a pipe"
@@ -125,7 +126,7 @@ class Judge(contextlib.ExitStack):
 
 
 def judge_lines(store: Store, lines: IO[str]) -> None:
-    """Read rows of `predictions` as JSON lines, and print the four digits of each row."""
+    """Read rows of `predictions` from lines of JSON, and print the line for each row that the module describes."""
     import pyarrow as pa
 
     from jrdb_avr.engine.report.scoring import score_predictions

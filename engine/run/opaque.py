@@ -37,14 +37,14 @@ def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
         The opaque name of each sequence, by real name.
 
     Raises:
-        StoreError: If the key file is damaged, or if the key file cannot be read or written.
+        StoreError: If the file with the key is damaged, or if this file cannot be read or written.
     """
     key = _key(key_path(store))
     return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
 
 
 def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return a copy of a table in which the sequences have new names.
+    """Return a copy of a table. In the copy, the sequences have new names.
 
     Args:
         table: A table that has the column `sequence`.
@@ -64,7 +64,7 @@ def key_fingerprint(store: Store) -> str:
 
 
 def _key(path: Path) -> bytes:
-    """Return the key. If the file is missing, write a new key that only the owner of the file can read."""
+    """Return the key in a file. If the file is missing, write a new file that only its owner can read."""
     if not path.exists():
         write_once(path, secrets.token_hex(_KEY_BYTES).encode())
     try:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 class QuestionSelection(Options):
     """Options that select the questions of a run. The default is all questions.
 
-    If several tuples are not empty, a question must match all of these tuples. The same selection from the same store
-    always gives the same list. A larger `limit` or `per_template` only adds questions to the list, so that a run can
-    grow.
+    A tuple that is not empty is a filter: it lists the permitted values. If there are several filters, a question must
+    match all of them. The same options always select the same questions of a store. A larger `limit` or `per_template`
+    only adds questions to the selection, so that a run can grow.
     """
 
     questions: tuple[str, ...] = option((), "Ids of questions, separated by commas, or a file with one id per line.")
@@ -70,7 +70,10 @@ class QuestionSelection(Options):
         return questions if limit is None else replace(questions, limit=limit)
 
     def record(self) -> dict[str, Any]:
-        """Return the options that differ from their defaults, as plain JSON. Empty if all questions are selected."""
+        """Return the options that differ from their defaults, as plain JSON.
+
+        The result is empty if all questions are selected.
+        """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         given = {name: value for name, value in values.items() if value not in (None, ())}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}

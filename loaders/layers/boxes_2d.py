@@ -5,8 +5,8 @@ in pixels of the stitched panorama.
 
 The table `frames` lists a frame for the layer `2d` only if none of the frame's records of people was refused. A frame
 with a refused record could not prove that a person is absent, or that a description fits only one person. For the layer
-`actions`, the table lists the frames with at least one action label. For the layer `groups`, it lists the frames with
-at least one group label.
+`actions`, the table `frames` lists the frames with at least one action label. For the layer `groups`, the table lists
+the frames with at least one group label.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Attributes2D(msgspec.Struct, gc=False, frozen=True):
 class Record2D(msgspec.Struct, gc=False):
     """Record of one person in one frame.
 
-    Sub-objects that repeat between frames are kept as raw bytes. Each distinct sub-object is decoded once, later.
+    The sub-objects `action_label`, `social_group` and `social_activity` are often the same in many frames. They are
+    kept as raw bytes, and each distinct sub-object is decoded later, only once.
     """
 
     label_id: str
