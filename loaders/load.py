@@ -70,7 +70,7 @@ class Shard:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """Result of `load_shard`: the report, and the entry of the manifest (None if the sequence could not be loaded)."""
+    """Result of `load_shard`: the report of a sequence, and its entry in the manifest (None if it was not loaded)."""
 
     report: SequenceReport
     entry: SequenceEntry | None
@@ -236,7 +236,7 @@ def load_shard(shard: Shard) -> ShardResult:
 
 @contextlib.contextmanager
 def _one_heap() -> Iterator[None]:
-    """Let Arrow and numpy share a heap while the block runs, so that each reuses memory that the other has freed."""
+    """Let Arrow and numpy share a heap inside a `with` block, so that each reuses memory that the other has freed."""
     before = pa.default_memory_pool()
     pa.set_memory_pool(pa.system_memory_pool())
     try:
@@ -257,7 +257,7 @@ class RebuildShard:
 
     @property
     def weight(self) -> int:
-        """Return the size of the file of 2D boxes in bytes. Sequences with a larger weight are processed first."""
+        """Return the number of bytes of the file of 2D boxes. Sequences with a larger weight are processed first."""
         path = Store(self.store).annotation_path("boxes_2d", self.sequence)
         return path.stat().st_size if path.exists() else 0
 
@@ -273,7 +273,7 @@ def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
 
 
 def _loaded_table(store: Store, layer: str, shard: RebuildShard) -> pa.Table:
-    """Return an annotation table. Raise StoreError if its file has changed since the load."""
+    """Return the annotation table of a layer. Raise StoreError if the file of the table has changed since the load."""
     path = store.annotation_path(layer, shard.sequence)
     table = store.annotation(layer, shard.sequence)
     if file_hash(path) != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
@@ -300,9 +300,10 @@ def _write(
 
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
-    """Yield an empty staging folder. Delete the folder afterwards, unless it holds tables that must still be moved.
+    """Yield an empty staging folder, and delete it when the `with` block ends.
 
-    The caller must hold the writer's lock.
+    The folder is not deleted if it then holds tables that must still be moved into the store. The caller must
+    hold the writer's lock.
     """
     staging = Store(store.path / STAGING)
     try:
@@ -356,7 +357,10 @@ def _finish_moves(store: Store) -> None:
 
 
 def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
-    """Build the graph, stage the new manifest, and delete the old one. Return a line for each run that is left out."""
+    """Build the graph, stage the new manifest, and delete the old manifest.
+
+    Return one line for each run that the graph leaves out.
+    """
     with build_graph(store.graph_path) as graph:
         rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
@@ -366,7 +370,10 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
 
 
 def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
-    """Fill a new graph. Return the number of rows by table of the graph, and a line for each run that is left out."""
+    """Fill a new graph with the scene and with the world models of runs.
+
+    Return the entry `graph` of the manifest, and one line for each run that the graph leaves out.
+    """
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))

@@ -43,7 +43,8 @@ class Problems:
         Args:
             kind: "file", "frame", "record" or "field".
             reason: reason of the refusal.
-            frame: frame key or name of the first part. Only the first call for a reason sets the example.
+            frame: frame key or name of the first part. Of the calls that are counted together, only the first sets the
+                frame and the value of the example.
             field: name of the offending field.
             value: offending value of the first part.
             count: number of parts.
@@ -56,7 +57,10 @@ class Problems:
         self._problems[kind, reason, field] = example
 
     def without(self, reported: Problems) -> None:
-        """Remove each problem that another reader of the same file has put into `reported` with the same count."""
+        """Remove each problem that is also in `reported` with the same count.
+
+        `reported` is the counter of another reader of the same file.
+        """
         counted = {(problem.reason, problem.field, problem.count) for problem in reported.listed()}
         for key, problem in list(self._problems.items()):
             if (problem.reason, problem.field, problem.count) in counted:

@@ -36,7 +36,10 @@ class Heading(msgspec.Struct):
 
 
 class FrameRange(msgspec.Struct):
-    """Range of the frames that have labels, or that have images. Frames in between may be missing."""
+    """Range of the frames that have labels, or of the frames that have images.
+
+    Frames inside the range may be missing.
+    """
 
     first: int
     last: int
@@ -144,7 +147,7 @@ def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
 def sequence_warnings(
     labels: FrameRange | None, images: FrameRange | None, heading: Heading | None, cameras: Cameras | None
 ) -> list[str]:
-    """Return the warnings that follow from the checks of a sequence. The user should look at these warnings."""
+    """Return the warnings for the user that follow from the checks of a sequence, one line per warning."""
     lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
         lines.append(
@@ -166,7 +169,7 @@ def sequence_warnings(
 
 
 def totals(reports: list[SequenceReport]) -> str:
-    """Return one line with the sums over all loaded sequences."""
+    """Return one line with the numbers of loaded sequences, frames, people, boxes, unknown labels and refused parts."""
     loaded = [report for report in reports if report.layers]
     sums = {name: sum(getattr(report, name) for report in loaded) for name in ("frames", "people", "boxes", "boxes_3d")}
     unknown = len({(label.field, label.label) for report in loaded for label in report.unknown_labels})

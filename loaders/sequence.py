@@ -146,7 +146,10 @@ def _check(layer: str, reading: LayerTables, reference: Tracks | None) -> ShiftC
 
 
 def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
-    """Return the problems. If a file gives both the 2D layer and another layer, count each problem of the file once."""
+    """Return the counters of problems.
+
+    If a file is read both for the 2D layer and for another layer, each problem of the file is counted only once.
+    """
     boxes = next((part for part in problems if part.layer == "2d"), None)
     for part in problems:
         if boxes is not None and part is not boxes and files.labels.get(part.layer) == files.labels["2d"]:

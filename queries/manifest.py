@@ -87,7 +87,7 @@ def is_public(store: Path) -> bool:
 
 
 def refuse_public(store: Path, missing: str) -> None:
-    """Raise StoreError if the store is public. `missing` ends the message: the thing that is missing, and a remedy."""
+    """Raise StoreError if the store is public. `missing` ends the message. It names what is missing, and a remedy."""
     if is_public(store):
         raise StoreError(f"{store}: a public store has no {missing}")
 

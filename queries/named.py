@@ -3,7 +3,7 @@
 SQL queries are in `queries/results`, and Cypher queries are in `queries/explore`, `generators`, `necessity` and
 `search`. The first comment line of a file says what the query returns. A comment line `param NAME: TYPE` declares a
 parameter of the type text, integer or number. `param NAME: TYPE = VALUE` declares a parameter with a default. If a
-query has the parameter `frame`, the caller may give `seconds` instead. As in questions, `seconds` is the frame / 15.
+query has the parameter `frame`, the caller may give `seconds` instead: the frame divided by 15, as in questions.
 """
 
 from __future__ import annotations
@@ -85,7 +85,10 @@ _EXAMPLES: Final = {"text": "TEXT", "integer": "INTEGER", "number": "NUMBER"}
 
 
 def _checked(name: str, kind: str, value: Any) -> Any:
-    """Return a parameter's value in the type `kind`, or raise QueryError. For `kind` "text", a number becomes text."""
+    """Return a parameter's value if it has the type `kind`, otherwise raise QueryError.
+
+    If `kind` is "text", a number is converted to text.
+    """
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
     value = unwrap_scalar(value)
@@ -113,7 +116,8 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
         params: Values of parameters, by name.
 
     Returns:
-        The statement, and the value of each of its parameters. If `text` is a statement, it and `params` are unchanged.
+        The statement, and the value of each of its parameters. For a statement, these are
+        `text` and `params` themselves.
 
     Raises:
         QueryError: If `text` is a single word but not the name of a query, or if `params` do not fit the query.

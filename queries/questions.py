@@ -105,7 +105,7 @@ def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> 
         table: Table that was read from `path`.
         schema: Schema of the result.
         path: File that the error message names.
-        command: Command or advice that the error message puts before "again".
+        command: Command or advice, such as "generate". The error message ends in this text and "again".
 
     Returns:
         The table with the columns and types of the schema.

@@ -42,7 +42,9 @@ class RunManifest(msgspec.Struct, frozen=True):
 
 
 def questions_hash(store: Store) -> str:
-    """Return one sha256 of the generation and all ids of a store's questions. A public copy has the same hash.
+    """Return one sha256 over the generation id and all question ids of a store.
+
+    A public copy of the store has the same hash.
 
     Args:
         store: Store with questions.

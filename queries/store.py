@@ -84,11 +84,11 @@ class Store(Displayed):
         return self.path / STORE_GRAPH
 
     def annotation_path(self, layer: str, sequence: str) -> Path:
-        """Return the path of the annotation table of a layer and a sequence."""
+        """Return the path of a sequence's annotation table for one layer."""
         return self.path / "annotations" / layer / f"{safe_sequence(sequence)}.parquet"
 
     def interval_path(self, kind: str, sequence: str) -> Path:
-        """Return the path of the interval table of a kind of facts and a sequence."""
+        """Return the path of a sequence's interval table for one kind of facts."""
         return self.path / "intervals" / kind / f"{safe_sequence(sequence)}.parquet"
 
     def question_path(self, table: str) -> Path:
@@ -106,11 +106,11 @@ class Store(Displayed):
     # -- tables -----------------------------------------------------------------------------------------------
 
     def write_annotation(self, layer: str, sequence: str, table: pa.Table) -> str:
-        """Write the annotation table of a layer and a sequence, and return the sha256 of the file."""
+        """Write a sequence's annotation table for one layer, and return the sha256 of the file."""
         return write_table(self.annotation_path(layer, sequence), table, ANNOTATIONS[layer])
 
     def write_interval(self, kind: str, sequence: str, table: pa.Table) -> str:
-        """Write the interval table of a kind of facts and a sequence, and return the sha256 of the file."""
+        """Write a sequence's interval table for one kind of facts, and return the sha256 of the file."""
         return write_table(self.interval_path(kind, sequence), table, INTERVALS[kind])
 
     def write_questions(self, name: str, table: pa.Table, metadata: dict[str, str]) -> str:
@@ -130,7 +130,7 @@ class Store(Displayed):
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the rows of `intervals_<kind>`, then those of `intervals_possible_<kind>` with `certain` = false."""
+        """Return the rows of `intervals_<kind>`, then of `intervals_possible_<kind>` (with `certain` set to false)."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
@@ -166,8 +166,8 @@ class Store(Displayed):
     def training_set(self) -> dict[str, str]:
         """Return how the questions were made if they are a training set, or {} if they are a benchmark.
 
-        `profile` is the profile of `generate`. `disjoint_from` is the generation id of the held-out questions that the
-        training set avoids. Raises StoreError if the file of questions is missing or broken.
+        The entry `profile` is the profile of `generate`. The entry `disjoint_from` is the generation id of the held-out
+        questions that the training set avoids. Raises StoreError if the file of questions is missing or broken.
         """
         metadata = self.questions("questions", []).schema.metadata or {}
         keys = (PROFILE_KEY, DISJOINT_KEY)
@@ -263,7 +263,7 @@ class Store(Displayed):
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
 
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
-        """Return the parameters of a statement about the keyframe layer. A range of node ids replaces `sequence`.
+        """Return the values for a statement about the keyframe layer. A range of node ids replaces `sequence`.
 
         Raises StoreError if the graph lacks the keyframe layer, or if the layer and the questions have different rules.
         """
@@ -373,13 +373,13 @@ def write_groups(
 ) -> str:
     """Write several tables to one Parquet file atomically, and return the sha256 of the file in hexadecimal digits.
 
-    Each table becomes a row group. Only one table is in memory at a time. `write_table` describes other arguments.
+    Each table becomes a row group. Only one table is in memory at a time. `write_table` describes the other arguments.
     """
     return _write(path, groups, schema, schema, metadata)
 
 
 def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
-    """Return the schema. Columns that are dictionary columns in the table get the table's dictionary type."""
+    """Return a copy of the schema, in which the dictionary columns of the table have their dictionary types."""
     kinds = [(field, table.schema.field(field.name).type) for field in schema]
     return pa.schema([field.with_type(kind) if pa.types.is_dictionary(kind) else field for field, kind in kinds])
 

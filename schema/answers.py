@@ -70,7 +70,7 @@ def encode_answer(answer: Answer) -> str:
 
 
 def frames_iou(a: Span, b: Span) -> float:
-    """Return the number of frames that both spans contain, divided by the number that at least one span contains.
+    """Return the number of frames that both spans contain, divided by the number of frames in at least one span.
 
     The result is 0 if a span ends before it starts.
     """

@@ -16,8 +16,8 @@ has `<episode>/<name>`, with a name that the agent chose. A `Slot` or a `Write` 
 has `<episode>/h<rank>`.
 
 `Observation` and `Entity` also have a hash of the episode's key, and edges of beliefs have the names of the entities at
-both ends. The reads and writes of an agent use the hash and the names to find its own edges. Without them, the engine
-would spend half of its work on edges of other episodes.
+both ends. The reads and writes of an agent use this hash and these names to find the edges of the agent's episode.
+Otherwise, the engine would spend half of its work on edges of other episodes.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class EpisodeRow(_Row, frozen=True):
         question: Id of the question.
         sequence: Name of the sequence.
         plan: Plan as JSON, "" until a plan is accepted.
-        verdict: Support of the world model for the answer, "" until the episode has an answer.
+        verdict: How well the world model supports the answer, "" until the episode has an answer.
     """
 
     id: str
@@ -193,8 +193,8 @@ class _EdgeRow(_Row, frozen=True):
         episode: Key of the episode.
         write: Index, in the episode, of the write that added the edge. Each write adds at most one edge.
         step: Index of the model call that made the write.
-        votes: Number of readings that agreed with the edge at that write.
-        against: Number of readings that disagreed with the edge at that write.
+        votes: Number of readings that agreed with the edge when the write was made.
+        against: Number of readings that disagreed with the edge when the write was made.
         origin: Origin of the belief.
     """
 
@@ -217,7 +217,7 @@ class SightingRow(_EdgeRow, frozen=True):
 
 
 class AttributeRow(_EdgeRow, frozen=True):
-    """Row of `Has`. `value` is the attribute's value as text. `number` is the value as a number, or 0 if it is none."""
+    """Row of `Has`. `value` is the attribute's value as text. `number` is the value if it is a number, otherwise 0."""
 
     name: str
     value: str
@@ -251,8 +251,8 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
         sighted: New sighting.
         has: New attribute.
         related: New relation.
-        replaced: Indexes of writes. The edges that these writes added stop being `current` at this step. This write may
-            be one of the writes.
+        replaced: Indexes of writes. The edges that these writes added stop being `current` at the step of this
+            fact's write. The index of that write may be in the tuple too.
         hypotheses: Hypotheses at the end of the episode.
     """
 

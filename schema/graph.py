@@ -39,7 +39,10 @@ _TYPES: Final = {"string": "STRING", "double": "DOUBLE", "bool": "BOOLEAN", "int
 
 
 def _sighting_columns() -> tuple[str, ...]:
-    """Return the columns of `SeenIn`: those of `intervals_sightings` without track and group, the box as one column."""
+    """Return the columns of `SeenIn`.
+
+    They are the columns of `intervals_sightings` without track and group. One column holds the four numbers of the box.
+    """
     fields = [field for field in INTERVALS["sightings"] if field.name not in ("track", "cluster", *"xywh")]
     columns = [f"{field.name} {_TYPES[str(field.type)]}" for field in fields]
     # The box is a struct, because the engine needs minutes to save a million lists of type DOUBLE[4].

@@ -141,7 +141,7 @@ class Prediction:
         evidence: Box that shows the person in stitched pixels of one frame, or None if there is none.
         raw: Last text that the model wrote.
         reason: Why the model's last output was refused, "" if it was accepted.
-        verdict: Support of the world model for the answer, or None if the method has no world model.
+        verdict: How well the world model supports the answer, or None if the method has no world model.
         n_observations: Number of crops and panoramas that the method looked at.
         n_model_calls: Number of model calls.
         prompt_tokens: Number of tokens sent to the model.

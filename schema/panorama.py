@@ -92,7 +92,8 @@ def crop_left(angle_deg: float) -> float:
 def to_crop(box: Box, left: float) -> Box:
     """Convert a box from stitched pixels to pixels of the crop that begins at column `left`.
 
-    The panorama repeats every 3760 columns, and so does the box. The copy nearest to the crop is returned.
+    The panorama repeats every 3760 columns, and so does the box. Of these copies of the box, the function returns the
+    one nearest to the crop.
     """
     center = (box.x + box.w / 2 - left - CROP / 2 + WIDTH / 2) % WIDTH - WIDTH / 2 + CROP / 2
     return Box(center - box.w / 2, box.y, box.w, box.h)
@@ -101,17 +102,17 @@ def to_crop(box: Box, left: float) -> Box:
 def from_crop(box: Box, left: float) -> Box:
     """Convert a box from pixels of the crop that begins at column `left` to stitched pixels.
 
-    The x of the result may exceed 3760 if the crop crosses the seam.
+    The x of the result may exceed 3760 if the crop crosses the seam between the columns 3759 and 0.
     """
     return Box(box.x + left, box.y, box.w, box.h)
 
 
 def iou(a: Box, b: Box) -> float:
-    """Return the intersection over union of two boxes in stitched pixels, [0, 1], also across the seam.
+    """Return the intersection over union of two boxes in stitched pixels, [0, 1].
 
-    A box covers the columns [x, x + w) and the rows [y, y + h). One box is first shifted by the multiple of 3760
-    columns that gives the largest overlap. The parts of boxes above and below the image count too. The result is 0 if a
-    box has no area.
+    A box covers the columns [x, x + w) and the rows [y, y + h). Boxes may cross the seam between the columns 3759
+    and 0: one box is first shifted by the multiple of 3760 columns that gives the largest overlap. The parts of boxes
+    above and below the image count too. The result is 0 if a box has no area.
     """
     if not (a.w > 0 and a.h > 0 and b.w > 0 and b.h > 0):
         return 0.0

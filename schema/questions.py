@@ -49,7 +49,8 @@ class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         y: Upper edge in stitched pixels.
         w: Width in pixels.
         h: Height in pixels.
-        decisive: Whether the answer is read from this box. The view straight ahead misses at least one decisive box.
+        decisive: Whether the answer is read from this box. The view straight ahead of the robot misses at least
+            one decisive box of the question.
     """
 
     node: str

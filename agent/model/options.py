@@ -74,8 +74,9 @@ class EndpointOptions(Options):
     )
     max_cost: float | None = option(
         None,
-        "Stop the run when its calls have cost this much by --prices. Requests in progress may add to the cost. To go "
-        "on, raise it and use --resume. Earlier costs then count too, except for replies that were cut off or refused.",
+        "Stop the run when its calls have cost this much by --prices. Requests in progress may add to the cost. To "
+        "go on, use --resume with a higher maximum. Earlier costs then count too, except for replies that were cut off "
+        "or refused.",
         minimum=0,
         metavar="DOLLARS",
     )

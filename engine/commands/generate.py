@@ -20,7 +20,7 @@ _blind_option = click.option(
     type=click.Choice(["simple", "learned"]),
     default="simple",
     show_default=True,
-    help="Guessers that see no image. 'learned' adds one that learns from texts (pip install 'jrdb-avr[learned]').",
+    help="Guessers that see no image. 'learned' adds a guesser trained on texts (pip install 'jrdb-avr[learned]').",
 )
 
 

@@ -27,7 +27,7 @@ _runs_argument = run_argument("runs", nargs=-1, metavar="[RUN]...")
 @_runs_argument
 @store_option()
 @click.option(
-    "--jsonl", type=FILE, help="Import predictions as the run RUN (default: the name of the file), and score the run."
+    "--jsonl", type=FILE, help="Import predictions from FILE as the run RUN (default: the name of FILE), and score RUN."
 )
 @click.option("--bundle", type=FOLDER, help="Score a bundle that 'submit' wrote. The scores are not stored.")
 @iou_option

@@ -43,8 +43,8 @@ class QuestionSelection(Options):
     seed: int | None = option(None, "Take questions in the random order of this seed. Default: the order of the store.")
     shard: tuple[int, int] | None = option(
         None,
-        "Answer shard I of N: the selected questions of the Ith sequence by name and of every Nth sequence after it. "
-        "The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
+        "Sort the sequences by name. Answer the selected questions of the Ith sequence and of each Nth sequence after "
+        "it. The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
         metavar="I/N",
     )
 
@@ -86,7 +86,8 @@ class MethodOptions(Options):
     policy: Policy | None = option(
         None,
         "Who chooses where agent and agent-no-world look. 'model': the model. 'guided': the model, from the program's "
-        "proposals. 'driven' (default): the program. With 'guided' or 'driven', the model gets one picture at a time.",
+        "proposals. 'driven' (default): the program. With 'guided' or 'driven', the model gets one picture at a time. "
+        "With a policy that is not the default, the run is named METHOD-POLICY-MODEL unless --run-id is given.",
         choices=POLICIES,
     )
     history: int | None = option(
@@ -116,7 +117,7 @@ class RunOptions(Options):
     such a run ends in its epoch. In each epoch, the simulated model has another seed.
     """
 
-    run_id: str | None = option(None, "Run name. Default: METHOD-MODEL (with another --policy: METHOD-POLICY-MODEL).")
+    run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL, such as react-marker or human-ada.")
     resume: bool = option(
         False,
         "Continue a run that was stopped. Questions that ended in an error are asked again. If more questions are "

@@ -118,7 +118,8 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
     Args:
         fields: fields of the records.
         coded: names of the fields that become columns of codes.
-        codes: codes of the distinct values by field. New values are added.
+        codes: by name of a field, the dictionary from the field's distinct values to their codes. New values are added
+            to the dictionary.
 
     Returns:
         The column `box` of shape (n, 4), and a column of codes for each field in `coded`.
@@ -129,7 +130,10 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Return, for each kind of fault, a mask of the faulty boxes and the reason. `box` has the shape (n, 4)."""
+    """Return one pair per kind of fault: a mask of the boxes with this fault, and the reason for the report.
+
+    `box` has the shape (n, 4).
+    """
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
         (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),
@@ -137,7 +141,10 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 
 
 def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -> Bools:
-    """Return a mask of the usable boxes. Count the unusable boxes. A missing box (NaN) is unusable but not counted."""
+    """Return a mask of the usable boxes, and count the unusable boxes in `refusals`.
+
+    `box` has the shape (n, 4). A missing box (NaN) is unusable, but it is not counted.
+    """
     usable = ~np.isnan(box[:, 0])
     for fault, reason in box_faults(box):
         refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())
@@ -180,7 +187,11 @@ def _taken(
     field: str = "",
     read: Callable[[Any], Any] | None = None,
 ) -> pa.Array:
-    """Return the column `read(values[code])`. If `read` raises ValueError, the row is null and counted."""
+    """Return an Arrow column of the type `kind`. Its row i is made from the value `values[code[i]]`.
+
+    The row holds the result of `read` for the value, or the value itself if the value or `read` is None. If `read`
+    raises ValueError, the row is null, and it is counted as a refused field.
+    """
     usable: list[Any] = []
     wrong: dict[int, str] = {}
     for i, value in enumerate(values):

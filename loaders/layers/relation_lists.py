@@ -6,10 +6,10 @@ the partner's box, which may be from an earlier frame. Entries differ between fr
 Therefore each distinct pair and each distinct object of labels gets a code and is decoded once.
 
 A list is *whole* if no part of the list was refused. Every relation that a whole list lacks is known to be false. An
-entry is refused if its pair cannot be read or is the person itself, or if its labels are not a JSON object. The label
-"impossible" gives no fact, and a list with this label is not whole. A list with a label outside the vocabulary is not
-whole either, because the label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as
-an unknown fact.
+entry is refused if its pair cannot be read or names the person of the record, or if its labels are not a JSON
+object. The label "impossible" gives no fact, and a list with this label is not whole. A list with a label outside the
+vocabulary is not whole either, because the label may be a synonym of any relation. If a difficulty cannot be read, the
+label is kept as an unknown fact.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Entry(msgspec.Struct, gc=False):
 
 
 def person_of(pair: object) -> tuple[int]:
-    """Return the track of the partner from a pair such as "pedestrian:9", "9" or 9.
+    """Return the track of the partner, as a tuple of one number. `pair` is "pedestrian:9", "9" or 9, for example.
 
     Raises:
-        ValueError: If the pair is not of a person.
+        ValueError: If `pair` does not name a person.
     """
     if isinstance(pair, str) and not _DIGITS.fullmatch(pair):
         return (records.read_track(pair),)
@@ -53,10 +53,10 @@ def person_of(pair: object) -> tuple[int]:
 
 
 def thing_of(pair: object) -> tuple[int, int]:
-    """Return the track and the category id of a thing, as in the panoptic layer, from a pair [track, category id].
+    """Return the track and the category id that a thing has in the panoptic layer. `pair` is [track, category id].
 
     Raises:
-        ValueError: If the pair is not a list of two ids.
+        ValueError: If `pair` is not a list of two ids.
     """
     if not isinstance(pair, list) or len(pair) != 2:
         raise ValueError("not a track and a category")
@@ -91,7 +91,7 @@ class RelationKind:
                 decoded.values.append((name, label, decoded.difficulty(code, self.key)))
 
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
-        """Return the key and the label if the label of a fact is outside the vocabulary, otherwise None."""
+        """Return `key` and the label of a fact if the label is outside the vocabulary, otherwise None."""
         return None if fact[0] in self.vocabulary else (self.key, fact[0])
 
 
@@ -159,7 +159,10 @@ class Relations:
 
 
 def _read_pairs(pairs: Iterable[bytes], kind: RelationKind) -> tuple[Ints, dict[int, list[Issue]]]:
-    """Return the ends of each distinct pair, shape (pairs, ends), and the issues of unreadable pairs by code."""
+    """Return the ends of each distinct pair, and the issues of each unreadable pair by the code of the pair.
+
+    The ends are an array with one row per pair and one column per end.
+    """
     issues: dict[int, list[Issue]] = {}
     ends = []
     for i, raw in enumerate(pairs):

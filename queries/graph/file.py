@@ -266,7 +266,10 @@ def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
 
 
 def _rename_fingerprint(graph: Path) -> None:
-    """Rename the fingerprint if its graph has its final name. A process may have died between the two renames."""
+    """Rename the fingerprint to its final name if the graph file has its final name already.
+
+    A process may have died after it renamed the graph file and before it renamed the fingerprint.
+    """
     temporary = building_path(graph)
     if not temporary.exists():
         with contextlib.suppress(FileNotFoundError):

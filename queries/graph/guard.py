@@ -136,7 +136,7 @@ def run_child(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[b
     """Run `serve` in a new process.
 
     Args:
-        request: JSON object with the arguments of `_read`, which the process reads from stdin.
+        request: JSON object with the arguments of `_read`. The process reads the object from stdin.
         timeout_s: Maximum time in seconds, after which the process is killed.
 
     Returns:
@@ -173,9 +173,9 @@ def _report(error: Exception) -> None:
 
 
 def end_beyond_memory(report: Callable[[], None]) -> None:
-    """End this process as soon as its memory exceeds `MEMORY_BYTES`. Until then, do not return (on Linux).
+    """Watch the memory of this process, and end the process as soon as its memory exceeds `MEMORY_BYTES`.
 
-    On other systems, return at once.
+    On Linux, this function never returns. On other systems, it returns at once and has no effect.
 
     Args:
         report: Function without arguments that is called once, just before the process ends.

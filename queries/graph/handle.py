@@ -234,7 +234,7 @@ class Graph:
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
-        """Append rows to a table of the graph. The columns must have the order of the table.
+        """Append rows to a table of the graph. The columns of `rows` must have the order of the table's columns.
 
         Rows of edges begin with two more columns: the keys of the nodes at the start and at the end of the edge.
         """
@@ -253,7 +253,7 @@ class Graph:
         Args:
             table: Name of the table.
             folder: Folder of the files.
-            names: Names of the files: letters, digits, '.', '_' and '-'.
+            names: Names of the files. A name has only letters, digits, '.', '_' and '-'.
             ends: Names of the node tables at the start and at the end of the edges. They are needed only if the
                 relationship table connects several pairs of node tables.
 
@@ -321,7 +321,7 @@ class Graph:
         return ""
 
     def _renew(self) -> None:
-        """Replace the connection if it has run `_PREPARED` statements with parameters and no transaction is open."""
+        """Replace the connection after `_PREPARED` statements with parameters, unless a transaction is open."""
         if self._planned >= _PREPARED and not self._in_transaction:
             self._prepared.clear()
             self._connection.close()
@@ -329,7 +329,7 @@ class Graph:
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
-        """Return the prepared statement for a text, or the text if it must not be prepared.
+        """Return the prepared statement for a text, or the text itself if the session does not prepare it.
 
         A statement with an Arrow table as a parameter must not be prepared, because the engine would use the table of
         the first call in all later calls.

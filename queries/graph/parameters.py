@@ -49,7 +49,10 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 # Use a cache, because a call takes 0.1 to 1 ms without it, which is up to half the time of a small query.
 @lru_cache(1024)
 def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
-    """Return the statement with a CAST around each parameter that has a type. `kinds` has pairs of name and type."""
+    """Return the statement with a CAST around each parameter that has a type.
+
+    `kinds` has a pair of name and type for each parameter.
+    """
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):
         raise QueryError("one statement at a time: there is a ';' inside")
