@@ -1,4 +1,4 @@
-"""Parameters of statements about the keyframe layer of a graph, and the sequences and rules of the layer."""
+"""Sequences and rules of the keyframe layer of a graph. Also parameters for statements that query the layer."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def read_sequences(store: Store) -> dict[str, SequenceInfo]:
         store: Store with questions.
 
     Returns:
-        Each sequence with the frames that can be observed, by name.
+        A mapping from the name of each sequence to the sequence, with the frames that can be observed.
 
     Raises:
         StoreError: If the file is missing or broken.

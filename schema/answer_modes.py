@@ -273,7 +273,7 @@ def frames_of_answer(answer: Answer) -> list[int]:
         answer: Answer of any mode.
 
     Returns:
-        The frames in the order of the answer's fields: none, one, or the first and the last frame of a span.
+        No frame, one frame, or two frames (the first and the last of a span), in the order of the answer's fields.
     """
     return [getattr(answer, name) for name, kind in mode_of(answer).fields if kind == "frame"]
 

@@ -74,7 +74,10 @@ class RefusedError(AvrError):
 
 
 class DecodeError(AvrError):
-    """A model's reply does not have the requested form. The prediction stores the message as its reason."""
+    """A model's reply does not have the requested form.
+
+    The prediction of the question stores the message of this error as the reason for the missing answer.
+    """
 
 
 class EndpointError(AvrError):

@@ -149,7 +149,7 @@ def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:
 
 
 def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """Return messages in the chat-completions form, for a hash.
+    """Return messages in the chat-completions form, ready to be hashed.
 
     Args:
         messages: A chat.

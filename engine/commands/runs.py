@@ -90,7 +90,7 @@ def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
     """Merge all shards of a run into one run. 'evaluate --shard' writes the shards.
 
     If shards were written on other machines, first copy their run folders into the store's folder 'runs'. The shards
-    must have the same method, model and settings. Their selections of questions must be equal except for the shard.
+    must have the same method, model and settings. All options that select questions must be the same, except --shard.
     Merging leaves the shards unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs

@@ -214,9 +214,10 @@ class Card:
 
 
 def add_statement(statements: list[Statement], new: Statement) -> None:
-    """Add a statement to a list, unless the list has a statement with the same text that still holds.
+    """Add a statement to a list, or extend an old statement that has the same text.
 
-    In that case, the old statement is changed so that it holds until the later of both ends (`until`).
+    If an old statement with the same text still holds at the step of the new one, no statement is added. Instead, the
+    field `until` of the old statement becomes the later of the two values of `until`.
 
     Args:
         statements: Statements about one entity. The list is changed in place.

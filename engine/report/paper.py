@@ -15,7 +15,7 @@ class Group(NamedTuple):
     """A group of questions in the paper, with counts of the right predictions of the paper's agent.
 
     Attributes:
-        families: This project's families that form the group.
+        families: The question families of this project that correspond to this group of the paper.
         n: Number of questions.
         answer: Number of questions with a right answer.
         evidence: Number of questions with right evidence.

@@ -99,7 +99,7 @@ class MethodOptions(Options):
     )
     opaque: bool = option(
         False,
-        "Replace the names of sequences by hashes in what the method sees. All runs of a store use the same hashes.",
+        "Show the method hashes in place of the names of sequences. All runs of a store use the same hashes.",
     )
     marker: Knobs | None = option(
         None,

@@ -126,7 +126,7 @@ class Distinct(dict[Any, int]):
 
 
 def numbered(codes: Distinct, values: Iterable[Any], n: int) -> Ints:
-    """Return the code of each value in `values`, which has `n` elements. New values are added to `codes`."""
+    """Return the code of each of the `n` values. `codes` maps values to codes, and gives a new value a new code."""
     return np.fromiter(map(codes.__getitem__, values), np.int64, n)
 
 
