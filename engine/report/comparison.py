@@ -99,16 +99,16 @@ class Comparison(Displayed):
         return self.tables([name])[name]
 
     def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Row]]:
-        """Compute several tables of the report. Tables that are SQL queries share one connection.
+        """Compute several tables of the report. All tables that SQL queries compute share one connection.
 
         Args:
             names: Names of `TABLES`.
 
         Returns:
-            The rows of each table, by name.
+            A dict from the name of each table to the rows of this table.
 
         Raises:
-            InputError: If no table has one of the names.
+            InputError: If a name is not in `TABLES`.
         """
         for name in names:
             if name not in TABLES:
@@ -132,9 +132,9 @@ class Comparison(Displayed):
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
     def _results(self, names: Sequence[str]) -> dict[str, list[Row]]:
-        """Run queries of `queries/results/` on the runs of this comparison, and return the rows by name of the query.
+        """Return the rows that queries of `queries/results/` find for the runs of this comparison.
 
-        The rows of each query are in the order of `runs`.
+        The key of each list of rows is the name of the query. The rows of each query are in the order of `self.runs`.
         """
         if not names:
             return {}
@@ -146,7 +146,7 @@ class Comparison(Displayed):
         return {name: sorted(table.to_pylist(), key=lambda row: order[row["run"]]) for name, table in results.items()}
 
     def causes(self) -> dict[tuple[str, str], str]:
-        """Find out why evidence boxes score 0. The table `evidence_failures` has the number of boxes with each cause.
+        """Find the cause for each evidence box that scores 0. The table `evidence_failures` counts the boxes per cause.
 
         Returns:
             The cause for each box that scores 0, by run id and question id.
@@ -278,9 +278,9 @@ class RunDifference(Displayed):
             score: The kind of score to compare, a name of `SCORES`.
 
         Returns:
-            One row per question: its id, its template, its sequence, and the run that scores 1 (`only`). For each run,
-            the row also says what is right: the answer, the evidence, both or none. Questions for which the first run
-            scores 1 come first.
+            One row per question. A row has the id, the template and the sequence of the question. The column `only` has
+            the id of the run that scores 1. A column for each run says what is right in this run: "answer", "evidence",
+            "both" or "none". Questions for which the first run scores 1 come first.
 
         Raises:
             InputError: If no score has this name.
@@ -306,9 +306,12 @@ class RunDifference(Displayed):
         return sorted(rows, key=lambda entry: (names.index(entry["only"]), entry["template"], entry["question_id"]))
 
     def _common(self) -> tuple[Ints, Digits, Digits]:
-        """Return the common questions, as row numbers of `index`, and the scores of each run for these questions.
+        """Return the questions that both runs have, and the scores of each run for these questions.
 
-        The arrays of scores have one row per common question and one column per kind of score.
+        Returns:
+            Three arrays. The first has the row numbers in `index` of the common questions. The second has the scores of
+            the first run, and the third has the scores of the second run. Arrays of scores have one row per common
+            question and one column per kind of score.
         """
         common, first_rows, second_rows = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
         return common, self.first.scores[first_rows], self.second.scores[second_rows]
