@@ -1,7 +1,8 @@
 """Layout of rows as text tables that fit into a given width. Words and numbers are not split.
 
-Long cells wrap between words. If a table is still too wide and has few rows, it is transposed if that makes it fit.
-Otherwise the columns of a table that is too wide are divided among several tables.
+Long cells wrap between words. A table that is still too wide is transposed if it has only one row, or if it
+has few rows and the transposed table fits. Any other table that is too wide is divided into several tables, which share
+its columns among them.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def clean(value: object) -> str:
         value: Any value. None becomes an empty text.
 
     Returns:
-        The text. If it is printed in a terminal, it cannot move the cursor or change the colours.
+        The text. A terminal can print this text safely: the text cannot move the cursor or change the colours.
     """
     return _CONTROL.sub("", "" if value is None else str(value))
 

@@ -64,7 +64,7 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         the version of the storage format.
 
     Raises:
-        StoreError: If a table of the graph has another number of rows than were copied into it.
+        StoreError: If the number of rows of a table differs from the number of rows that were copied into it.
     """
     stage = store.path / STAGE
     try:
@@ -129,7 +129,7 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
 
 
 def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
-    """Copy staged rows into the graph. Then check that each table has as many rows as were copied into it.
+    """Copy staged rows into the graph. Then compare the number of rows of each table with the number of copied rows.
 
     Args:
         graph: graph with empty tables.
@@ -141,7 +141,7 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         The number of copied rows for each table of the graph, by name of the table.
 
     Raises:
-        StoreError: If a table of the graph has another number of rows than were copied into it.
+        StoreError: If the number of rows of a table differs from the number of rows that were copied into it.
     """
     copied: Counter[str] = Counter()
     for source in sources:
@@ -165,7 +165,9 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
 
 
 def write_graph(store: Store, write: Callable[[], R]) -> R:
-    """Run a function that writes a graph in a separate process, because a fault of the engine may end this process.
+    """Run, in a separate process, a function that writes a graph.
+
+    A fault of the graph engine may end the process that writes. The calling process then goes on.
 
     Args:
         store: store of the graph. If the separate process dies, its unfinished graph files are deleted.
@@ -213,7 +215,7 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 def column_names(table: str) -> list[str]:
     """Return the column names of a table of the graph.
 
-    The first name for a table of nodes is the key. The first names for a table of edges are `from` and `to`.
+    In a table of nodes, the first column is the key. In a table of edges, the first two columns are `from` and `to`.
     """
     if table in RELS:
         return ["from", "to", *(column.split()[0] for column in RELS[table][2])]
@@ -233,7 +235,10 @@ Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
 
 
 def _number_key(name: str) -> Column:
-    """Return a function that makes a key `<sequence>/<id>` for each row. The id is in the column that `name` names."""
+    """Return a function that makes a key `<sequence>/<id>` for each row.
+
+    The argument `name` is the name of the column that has the ids.
+    """
     return lambda rows: pc.binary_join_element_wise(rows["sequence"], rows[name].cast(pa.string()), "/")
 
 
@@ -243,7 +248,7 @@ def _frame_key(rows: pa.Table) -> pa.ChunkedArray:
 
 
 def _object_key(rows: pa.Table) -> pa.ChunkedArray:
-    """Return, for each row, the key of the row's thing: `<sequence>/<category id>:<track>`."""
+    """Return, for each row, the key of the thing that the row is about: `<sequence>/<category id>:<track>`."""
     thing = pc.binary_join_element_wise(rows["category_id"].cast(pa.string()), rows["object"].cast(pa.string()), ":")
     return pc.binary_join_element_wise(rows["sequence"], thing, "/")
 
@@ -291,9 +296,10 @@ rows are collected from all sequences.
 
 
 def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
-    """Return the rows of one sequence that belong to a source, with the columns of the source's table.
+    """Return the rows of one sequence for a table of the graph, with the columns of this table.
 
-    The argument `source` is a key of `_SOURCES`. In sightings of things, the columns that describe people are null.
+    The argument `source` names the table, and is a key of `_SOURCES`. In sightings of things, the columns that
+    describe people are null.
     """
     kind, made = _SOURCES[source]
     rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if source == "SocialGroup" else intervals[kind]
@@ -304,13 +310,19 @@ def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
 
 
 def _actions(names: set[str]) -> pa.Table:
-    """Return the rows of the table `Action`, one per action of the vocabulary and per further action in `names`."""
+    """Return the rows of the table `Action`.
+
+    The table has one row per action of the vocabulary, and one per action in `names` that is not in the vocabulary.
+    """
     actions = sorted(names | set(ACTIONS))
     return pa.table({"name": actions, "pose": [name in POSES for name in actions]})
 
 
 def _groups(memberships: pa.Table, group_info: pa.Table) -> pa.Table:
-    """Return one row per group that has a member. If no value of an attribute was chosen for a group, it is null."""
+    """Return one row for each group that has a member.
+
+    A group's row is null in the column of an attribute if no value of this attribute was chosen for the group.
+    """
     clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
     chosen = group_info.filter(group_info["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
     for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):

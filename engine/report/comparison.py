@@ -61,7 +61,7 @@ class Comparison(Displayed):
         store: The store of the runs.
         index: The questions of the store, with their labels.
         runs: The scored runs, the best run first.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
         paper: Whether the tables include the figures of the paper.
     """
 
@@ -99,16 +99,16 @@ class Comparison(Displayed):
         return self.tables([name])[name]
 
     def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Row]]:
-        """Compute several tables of the report. Tables that are SQL queries share one connection.
+        """Compute several tables of the report. All tables that SQL queries compute share one connection.
 
         Args:
             names: Names of `TABLES`.
 
         Returns:
-            The rows of each table, by name.
+            A dict from the name of each table to the rows of this table.
 
         Raises:
-            InputError: If no table has one of the names.
+            InputError: If a name is not in `TABLES`.
         """
         for name in names:
             if name not in TABLES:
@@ -132,9 +132,9 @@ class Comparison(Displayed):
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
     def _results(self, names: Sequence[str]) -> dict[str, list[Row]]:
-        """Run queries of `queries/results/` on the runs of this comparison, and return the rows by name of the query.
+        """Return the rows that queries of `queries/results/` find for the runs of this comparison.
 
-        The rows of each query are in the order of `runs`.
+        The key of each list of rows is the name of the query. The rows of each query are in the order of `self.runs`.
         """
         if not names:
             return {}
@@ -146,7 +146,7 @@ class Comparison(Displayed):
         return {name: sorted(table.to_pylist(), key=lambda row: order[row["run"]]) for name, table in results.items()}
 
     def causes(self) -> dict[tuple[str, str], str]:
-        """Find out why evidence boxes score 0. The table `evidence_failures` has the number of boxes with each cause.
+        """Find the cause for each evidence box that scores 0. The table `evidence_failures` counts the boxes per cause.
 
         Returns:
             The cause for each box that scores 0, by run id and question id.
@@ -192,7 +192,7 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The scores of each run, the best run first.
@@ -215,7 +215,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
         paper: Whether the tables include the figures of the paper.
 
     Returns:
@@ -233,7 +233,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
 class RunDifference(Displayed):
     """Comparison of two scored runs on their common questions.
 
-    `rows` are the rows of `rows_of_pairs`, one per kind of score.
+    `rows` has one row of `rows_of_pairs` for each kind of score.
     """
 
     index: QuestionIndex
@@ -278,9 +278,9 @@ class RunDifference(Displayed):
             score: The kind of score to compare, a name of `SCORES`.
 
         Returns:
-            One row per question: its id, its template, its sequence, and the run that scores 1 (`only`). For each run,
-            the row also says what is right: the answer, the evidence, both or none. Questions for which the first run
-            scores 1 come first.
+            One row per question. A row has the id, the template and the sequence of the question. The column `only` has
+            the id of the run that scores 1. A column for each run says what is right in this run: "answer", "evidence",
+            "both" or "none". Questions for which the first run scores 1 come first.
 
         Raises:
             InputError: If no score has this name.
@@ -306,9 +306,12 @@ class RunDifference(Displayed):
         return sorted(rows, key=lambda entry: (names.index(entry["only"]), entry["template"], entry["question_id"]))
 
     def _common(self) -> tuple[Ints, Digits, Digits]:
-        """Return the common questions, as row numbers of `index`, and the scores of each run for these questions.
+        """Return the questions that both runs have, and the scores of each run for these questions.
 
-        The arrays of scores have one row per common question and one column per kind of score.
+        Returns:
+            Three arrays. The first has the row numbers in `index` of the common questions. The second has the scores of
+            the first run, and the third has the scores of the second run. Arrays of scores have one row per common
+            question and one column per kind of score.
         """
         common, first_rows, second_rows = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
         return common, self.first.scores[first_rows], self.second.scores[second_rows]
@@ -333,7 +336,7 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
         store: The store, or its folder.
         first: Id of the first run.
         second: Id of the second run.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The comparison of the two runs.

@@ -1,4 +1,4 @@
-"""Directions of the ablation: whether active observation and the world model change scores as they do in the paper.
+"""Directions of the ablation: whether scores rise and fall between its cells in the same way as in the paper.
 
 The ablation has four cells, one for each combination of active observation (on or off) and world model (on or off).
 Two neighbouring cells differ in exactly one of these two factors. A direction says whether one score rises or falls
@@ -64,7 +64,10 @@ def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
 
 
 def _alike(cells: Mapping[_Cell, _Row], before: _Cell, after: _Cell, name: str) -> bool:
-    """Return whether a score changes between two cells as in the paper. An equal or undefined score gives False."""
+    """Return whether a score and its figure in the paper both rise, or both fall, from one cell to another cell.
+
+    If the score is equal in both cells or is missing in one of them, return False.
+    """
     first, second = cells[before][name], cells[after][name]
     paper = getattr(ABLATION[_METHODS[after]], name) - getattr(ABLATION[_METHODS[before]], name)
     return first is not None and second is not None and (second - first) * paper > 0

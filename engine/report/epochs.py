@@ -18,7 +18,7 @@ def epoch_rows(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
     """Compute pass@k and the score of the majority answer for runs that have several epochs.
 
     Args:
-        runs: Scored runs. Runs with the same run id, apart from the number of the epoch at its end, form a group.
+        runs: Scored runs. Runs form a group if their run ids differ only in the number of the epoch, which ends the id.
 
     Returns:
         One row for each group of several runs and each k, from 1 to the number of epochs. Shares are in percent of the
@@ -31,7 +31,7 @@ def epoch_rows(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
 
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """Group runs by their run ids, without the epoch at the end of the id. Each group is sorted by epoch.
+    """Group runs by the part of the run id that comes before the epoch. Sort the runs of each group by epoch.
 
     Runs that are not epochs are left out.
     """

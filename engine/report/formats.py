@@ -51,9 +51,9 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
         rows: Rows with columns `NAME`, `NAME_low` and `NAME_high`.
 
     Returns:
-        The rows with all values as text. A row with too few sequences has no intervals. If there is such a row, the
-        rows keep the column `interval`, which says which rows have too few sequences. If each run has only one row, a
-        mark follows each `n` that differs from the most frequent `n`.
+        The rows with all values as text. A row with too few sequences has no intervals. If at least one row
+        has too few sequences, all rows keep the column `interval`, which says which rows these are. If each run has
+        only one row, a mark follows each value of `n` that differs from the most frequent value.
     """
     rows = without_rough(rows)
     few = any(row.get("interval") == TOO_FEW for row in rows)
@@ -77,7 +77,7 @@ def other_counts(rows: Rows) -> set[int]:
         rows: Rows of a table. Rows without a run are ignored.
 
     Returns:
-        The values that differ. The set is empty if a run has several rows.
+        The values that differ. If at least one run has several rows, the set is empty.
     """
     runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
     return set(runs) - set(sorted(runs, key=lambda n: (-runs.count(n), -n))[:1])
@@ -128,7 +128,7 @@ def without_rough(rows: Rows) -> list[dict[str, Any]]:
 
 
 def _of_runs(rows: Rows) -> bool:
-    """Return whether each run has at most one row."""
+    """Return whether each run has at most one of the rows."""
     names = [row["run"] for row in rows if row.get("run")]
     return len(set(names)) == len(names)
 

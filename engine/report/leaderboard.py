@@ -118,8 +118,8 @@ def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou:
 
     Raises:
         InputError: If a bundle is altered or broken.
-        StoreError: If a bundle belongs to another questions file than the file of the store, or if the predictions of
-            a bundle do not match the questions of the bundle.
+        StoreError: If a bundle answers the questions of another file than the questions file of the store, or if the
+            predictions of a bundle do not match the questions of the bundle.
     """
     return Scores(
         [

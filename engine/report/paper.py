@@ -1,4 +1,4 @@
-"""Figures that the JRDB-AVR paper reports. Tables show them for reference in rows with the label "paper".
+"""Figures that the JRDB-AVR paper reports. Tables show these figures for reference, in rows with the label "paper".
 
 The figures describe the paper's own 2,098 questions about JRDB, not the questions of a store. The paper has five groups
 of questions, and this project has seven families: `GROUPS` says which families form a group.

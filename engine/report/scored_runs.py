@@ -39,7 +39,7 @@ class Labels(NamedTuple):
 
     Attributes:
         names: The distinct labels, in the order in which tables list the labels.
-        numbers: Index in `names` of the label of each question.
+        numbers: For each question, the index of its label in `names`.
     """
 
     names: tuple[str, ...]
@@ -131,7 +131,7 @@ def _labels(texts: pa.ChunkedArray) -> Labels:
 def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
     """Rename labels, and sort the new names. New names that no question has are left out.
 
-    The argument `names` has the new name for each name in `labels.names`, in the same order.
+    The argument `names` has one new name for each old name, in the order of the old names in `labels.names`.
     """
     used = {names[index] for index in np.unique(labels.numbers).tolist()}
     order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
@@ -187,9 +187,10 @@ def _in_words(leaves: dict[Path, str], others: Sequence[dict[Path, str]]) -> str
 
 
 def _leaves(path: Path, settings: Any) -> Iterator[tuple[Path, str]]:
-    """Yield the path and the value of every setting. A path has the names of the nested settings, outermost first.
+    """Yield the path and the value of every setting. Values are texts.
 
-    A value that is not a text is written as JSON.
+    A path consists of the keys that lead to the setting in the nested dicts, the outermost key first. A value that is
+    not a text becomes JSON.
     """
     if isinstance(settings, dict) and (settings or not path):
         for name, value in settings.items():

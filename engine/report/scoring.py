@@ -113,9 +113,9 @@ def find_questions(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> I
 
 
 def is_judged(status: pa.ChunkedArray) -> Bools:
-    """Return whether each prediction can score. Shape: (n,).
+    """Return whether each prediction can get a score above 0. Shape: (n,).
 
-    A missing prediction cannot score. A prediction that ended in an error cannot score either.
+    Missing predictions, and predictions that ended in an error, always score 0.
     """
     return _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
 
@@ -159,7 +159,7 @@ def box_ious(first: Floats, second: Floats) -> Floats:
     """Compute the IoU of each box in `first` with the box in the same row of `second`.
 
     Boxes may cross the seam of the panorama. The values are the same as those of `iou` in `schema/panorama.py`, which
-    takes single boxes.
+    compares one pair of boxes per call.
 
     Args:
         first: Boxes as x, y, w, h in stitched pixels. Shape: (n, 4).

@@ -183,7 +183,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
 
 
 def _totals(run: ScoredRun) -> list[int]:
-    """Return the counts over all questions of a run, in the order of the arguments of `_shares`."""
+    """Return the arguments of `_shares` for a run: numbers of questions, in the order of the arguments."""
     return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
 
 

@@ -38,13 +38,14 @@ class Truth:
         modes: Answer mode of each of the n questions.
         answers: True answer to each of the n questions.
         seconds: Number of frames per second in the sequence of each of the n questions.
-        targets: Number of each question's target among the people with boxes. -1 if it has no box. Shape: (n,).
+        targets: Index of each question's target among the people that have boxes. -1 for a target without a box.
+            Shape: (n,).
         keys: Key of each box, ascending. `frame_key` makes it from the person and the frame. Shape: (boxes,).
         boxes: Boxes as x, y, w, h in stitched pixels, in the order of `keys`. Shape: (boxes, 4).
     """
 
     def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
-        """Join four tables of the folder `questions/`. They may lack the rows and columns that are not needed here.
+        """Join four tables of the folder `questions/`. Rows and columns that are not needed here may be missing.
 
         Raises:
             StoreError: If a table lacks a row that another table refers to, or if an answer cannot be read.
@@ -95,9 +96,9 @@ def read_truth(store: Store) -> Truth:
 
 
 def frame_key(person: Ints, frame: Ints) -> Ints:
-    """Combine the index of a person and the index of a frame into one key, for each row.
+    """Combine, in each row, the index of a person and the index of a frame into one key.
 
-    Sorted keys are in the order of the person, then of the frame.
+    If the keys are sorted, they are sorted by person, and the keys of each person are sorted by frame.
 
     Args:
         person: Indexes of people. A negative index gives a negative key. Shape: (n,).

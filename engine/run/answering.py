@@ -76,7 +76,7 @@ def answer_one(
         sequence: The sequence of the question.
         observe: The function that returns a crop of a frame.
         panorama: The function that returns the whole panorama of a frame.
-        stopped: Function that is called before each call that the method makes to a function of its task. If
+        stopped: Function that is called each time before the method looks at a picture or records something. If
             `stopped` returns True, the question ends without an entry.
 
     Returns:
@@ -91,7 +91,10 @@ def answer_one(
     calls: Counter[str] = Counter()
 
     def counted(name: str, function: Callable[..., R]) -> Callable[..., R]:
-        """Wrap a function so that its successful calls are counted. If the run has ended, a call raises _Stopped."""
+        """Return a function that calls `function` and counts the successful calls under `name`.
+
+        If `stopped()` is true, the returned function raises _Stopped instead.
+        """
 
         def call(*values: Any, **named: Any) -> R:
             if stopped():

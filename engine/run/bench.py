@@ -144,7 +144,10 @@ _LABELS_BESIDE: Final = ("image_stitched", "images")
 
 
 def root_of_images(images: str | Path) -> Path:
-    """Return JRDB's root folder if it contains the given folder of panoramas. Otherwise return the given folder."""
+    """Return the root folder of JRDB for a folder of panoramas that is inside a copy of JRDB.
+
+    For any other folder, return this folder itself.
+    """
     root = Path(images).resolve()
     for name in _LABELS_BESIDE:
         root = root.parent if root.name == name else root

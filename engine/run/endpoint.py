@@ -1,6 +1,6 @@
 """Connect to the server of a model: check it before a run, start the simulated model, and store calibrations.
 
-STORE/conventions/<model>.json    the calibration of a model: how the model writes boxes, as `calibrate` measured
+STORE/conventions/<model>.json    the calibration of a model, in which `calibrate` stores how the model writes boxes
 """
 
 from __future__ import annotations
@@ -126,7 +126,8 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
 def convention_path(store: Store, model: str) -> Path:
     """Return the path of the calibration file of a model.
 
-    The file is named after the model's id. If the id cannot be a file name, the name is a shortened id and a hash.
+    The name of the file is the id of the model. If the id cannot be a file name, the name of the file consists of a
+    shortened id and a hash.
     """
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", model).strip("-.")[:80]
     if plain != model or not is_plain_name(plain):

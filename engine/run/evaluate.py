@@ -217,7 +217,7 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
 
 
 def name_run(store: Store, method: str | Method, model: str, options: EvaluateOptions) -> str:
-    """Return the id of the run that `evaluate` makes with the same arguments.
+    """Return the id of the run that `evaluate` would make if it were called with these arguments.
 
     Args:
         store: The store of the run.
@@ -226,8 +226,8 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
         options: The argument `options` of `evaluate`.
 
     Returns:
-        The id. If the run is a shard, the id ends in the shard. If the run has an epoch, the id ends in the epoch. The
-        same arguments always give the same id, so that the run can be resumed.
+        The id. If the run is a shard, the id ends in the shard. If the run has an epoch, the id ends in the epoch.
+        Equal arguments always give an equal id, so that the run can be resumed.
 
     Raises:
         InputError: If the run id in the options is not a plain name.
@@ -248,7 +248,7 @@ def name_player(method: str, policy: Policy | None) -> str:
 
 
 def default_run_id(method: str, model: str) -> str:
-    """Make a run id from the name of a method and the id of a model. It has at most 80 characters."""
+    """Make a run id from the name of a method and the id of a model. The run id has at most 80 characters."""
     text = f"{Path(method).name.replace('.py:', '-')}-{model}"
     return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:80]
 

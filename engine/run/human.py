@@ -1,4 +1,6 @@
-"""Let a person answer questions on the page `play`: each request of the page is a move in an episode.
+"""Let a person answer questions on the page `play`.
+
+The page sends each move as a request, and the episode of the question carries out the move.
 
 The person sees what the method ReAct sees: the question, the frames that may be looked at, and a crop for each look.
 The person has the same rules and the same budget as ReAct. Only public files of the store are read. No response says
@@ -38,7 +40,10 @@ _MOVE: Final = msgspec.json.Decoder(_Move)
 
 
 class HumanDesk:
-    """Handler of the requests that one person's page sends. The person answers the questions of a run in turn."""
+    """Handler of the requests that one person's page sends.
+
+    The person answers the questions of a run one after another.
+    """
 
     def __init__(self, bench: Bench, run: Run, page: str) -> None:
         self._bench, self._run, self._page = bench, run, page
@@ -102,7 +107,7 @@ class HumanDesk:
             self._due.remove(play.episode.question.question_id)
 
     def _state(self, error: str = "") -> Response:
-        """Begin the next question if none is in progress, and return the content of the page as JSON."""
+        """Begin the next question if no question is in progress, and return the content of the page as JSON."""
         if self._play is None and self._due:
             self._play, self._observations = Play.begin(self._bench, self._due[0]), []
         state: dict[str, Any] = {"due": len(self._due), "questions": len(self._bench.questions), "error": error}

@@ -59,7 +59,10 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
 
 
 def _row_type(table: str) -> Any:
-    """Return the msgspec type that checks rows of a table. Arrow alone would silently convert 0.9 to 0, True to 1.0."""
+    """Return the msgspec type that checks rows of a table.
+
+    Arrow alone would not refuse wrong types: it would turn 0.9 into 0, and True into 1.0.
+    """
     fields = [field for field in RUNS[table] if field.name != "run_id"]
     kinds = [(f.name, _KINDS[f.type] | None if f.nullable else _KINDS[f.type]) for f in fields]
     return msgspec.defstruct(table, kinds, forbid_unknown_fields=True)
@@ -125,7 +128,8 @@ def _check(entry: Finished, question: Question) -> None:
 def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
     """Return a row of a table of `RUNS` without the run id.
 
-    The values of columns that are not in `given` are attributes of the argument `record`.
+    The values of some columns are in `given`. The value of each other column is the attribute of `record` that has the
+    name of the column.
     """
     names = [name for name in RUNS[table].names if name not in given and name != "run_id"]
     values = {name: getattr(record, name) for name in names}
@@ -144,7 +148,13 @@ def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) 
 
 
 class LinePosition(NamedTuple):
-    """Position of a line in a journal: the sequence of the line's file, and the line's offset and length in bytes."""
+    """Position of a line in a journal.
+
+    Attributes:
+        sequence: The sequence of the questions in the file that has the line.
+        at: Offset of the line in this file, in bytes.
+        size: Length of the line in bytes.
+    """
 
     sequence: str
     at: int
@@ -155,11 +165,16 @@ class KeptEntries(Mapping[str, Finished]):
     """Entries of a journal by question id. Each access reads an entry from disk, because entries may be large."""
 
     def __init__(self, folder: Path, positions: dict[str, LinePosition]) -> None:
-        """Make the mapping from the folder of a journal and the position of each question's line in the journal."""
+        """Store where the entries are.
+
+        Args:
+            folder: The folder of the journal.
+            positions: The position of each question's line in the journal, by question id.
+        """
         self._folder, self._positions = folder, positions
 
     def add(self, question_id: str, position: LinePosition) -> None:
-        """Store the position of a question's line. It replaces the position of an earlier line of the question."""
+        """Store the position of a question's line, in place of the position of an earlier line of this question."""
         self._positions[question_id] = position
 
     def of(self, question_ids: Iterable[str]) -> KeptEntries:
@@ -212,7 +227,7 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 
     Args:
         folder: The folder of the journal.
-        doing: Text that is appended to the error message, such as a further remedy.
+        doing: Text that is appended to the message of the LockedError, such as advice to the user.
 
     Raises:
         LockedError: If another process holds the lock.

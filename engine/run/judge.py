@@ -92,7 +92,10 @@ class Judge(contextlib.ExitStack):
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
-        """Return the scores of a row of `predictions`. Raise InputError and StoreError as the method `score` does."""
+        """Return the scores of a row of `predictions`.
+
+        Raise InputError if the store has no answer to the question, or StoreError if the child process has ended.
+        """
         with self._lock:
             try:
                 assert self._process.stdin is not None, "stdin is a pipe"
@@ -126,7 +129,10 @@ class Judge(contextlib.ExitStack):
 
 
 def judge_lines(store: Store, lines: IO[str]) -> None:
-    """Read rows of `predictions` from lines of JSON, and print the line for each row that the module describes."""
+    """Read rows of `predictions` from lines of JSON, and print one line of scores for each row.
+
+    The docstring of this module describes the printed lines.
+    """
     import pyarrow as pa
 
     from jrdb_avr.engine.report.scoring import score_predictions

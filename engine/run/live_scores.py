@@ -21,7 +21,14 @@ from jrdb_avr.schema.errors import AvrError
 
 @dataclass(frozen=True, slots=True)
 class LiveScore:
-    """Scores so far: the number of judged questions, and for each kind of score the number of questions with a 1."""
+    """Scores of a run in progress, as counts of questions.
+
+    Attributes:
+        judged: Number of questions that have been scored so far.
+        answer: Number of these questions with the answer score 1.
+        evidence: Number of these questions with the evidence score 1.
+        combined: Number of these questions with the combined score 1.
+    """
 
     judged: int
     answer: int

@@ -95,7 +95,7 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
 
 
 def _shard(manifest: RunManifest) -> tuple[QuestionSelection, tuple[int, int]]:
-    """Return the selection of the whole run, and a pair: the number of this shard, from 1, and the number of shards."""
+    """Return the selection of the whole run, and the pair (I, N) of a run that is shard I of N. I starts at 1."""
     try:
         selection = msgspec.convert(manifest.selection, QuestionSelection)
     except msgspec.ValidationError as error:
@@ -124,7 +124,10 @@ def _rename_fact(fact: str, old: str, new: str) -> str:
 
 
 def _join_calls(folders: Sequence[Path], folder: Path) -> None:
-    """Write the stored model calls of all shards to one file, so that the new run need not repeat them if resumed."""
+    """Write the stored model calls of all shards to one file, for a new run that may be resumed.
+
+    A resumed run does not repeat the calls in this file.
+    """
 
     def write(path: Path) -> None:
         with path.open("wb") as joined:

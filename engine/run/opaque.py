@@ -58,13 +58,17 @@ def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
 
 
 def key_fingerprint(store: Store) -> str:
-    """Return a text that identifies the store's key without revealing it. Raise StoreError as `opaque_names` does."""
+    """Return a text that identifies the store's key without revealing the key.
+
+    If the store has no key, write a new key. Raise StoreError if the file with the key is damaged, or if this file
+    cannot be read or written.
+    """
     # The opaque name of "" depends only on the key. No run uses this name, because no sequence has an empty name.
     return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 
 def _key(path: Path) -> bytes:
-    """Return the key in a file. If the file is missing, write a new file that only its owner can read."""
+    """Return the key that a file contains. If the file is missing, first write a new key to it, for its owner only."""
     if not path.exists():
         write_once(path, secrets.token_hex(_KEY_BYTES).encode())
     try:

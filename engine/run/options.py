@@ -99,7 +99,7 @@ class MethodOptions(Options):
     )
     opaque: bool = option(
         False,
-        "Show the method hashes in place of the names of sequences. All runs of a store use the same hashes.",
+        "Replace the names of sequences by hashes in all that the method sees. All runs of a store share the hashes.",
     )
     marker: Knobs | None = option(
         None,

@@ -41,8 +41,9 @@ def list_runs(store: Store | str | Path) -> list[dict[str, Any]]:
         store: The store, or its folder.
 
     Returns:
-        One row per run, sorted by run id: method, model, label, state, number of questions, number of questions with
-        each status, and start time. The state is "complete", "unfinished", "damaged", or "other questions". The state
+        One row per run, sorted by run id. A row has the method, the model, the label, the state, the number of
+        questions, the number of questions with each status, and the start time. The label is "synthetic" or empty. The
+        state is "complete", "unfinished", "damaged", or "other questions". The state
         "other questions" means that the questions of the store have changed since the run. The row of a damaged run has
         no numbers.
     """
@@ -164,7 +165,7 @@ def _idle(folder: Path) -> Iterator[None]:
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
     """Return the status and the reason of each finished question.
 
-    They come from the table `predictions`. If this table has not been written yet, they come from the journal.
+    Both texts are read from the table `predictions`, or from the journal if this table has not been written yet.
     """
     folder = store.run_path(run_id)
     path = folder / "predictions.parquet"

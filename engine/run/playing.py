@@ -1,4 +1,4 @@
-"""Make the run of a player. A player is a person, or an agent outside this program, and answers move by move."""
+"""Make the run of a player. A player answers questions move by move, and is a person or an external agent."""
 
 from __future__ import annotations
 

@@ -180,7 +180,8 @@ def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> No
     Args:
         store: The store of the run.
         run_id: The id of the run.
-        counts: By kind, such as reads, the number of statements that were executed since the world model was opened.
+        counts: The number of statements of each kind that were executed since the world model was opened. The keys are
+            the kinds.
     """
     manifest = read_run_manifest(store, run_id)
     total = {kind: manifest.world.get(kind, 0) + count for kind, count in counts.items()}
@@ -193,7 +194,10 @@ def has_manifest(store: Store, run_id: str) -> bool:
 
 
 def _shaping(manifest: RunManifest) -> dict[str, Any]:
-    """Return the settings that a resumed run must share with the run on disk, by the names in error messages."""
+    """Return the settings that must be equal in a resumed run and in the run on disk.
+
+    The keys are the names that error messages use for the settings.
+    """
     settings = dict(manifest.settings)
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
     # The results of the preflight may differ, because a resumed run may use another server.

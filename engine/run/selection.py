@@ -1,4 +1,4 @@
-"""Select the questions of a run, as the options of a `QuestionSelection` say."""
+"""Apply the options of a `QuestionSelection` to select the questions of a run."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _check_columns(questions: Sequence[QuestionRow], column: str) -> None:
 
 
 def _draw(seed: int | None, question: QuestionRow) -> bytes:
-    """Return the sort key of a question in the random order of a seed. It does not depend on other questions."""
+    """Return the sort key of a question in the random order of a seed. The key does not depend on other questions."""
     return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 
