@@ -203,7 +203,7 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
 
 
 def _holder(file: IO[str]) -> tuple[str, bool]:
-    """Return a description of the process that holds a lock, and whether the lock is free soon.
+    """Return a description of the process that holds a lock, and whether the lock is about to become free.
 
     The function looks for the process in the kernel's table of locks. The second value is true if that process is
     about to end. It is also true if the table does not list a process, because the lock has then just been released.
