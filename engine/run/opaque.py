@@ -22,7 +22,7 @@ _KEY_BYTES: Final = 32
 
 
 def key_path(store: Store) -> Path:
-    """Return the path of the file with the store's key."""
+    """Return the path of the file that holds the store's key."""
     return store.path / "opaque.key"
 
 
