@@ -43,7 +43,8 @@ class Leaderboard(Displayed):
     """Scored bundles.
 
     Attributes:
-        sets: For each question set, its entries. The entry with the best combined score comes first.
+        sets: One list of entries for each question set. In each list, the entry with the best combined score comes
+            first.
         iou: Minimum IoU with the target's box that makes an evidence box right.
     """
 
