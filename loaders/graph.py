@@ -310,13 +310,19 @@ def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
 
 
 def _actions(names: set[str]) -> pa.Table:
-    """Return the rows of the table `Action`, one per action of the vocabulary and per further action in `names`."""
+    """Return the rows of the table `Action`.
+
+    The table has one row per action of the vocabulary, and one per action in `names` that is not in the vocabulary.
+    """
     actions = sorted(names | set(ACTIONS))
     return pa.table({"name": actions, "pose": [name in POSES for name in actions]})
 
 
 def _groups(memberships: pa.Table, group_info: pa.Table) -> pa.Table:
-    """Return one row per group that has a member. If no value of an attribute was chosen for a group, it is null."""
+    """Return one row for each group that has a member.
+
+    A group's row is null in the column of an attribute if no value of this attribute was chosen for the group.
+    """
     clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
     chosen = group_info.filter(group_info["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
     for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):

@@ -148,7 +148,7 @@ def rebuild(
         progress: display of the progress.
 
     Returns:
-        The new entries of the manifest by sequence.
+        The new entry of each sequence in the manifest, by name of the sequence.
 
     Raises:
         StoreError: If an annotation file is missing, unreadable or changed since the load, if the store is public,

@@ -17,7 +17,10 @@ MAX_TURN_DEG: Final = 90.0
 
 
 class UnknownLabel(msgspec.Struct):
-    """Label outside the vocabulary, in the spelling of the tables, with the number of its occurrences."""
+    """Label that is outside the vocabulary, and the number of its occurrences.
+
+    The label is spelled as in the tables.
+    """
 
     field: str
     label: str
@@ -25,7 +28,7 @@ class UnknownLabel(msgspec.Struct):
 
 
 class Heading(msgspec.Struct):
-    """Check of the heading convention: people faster than 0.5 m/s should face their direction of motion."""
+    """Result of the check that people faster than 0.5 m/s face their direction of motion."""
 
     moves: int
     """Number of compared displacements. Each displacement is over one second."""
@@ -87,13 +90,16 @@ class Cameras(msgspec.Struct):
 
 
 class Disagreement(msgspec.Struct):
-    """Attribute with different values in the frames of one person, or in the records of the members of one group."""
+    """Attribute of a person or of a group that does not have the same value everywhere.
+
+    The values differ between the frames of the person, or between the records of the group's members.
+    """
 
     subject: str
     """Person or group, such as `person 12` or `group 7`."""
     attribute: str
     votes: dict[str, int]
-    """Number of frames or records by value."""
+    """Number of frames or records with each value. The keys are the values."""
     stated: int
     """Number of frames or records that state a value of the attribute."""
 

@@ -71,7 +71,7 @@ class LoadResult(Displayed):
 
 
 def _shared(lines: Iterable[tuple[str, str]]) -> list[tuple[str, list[str]]]:
-    """Return each distinct text with the sequences that share the text. `lines` holds pairs of text and sequence."""
+    """Return each distinct text with the sequences that have the text. `lines` holds pairs (text, sequence)."""
     sequences: dict[str, list[str]] = {}
     for text, sequence in lines:
         sequences.setdefault(text, []).append(sequence)
@@ -88,7 +88,7 @@ def _summary(report: SequenceReport) -> _Row:
 
 
 def _layers(report: SequenceReport) -> str:
-    """Return a text that lists the layers of a sequence. Layers with the same distance between frames form a group."""
+    """Return a text that lists the layers of a sequence, grouped by the distance between the frames of a layer."""
     steps: dict[str, list[str]] = {}
     for layer in report.layers:
         step = report.steps.get(layer)

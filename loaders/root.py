@@ -134,7 +134,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
 
 
 class _Search:
-    """Search through the folders of a root. It collects problems and notes for the load report."""
+    """Search through the folders of a root. The search collects problems and notes for the load report."""
 
     def __init__(self, root: Path) -> None:
         self.root = root

@@ -1,1 +1,1 @@
-"""The store of a benchmark with its graph, queries of both in SQL and Cypher, and the compiler from plans to Cypher."""
+"""The store and the graph of a benchmark, queries in SQL and Cypher, and the compiler from plans to Cypher."""

@@ -56,7 +56,7 @@ class NamedQuery:
         return ", ".join(parts)
 
     def values(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Return a value for every parameter: the given value or, if none is given, the default.
+        """Return the value of every parameter. A parameter without a given value has its default.
 
         Args:
             params: Given values, by the name of the parameter.

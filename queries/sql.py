@@ -157,7 +157,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
-    """Create all views. For each view that could not be created, return the reason, by the name of the view."""
+    """Create all views. Return a dictionary from the name of each view that could not be created to the reason."""
     import duckdb
 
     broken: dict[str, str] = {}
@@ -194,7 +194,10 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
 
 
 def _lock_down(connection: Any) -> None:
-    """Forbid statements to read other files or Python objects, to load extensions and to change these settings."""
+    """Restrict the statements on a connection to the files of the views.
+
+    Statements can read no other files and no Python objects. They can load no extensions, and change no settings.
+    """
     for setting in (
         "python_enable_replacements = false",
         "autoinstall_known_extensions = false",

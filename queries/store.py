@@ -164,7 +164,7 @@ class Store(Displayed):
         return tables
 
     def training_set(self) -> dict[str, str]:
-        """Return how the questions were made if they are a training set, or {} if they are a benchmark.
+        """Return a record of how the training set was made, or {} if the questions are a benchmark.
 
         The entry `profile` is the profile of `generate`. The entry `disjoint_from` is the generation id of the held-out
         questions that the training set avoids. Raises StoreError if the file of questions is missing or broken.
@@ -192,12 +192,12 @@ class Store(Displayed):
         return read_manifest(self.path)
 
     def relative(self, folder: str) -> str:
-        """Return the path of a folder: relative to the store if the folder is inside the store, otherwise as given."""
+        """Return the path of a folder. The path becomes relative to the store if the folder is inside the store."""
         root = self.path.resolve()
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
     def without_occlusion(self) -> list[str]:
-        """Return the sequences in which all 2D boxes lack occlusion attributes. Such boxes may count as clear views."""
+        """Return the sequences with 2D boxes but without occlusion attributes. Such boxes may count as clear views."""
         return [
             name
             for name in sorted(self.manifest().sequences)
@@ -248,9 +248,9 @@ class Store(Displayed):
     def query(
         self, language: Literal["cypher", "sql"], query: str, params: Mapping[str, Any], timeout_s: float = 60.0
     ) -> pa.Table:
-        """Run a statement or a named query, as `cypher` and `sql` do, and return its rows.
+        """Run a statement or a named query in the given language, and return the rows of the result.
 
-        The statement is stopped after `timeout_s` seconds. QueryError is raised if it is stopped, is refused or fails.
+        Raises QueryError if the statement is refused, fails, or is stopped because it takes longer than `timeout_s`.
         """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
@@ -263,7 +263,7 @@ class Store(Displayed):
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
 
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
-        """Return the values for a statement about the keyframe layer. A range of node ids replaces `sequence`.
+        """Return the values of the parameters of a statement that queries one sequence of the keyframe layer.
 
         Raises StoreError if the graph lacks the keyframe layer, or if the layer and the questions have different rules.
         """
@@ -379,7 +379,7 @@ def write_groups(
 
 
 def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
-    """Return a copy of the schema, in which the dictionary columns of the table have their dictionary types."""
+    """Return a copy of the schema, with the table's type for each column that is a dictionary column in the table."""
     kinds = [(field, table.schema.field(field.name).type) for field in schema]
     return pa.schema([field.with_type(kind) if pa.types.is_dictionary(kind) else field for field, kind in kinds])
 

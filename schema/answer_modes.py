@@ -1,9 +1,9 @@
-"""Answer modes, such as a choice or a span of frames: one record per mode with all properties that the program needs.
+"""Answer modes, such as a choice or a span of frames. Each mode is a record with all properties that the program needs.
 
 A record says how answers of its mode are stored, written in a model's reply, scored and shown. It also says how blind
-guessers guess answers, and how the selection of questions balances them. The prompt lines about a mode are in
-`agent/prompts/answer_<mode>.md`. The file `agent_reads_<mode>.md` in the same folder is for agents that make
-plans. It lists the reads (values that a plan can request) that give an answer of the mode.
+guessers guess answers of the mode, and how the selection of questions balances these answers. The prompt lines about a
+mode are in `agent/prompts/answer_<mode>.md`. The file `agent_reads_<mode>.md` in that folder is for agents that make
+plans. It lists the values that a plan can request to get an answer of the mode.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Mode:
         words: Format string that shows an answer to a person. The names of the struct's fields are in braces.
         aim: Maximum share of right answers that a blind guesser should reach, 0 to 1.
         guessers: Names of the blind guessers that can give an answer of this mode.
-        smallest_read: Read (requested value) of the fallback plan, which is used if no other plan could be made.
+        smallest_read: Value that the fallback plan requests. This plan is used if no other plan could be made.
         bin_edges_s: Edges, in seconds, between bins of answers. The selection of questions balances the number of
             questions per bin.
     """
@@ -273,7 +273,8 @@ def frames_of_answer(answer: Answer) -> list[int]:
         answer: Answer of any mode.
 
     Returns:
-        No frame, one frame, or two frames (the first and the last of a span), in the order of the answer's fields.
+        A list of frames. It has the first and the last frame of a span, or the frame of another answer. The list is
+        empty if the answer does not name a frame.
     """
     return [getattr(answer, name) for name, kind in mode_of(answer).fields if kind == "frame"]
 

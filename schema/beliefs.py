@@ -68,7 +68,7 @@ class Write:
         arguments: Arguments of the tool, as JSON.
         accepted: Whether the world model accepted the write.
         reason: Reason of the refusal, "" if the write was accepted.
-        fact: JSON of a `Fact`: the rows that the write added or changed, "" if there are none.
+        fact: JSON of a `Fact`, which contains the rows that the write added or changed. "" if there are no such rows.
     """
 
     number: int
@@ -209,7 +209,10 @@ class _EdgeRow(_Row, frozen=True):
 
 
 class SightingRow(_EdgeRow, frozen=True):
-    """Row of `Sighted`. The agent gave `box`. `angle` is the panorama angle of the centre of `box`, in degrees."""
+    """Row of `Sighted`.
+
+    `box` is the box that the agent gave. `angle` is the panorama angle of the centre of `box`, in degrees.
+    """
 
     frame: int
     box: Box
@@ -252,7 +255,7 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
         has: New attribute.
         related: New relation.
         replaced: Indexes of writes. The edges that these writes added stop being `current` at the step of this
-            fact's write. The index of that write may be in the tuple too.
+            fact's write. The index of this fact's own write may be in the tuple too.
         hypotheses: Hypotheses at the end of the episode.
     """
 
@@ -273,9 +276,9 @@ _TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", Box: "STRUCT(x DO
 
 
 def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:
-    """Return the columns of a row class, except an edge's `source` and `target`, followed by the columns `more`.
+    """Return the columns of the table for a row class, each as a text such as "step INT64".
 
-    A column is a text of name and type.
+    The fields of the class come first, without the fields `source` and `target` of edges. The columns `more` follow.
     """
     fields = [f"{field.name} {_TYPES[field.type]}" for field in msgspec.structs.fields(row)]
     return (*(column for column in fields if column.split()[0] not in ("source", "target")), *more)
@@ -323,5 +326,5 @@ def episode_hash(episode: str) -> str:
 
 
 def name_of(key: str) -> str:
-    """Return the name of an entity or observation within its episode, which is the last part of its key."""
+    """Return the name of an entity or an observation. The name is the last part of the node's key."""
     return key.rpartition("/")[2]

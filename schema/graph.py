@@ -10,8 +10,9 @@ the box. Every relationship of the scene has the column `sequence`, because a qu
 
 A relationship holds from its frame `first` to its frame `last`, both included. `first_s` and `last_s` are the times of
 these frames in seconds. `Performs`, `MemberOf`, `Interacts` and `Handles` have the labels of annotators. `certain` is
-false if the label leaves the fact unknown, for example a label of the highest difficulty. Tables with names that begin
-with `May` have facts that no label states but that may be true. `schema.tables` explains their column `gap`.
+false if the label leaves the fact unknown, for example because the label has the highest difficulty. Tables with names
+that begin with `May` have facts that may be true, although no label states them. The module `schema.tables` explains
+the column `gap` of these tables.
 """
 
 from __future__ import annotations

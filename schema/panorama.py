@@ -92,8 +92,8 @@ def crop_left(angle_deg: float) -> float:
 def to_crop(box: Box, left: float) -> Box:
     """Convert a box from stitched pixels to pixels of the crop that begins at column `left`.
 
-    The panorama repeats every 3760 columns, and so does the box. Of these copies of the box, the function returns the
-    one nearest to the crop.
+    The panorama repeats every 3760 columns. So the box has a copy every 3760 columns, and the function returns the
+    copy nearest to the crop.
     """
     center = (box.x + box.w / 2 - left - CROP / 2 + WIDTH / 2) % WIDTH - WIDTH / 2 + CROP / 2
     return Box(center - box.w / 2, box.y, box.w, box.h)

@@ -216,7 +216,7 @@ def _schema(view: str, columns: str) -> pa.Schema:
 
 
 def _schemas(prefix: str, tables: dict[str, tuple[str, str]]) -> dict[str, pa.Schema]:
-    """Return the schema of each table by name, and add the sentence about each table to `ABOUT`."""
+    """Return the schemas of tables, by the name of the table. Add the sentence about each table to `ABOUT`."""
     ABOUT.update({prefix + table: about for table, (about, _) in tables.items()})
     return {table: _schema(prefix + table, columns) for table, (_, columns) in tables.items()}
 

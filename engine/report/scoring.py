@@ -37,7 +37,7 @@ def score_predictions(
         run_id: The id of the run, for the table and for messages.
         question_ids: The ids of the run's n questions.
         predictions: Rows of the table `predictions`, in any order.
-        iou: Minimum IoU with the target's box that makes an evidence box right, in (0, 1].
+        iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
 
     Returns:
         The table `scores` with one row per question of the run, in the order of `question_ids`.

@@ -165,9 +165,9 @@ class Images:
 
 
 def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
-    """Return the frame of an image, and an empty text.
+    """Return the frame of an image, and "". If the image is not a frame of the sequence, return None and the reason.
 
-    If the image is not a frame of the sequence, return None, and the reason as text.
+    The reason is a text for the load report.
     """
     *folders, name = file_name.replace("\\", "/").split("/")
     match = _FRAME.fullmatch(name)
@@ -185,11 +185,11 @@ Categories = dict[int, tuple[str, str | None]]
 
 
 def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Counter[tuple[str, str]]]:
-    """Decode the categories of a file. If two categories have the same id, both are refused.
+    """Decode the categories of a file. If two different categories have the same id, both are refused.
 
     Returns:
-        The categories by id, and a counter. The counter has a key ("categories", name) for each name outside the
-        vocabulary, with the number of categories that have this name.
+        The categories by id, and a counter of the categories with names outside the vocabulary. A key of the counter
+        is ("categories", name).
     """
     names: Categories = {}
     ambiguous: set[int] = set()

@@ -1,4 +1,4 @@
-"""Operations on columns of numbers and of Arrow values, and the tables of a layer.
+"""Operations on columns of numbers and of Arrow values, and the class `LayerTables`.
 
 The functions make sort keys of rows, find neighbouring rows that are equal, and replace repeated values by codes.
 `Refusals` counts rows that cannot be used.
@@ -33,9 +33,9 @@ Columns = dict[str, npt.NDArray[Any]]
 
 
 def paired(high: Ints, low: Ints) -> Ints:
-    """Combine each pair of numbers, such as (frame, track), into one number. The results sort like the pairs.
+    """Combine each pair of numbers, such as (frame, track), into one number.
 
-    The numbers of each pair must be less than 2**31.
+    The results have the sort order of the pairs. The numbers of each pair must be less than 2**31.
     """
     return (high << PAIR_BITS) | low
 
@@ -126,12 +126,12 @@ class Distinct(dict[Any, int]):
 
 
 def numbered(codes: Distinct, values: Iterable[Any], n: int) -> Ints:
-    """Return the code of each of the `n` values. `codes` maps values to codes, and gives a new value a new code."""
+    """Return the codes of the `n` elements of `values`. The dictionary `codes` gives each unknown value a new code."""
     return np.fromiter(map(codes.__getitem__, values), np.int64, n)
 
 
 class Refusals:
-    """Counter of refused records and fields. With each problem, it reports the frame of the first row concerned."""
+    """Counter of refused records and fields. Each problem is reported with the frame of the first refused row."""
 
     def __init__(self, frame: Ints, problems: Problems, suffix: str = "jpg") -> None:
         self._frame, self._problems, self._suffix = frame, problems, suffix
@@ -250,16 +250,19 @@ def distinct_of(ascending: Ints) -> Ints:
 
 
 def begins(*columns: Ints) -> Bools:
-    """Return a mask that is True at the first row and at each row that differs from the row before in some column."""
+    """Return a mask that is True at each row that differs from the previous row in at least one column.
+
+    The mask is also True at the first row.
+    """
     new = np.ones(len(columns[0]), np.bool_)
     new[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
     return new
 
 
 def ragged(counts: Ints) -> tuple[Ints, Ints]:
-    """Return two numbers for each member of groups: the index of its group, and its index within the group.
+    """Return two arrays with one element per member: the index of the member's group, and the index within the group.
 
-    Group i has `counts[i]` members. The members of a group follow those of the group before.
+    Group i has `counts[i]` members. The members of group 0 come first, then the members of group 1, and so on.
     """
     group = np.repeat(np.arange(len(counts)), counts)
     start = np.cumsum(counts) - counts

@@ -64,7 +64,7 @@ class KeptRecords(NamedTuple):
     """Frames with a refused record that may describe a person."""
 
     def whole_frames(self, complete: Iterable[int]) -> Ints:
-        """Return the frames in `complete` without a refused record that may describe a person, ascending."""
+        """Return the frames in `complete`, ascending, but without the frames in `partial`."""
         return np.array(sorted(set(complete) - self.partial), np.int64)
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
@@ -169,9 +169,9 @@ class Decoded:
                 yield usable, inner
 
     def read(self, read: Callable[[Any], Any], value: object, name: str, reason: str = "") -> Any:
-        """Convert a value with the function in the argument `read`, and return the result.
+        """Convert `value` with the converter that is given as the argument `read`, and return the converted value.
 
-        If this function raises ValueError, add an issue that names the value, and return None.
+        If the converter raises ValueError, add an issue that names the value, and return None.
         """
         try:
             return read(value)
@@ -201,10 +201,14 @@ class ColumnFacts(NamedTuple):
     """True for each row of the column that has a raw object without a refused part."""
 
     def tally(self, name: Callable[[Value], tuple[str, str] | None]) -> Counter[tuple[str, str]]:
-        """Return the number of facts for each key.
+        """Count the facts with each key. The key of a fact is derived from the content of the fact.
 
-        The argument `name` is a function that is called with each distinct content of facts. It returns the key of the
-        facts with this content, or None if they are not counted.
+        Args:
+            name: function that is called with each distinct content and returns the key of the facts with this content.
+                If the function returns None, these facts are not counted.
+
+        Returns:
+            The number of facts of each key.
         """
         counts: Counter[tuple[str, str]] = Counter()
         for value, n in zip(self.values, np.bincount(self.code, minlength=len(self.values)).tolist(), strict=True):
@@ -298,7 +302,7 @@ def facts_table(
         facts: facts to write. `facts.row` has, for each fact, the index in `people` of the fact's record.
         names: names of the columns that hold the content of the facts. The content of a fact is a tuple with one
             element per name.
-        ends: further columns of numbers, by name. A column has one number per fact.
+        ends: columns of numbers to add to the table, by name of the column. Each column has one number per fact.
 
     Returns:
         The table, sorted by frame and track, then by the columns of `ends`, then by content.

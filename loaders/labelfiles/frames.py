@@ -190,7 +190,10 @@ class RecordReader(Generic[_R]):
 
 
 def fault_of(error: BaseException) -> tuple[str, str]:
-    """Return the reason of a decoding error, and the field that could not be decoded ("" if the error names none)."""
+    """Return the reason of a decoding error, and the name of the field that could not be decoded.
+
+    The name is "" if the error does not name a field.
+    """
     reason, _, path = str(error).partition(" - at `$")
     field = path.split("[")[0].strip(".`")
     if missing := _MISSING.fullmatch(reason):
@@ -272,7 +275,10 @@ def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterat
     keys: set[str] = set()
 
     def take(_: type, key: str) -> FrameKey:
-        """Convert the key of a frame. Raise ValueError if it is repeated: the decoder would keep only the last list."""
+        """Convert a key of the JSON object of frames to a `FrameKey`.
+
+        Raise ValueError if the key occurs twice, because the decoder would then keep only the last list of records.
+        """
         if key in keys:
             raise ValueError(f"the frame {shorten(key)} is listed twice")
         keys.add(key)
@@ -297,7 +303,7 @@ def take_fields(fields: Fields, names: tuple[str, ...], codes: dict[str, Distinc
 
     Args:
         fields: values of the fields of a batch of records, by name of the field.
-        names: names of the fields. Raw values are compared by their bytes.
+        names: names of the fields to replace. Two raw values are equal if they have the same bytes.
         codes: codes of the distinct values of each field, by name of the field. New values are added.
     """
     columns = {}

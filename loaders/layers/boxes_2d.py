@@ -130,9 +130,10 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Return one pair per kind of fault: a mask of the boxes with this fault, and the reason for the report.
+    """Check boxes for each kind of fault. Return one pair (mask, text) per kind of fault.
 
-    `box` has the shape (n, 4).
+    The mask is True at each box with the fault. The text describes the fault in the load report. The argument `box`
+    has the shape (n, 4).
     """
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
@@ -187,10 +188,11 @@ def _taken(
     field: str = "",
     read: Callable[[Any], Any] | None = None,
 ) -> pa.Array:
-    """Return an Arrow column of the type `kind`. Its row i is made from the value `values[code[i]]`.
+    """Return an Arrow column of the type `kind`. Row i of the column is made from the value `values[code[i]]`.
 
-    The row holds the result of `read` for the value, or the value itself if the value or `read` is None. If `read`
-    raises ValueError, the row is null, and it is counted as a refused field.
+    If the argument `read` is a function, the row holds the result of `read(value)`. If the function raises ValueError,
+    the row is null and is counted as a refused field. If `read` is None, the row holds the value itself. A row with
+    the value None is always null.
     """
     usable: list[Any] = []
     wrong: dict[int, str] = {}

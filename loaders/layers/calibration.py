@@ -49,7 +49,7 @@ def load_calibration(path: Path, problems: Problems) -> LayerTables:
         problems: counter of refused parts.
 
     Returns:
-        The table `calibration`, sorted by camera, and no frames.
+        The table `calibration`, sorted by camera. The dictionary of frames is empty.
 
     Raises:
         InputError: If the file as a whole cannot be used.
@@ -66,7 +66,10 @@ def load_calibration(path: Path, problems: Problems) -> LayerTables:
 
 
 def cameras_check(table: pa.Table) -> Cameras | None:
-    """Compare the medians of fy and cy with the constants of the panorama. Return None if the table is empty."""
+    """Compare the medians of fy and cy with the constants of the panorama.
+
+    Return the comparison, or None if the table `calibration` is empty.
+    """
     if not table.num_rows:
         return None
     fy, cy = float(np.median(table["fy"].to_numpy())), float(np.median(table["cy"].to_numpy()))

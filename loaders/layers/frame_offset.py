@@ -120,8 +120,8 @@ class Tracks(Rows):
     def _rows_from(self, track: Ints, frame: Ints) -> tuple[Ints, Ints]:
         """Return two arrays with one element for each pair of a track and a frame: the pair's key, and a row index.
 
-        The rows of this object are sorted by key. The index is that of the first row with a key that is not smaller
-        than the key of the pair, or of the last row if all keys are smaller.
+        The rows of this object are sorted by key. The row index points to the first row with a key that is not smaller
+        than the key of the pair. If all rows have smaller keys, the row index points to the last row.
         """
         key = paired(track, np.maximum(frame, 0))
         return key, np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
@@ -204,8 +204,8 @@ def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
 def response_of(tracks: Tracks, reference: Tracks) -> float:
     """Return by how much the estimate of `slope_of` changes if the frames of the layer are moved by one on purpose.
 
-    The result is 1 if all motion is real. It is near 0 if people stand and only the annotated positions of their boxes
-    vary. In that case a slope of zero does not prove that the layers agree.
+    The result is 1 if all motion is real. The result is near 0 if people stand still and only the annotated positions
+    of their boxes vary. If the result is near 0, a slope of zero does not prove that the layers agree.
     """
     slopes = [slope_of(tracks, reference, moved) for moved in (-1, 1)]
     if slopes[0] is None or slopes[1] is None:
@@ -292,10 +292,10 @@ def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) 
 
 
 def _difference(a: Floats, b: Floats) -> Floats:
-    """Return `a - b` for columns of the panorama, or for boxes of shape (n, 4).
+    """Return `a - b`. Both arguments are columns of the panorama, or both are boxes of shape (n, 4).
 
-    Because the panorama is a full circle, the difference of two columns is taken in the shorter direction. The same
-    applies to the left columns of two boxes.
+    The panorama is a full circle. Therefore the difference of two columns, or of the left edges of two boxes, is taken
+    in the shorter direction around the circle.
     """
     difference = a - b
     columns = difference if difference.ndim == 1 else difference[:, 0]

@@ -141,7 +141,7 @@ def _number_column(values: npt.NDArray[Any]) -> pa.Array:
 
 
 def _item(values: Any) -> Callable[[int], object]:
-    """Return a function that takes a row index and returns the value of the row for the report."""
+    """Return a function that takes a row index and returns the number at this index of `values`, as an int."""
     return lambda row: int(values[row])
 
 

@@ -83,7 +83,14 @@ class RelationKind:
     """Known labels."""
 
     def decode(self, raw: bytes, decoded: Decoded) -> None:
-        """Add (label, label as written, difficulty) to `decoded` for each label in the raw labels of an entry."""
+        """Decode the labels of an entry, and add a fact to `decoded` for each label except "impossible".
+
+        The content of a fact is (label, label as written, difficulty code).
+
+        Args:
+            raw: JSON object `inter_labels` of the entry.
+            decoded: object to fill.
+        """
         for label, code in decoded.labels(raw, self.key):
             name = self.normal(label)
             decoded.whole &= name in self.vocabulary
@@ -91,7 +98,7 @@ class RelationKind:
                 decoded.values.append((name, label, decoded.difficulty(code, self.key)))
 
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
-        """Return `key` and the label of a fact if the label is outside the vocabulary, otherwise None."""
+        """Return the pair of `key` and the fact's label if the label is outside the vocabulary, otherwise None."""
         return None if fact[0] in self.vocabulary else (self.key, fact[0])
 
 
@@ -119,8 +126,10 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
 class Relations:
     """Decoded relations of one kind, from the lists of the kept records. Refused parts are counted.
 
-    facts: facts with the content (label, label as written, difficulty). The row of a fact is an index in `people`.
-    ends: by column of `RelationKind.ends`, one number per fact: the partner's track, or the thing's track or category.
+    facts: facts with the content (label, label as written, difficulty code). `facts.row` has the index in `people` of
+        each fact's record.
+    ends: dictionary from each column in `RelationKind.ends` to an array with one number per fact. The number is the
+        partner's track, the thing's track or the thing's category id, as the name of the column says.
     present: mask of the kept records that have a list.
     refused: mask of the kept records with a list that is not whole.
     """
@@ -159,9 +168,10 @@ class Relations:
 
 
 def _read_pairs(pairs: Iterable[bytes], kind: RelationKind) -> tuple[Ints, dict[int, list[Issue]]]:
-    """Return the ends of each distinct pair, and the issues of each unreadable pair by the code of the pair.
+    """Return an array of the ends of the distinct pairs, and a dictionary of the issues of the unreadable pairs.
 
-    The ends are an array with one row per pair and one column per end.
+    The array has one row per pair and one column per end. The row of an unreadable pair holds -1 in each column. The
+    keys of the dictionary are the codes of the unreadable pairs.
     """
     issues: dict[int, list[Issue]] = {}
     ends = []

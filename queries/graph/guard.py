@@ -3,8 +3,9 @@
 A statement can make the engine read and write files (LOAD FROM, COPY TO, EXPORT, ATTACH), even if the database is open
 for reading only. The engine does not report this. So there are three safeguards:
 
-- The keywords of the statement are checked. A statement is refused if it has a clause that writes, loads, attaches,
-  installs, calls or controls transactions. A second statement is also refused.
+- The keywords of the statement are checked. A statement is refused if it has a clause that writes data, loads or
+  attaches a file, installs an extension, calls a procedure, or begins or ends a transaction. A second statement is
+  also refused.
 - The plan of the statement is checked. A statement is refused if the plan has a table function, a write or INTERSECT.
 - The database is opened for reading only.
 
@@ -205,7 +206,10 @@ def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> p
 
 
 def _sort(table: pa.Table) -> pa.Table:
-    """Sort rows by all columns that can be compared, because the engine returns rows in a different order each time."""
+    """Sort the rows of a statement, because the engine returns rows in a different order each time.
+
+    The rows are sorted by all columns, except columns of lists or structs and columns with equal names.
+    """
     keys = [
         (name, "ascending")
         for name, kind in zip(table.column_names, table.schema.types, strict=True)

@@ -106,14 +106,14 @@ class Graph:
 
         Raises:
             StoreError: If the file is missing or damaged, or has another version.
-            LockedError: If another process writes the file, or if it reads the file and this session writes.
+            LockedError: If another process writes the file, or if another process reads it and this session writes.
         """
         shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes)
         return cls(shared, read_only, prepares)
 
     @classmethod
     def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False) -> Graph:
-        """Open a session on a new, empty graph in memory. `open` describes the arguments."""
+        """Open a session on a new, empty graph in memory. The method `open` describes the arguments."""
         return cls(create_memory_database(buffer_bytes), prepares=prepares)
 
     def close(self) -> None:
@@ -215,7 +215,7 @@ class Graph:
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
-        """Run one statement that may write, and return the rows.
+        """Run one statement that may write, and return the rows of the statement's result.
 
         Outside of `transaction()`, the statement has its own transaction.
 
@@ -321,7 +321,7 @@ class Graph:
         return ""
 
     def _renew(self) -> None:
-        """Replace the connection after `_PREPARED` statements with parameters, unless a transaction is open."""
+        """Replace the connection if it has run `_PREPARED` statements with parameters and no transaction is open."""
         if self._planned >= _PREPARED and not self._in_transaction:
             self._prepared.clear()
             self._connection.close()

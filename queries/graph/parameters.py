@@ -49,9 +49,9 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 # Use a cache, because a call takes 0.1 to 1 ms without it, which is up to half the time of a small query.
 @lru_cache(1024)
 def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
-    """Return the statement with a CAST around each parameter that has a type.
+    """Return the statement with a CAST around each parameter that needs a type.
 
-    `kinds` has a pair of name and type for each parameter.
+    `kinds` has, for each parameter, its name and its type. The type is None if the parameter needs no CAST.
     """
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):

@@ -5,8 +5,8 @@ a brute-force search. For each fault, a test fails if a later version of the eng
 check for this fault can then be removed.
 
 - *Cyclic patterns lose parallel edges*. If the plan has INTERSECT, the engine may return 2 rows instead of 4.
-- *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. The condition may also be an alias,
-  a cast to BOOL or another CASE. `WHEN x.flag = true` and `CASE x.flag WHEN true` are answered correctly.
+- *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. An alias, a cast to BOOL or a CASE
+  after WHEN has the same effect. `WHEN x.flag = true` and `CASE x.flag WHEN true` are answered correctly.
 - *Aggregates after a DISTINCT aggregate are empty* if the RETURN or WITH clause forms groups of rows. In
   `count(DISTINCT a), count(*)`, the second value is 0. If `collect` replaces `count(*)`, the engine crashes.
   `count(*), count(DISTINCT a)` is answered correctly.
@@ -87,7 +87,7 @@ class QueryPlan:
 
     @property
     def groups(self) -> bool:
-        """Whether any part of the statement forms groups of rows, as an aggregate by key does."""
+        """Whether the plan groups rows by a key, for example for `RETURN a.name, count(*)`."""
         return "Group By:" in self.text
 
 
