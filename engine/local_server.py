@@ -92,7 +92,7 @@ def new_token() -> str:
 
 
 def same_token(sent: bytes, token: bytes) -> bool:
-    """Return whether two tokens are equal. The time of the comparison does not depend on their characters."""
+    """Return whether two tokens are equal. The duration of the comparison does not depend on the tokens' characters."""
     return hmac.compare_digest(sent, token)
 
 

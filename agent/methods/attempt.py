@@ -240,7 +240,7 @@ class Attempt:
             The frame, and the angle in degrees.
 
         Raises:
-            DecodeError: If a part cannot be read, or if the frame is not a legal frame.
+            DecodeError: If one of the two values cannot be read, or if the frame is not a legal frame.
         """
         frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
         if frame not in self.task.sequence.frames:
@@ -292,7 +292,7 @@ class Attempt:
             The panoramas.
 
         Raises:
-            ObserveError: If the sequence has no panoramas, or one cannot be read.
+            ObserveError: If the sequence has no panoramas, or if a panorama cannot be read.
         """
         frames = uniform_frames(self.task.sequence.frames, n)
         if not frames:

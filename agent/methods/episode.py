@@ -2,7 +2,7 @@
 
 The first move must be a look. A look within 1 degree of an earlier look at the same frame is refused. A malformed move
 counts as a move. The evidence is a box in the newest crop. A refused answer ends the episode only if the player sends
-the same answer again. At the end, the newest readable answer and the newest readable box count.
+the same answer again. The prediction holds the newest readable answer and the newest readable box of the episode.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class Calls:
             return None
 
     def tokens(self) -> tuple[int, int]:
-        """Return the number of prompt tokens and of reply tokens of all calls that the file held when it was opened.
+        """Return two sums over all calls that the file held when it was opened: prompt tokens, and reply tokens.
 
         Raises:
             StoreError: If the file cannot be read.

@@ -29,8 +29,9 @@ _SECRET: Final = 16
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of one exchange: seconds to connect, seconds of a whole probe, and bytes of a reply.
+    """Limits of one exchange.
 
+    connect_s: the seconds to connect. probe_s: the seconds of a whole probe. reply_bytes: the bytes of a reply.
     For comparison, a reply of a few thousand tokens has some kilobytes.
     """
 

@@ -1,4 +1,4 @@
-"""`jrdb-avr cypher` and `jrdb-avr sql`: run a statement or a saved query, and print its rows."""
+"""`jrdb-avr cypher` and `jrdb-avr sql`: run a statement or a saved query, and print the resulting rows."""
 
 from __future__ import annotations
 
@@ -118,9 +118,9 @@ def _run(
 
 
 def _statement(language: Language, query: str) -> str:
-    """Return the text of the argument QUERY, or of the file or standard input that QUERY names.
+    """Return QUERY. If QUERY is the path of a file or "-", return the content of the file or of standard input instead.
 
-    Raise InputError if the text cannot be read.
+    Raise InputError if the content cannot be read.
     """
     if query != "-" and not re.fullmatch(rf"\S+\.{language}", query):
         return query

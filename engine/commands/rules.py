@@ -1,4 +1,4 @@
-"""`jrdb-avr rules`: list the rules of the benchmark. The option `--rule` of other commands changes them."""
+"""`jrdb-avr rules`: list the rules of the benchmark. The option `--rule` of other commands changes a rule."""
 
 from __future__ import annotations
 

@@ -70,7 +70,11 @@ def show(run: str, store: Store, form: RowFormat) -> None:
 
 
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
-    """Return a value as pairs (name, text): one pair per entry of a mapping, or per reason in a list of reasons."""
+    """Return the printed lines of a value. Each line is a pair of a name and a text.
+
+    A mapping has the lines of all its entries. A list of the most frequent reasons has one line per reason. Any other
+    value has one line.
+    """
     if isinstance(value, dict):
         return [line for key, item in value.items() for line in _lines(f"{name}.{key}", item)]
     if isinstance(value, list) and name.startswith("commonest"):

@@ -1,4 +1,4 @@
-"""`jrdb-avr world`: add the world models of runs to the graph of the store, or drop them."""
+"""`jrdb-avr world`: add the world models of runs to the graph of the store, or drop world models."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _graph_path(store: Store) -> Path:
 
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:
-    """Return a row with the number of episodes and the number of writes that a graph holds of a run."""
+    """Return a row that counts the episodes and the writes of one run in a graph."""
     from jrdb_avr.queries.beliefs.record import writes_held
 
     held = writes_held(graph, run_id)

@@ -1,7 +1,7 @@
 """Export of a question set as two folders that Hugging Face's `datasets` can load.
 
     DIR/public/README.md                      the dataset card, which names the files for `load_dataset`
-    DIR/public/croissant.json                 the same description in the format Croissant
+    DIR/public/croissant.json                 the description of the tables in the format Croissant
     DIR/public/data/questions.parquet, sequences.parquet
     DIR/private/README.md
     DIR/private/data/answers.parquet, evidence.parquet, names.parquet

@@ -1,8 +1,9 @@
 """Server of questions for any agent that speaks MCP. Its tools are `next_question`, `observe` and `submit_answer`.
 
-The moves of the agent are recorded as a run of the store. There are no sessions. Instead, each call carries the opaque
-token of its question. Only the public files of the store are read. The tools return a question's text, its legal
-frames, crops with their frame and angle, and the reasons for refused moves. This module needs the extra `mcp`.
+The moves of the agent are recorded as a run of the store. There are no sessions. Instead, each look and each
+answer carries the opaque token of its question. Only the public files of the store are read. The tools return a
+question's text, its legal frames, crops with their frame and angle, and the reasons for refused moves. This module
+needs the extra `mcp`.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ _Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
 
 @dataclass
 class _Open:
-    """A question that the agent has begun, and a lock, so that only one call at a time makes a move."""
+    """A question that the agent has begun. The lock lets only one call at a time make a move."""
 
     play: Play
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -166,7 +167,8 @@ def serve(
         resume: Whether to continue the run if it exists.
         images: The folder of panoramas. Default: the folder that the store names.
         opaque: Whether to replace the names of sequences by opaque names.
-        ready: Called when the HTTP server listens, with its address and the token that requests need.
+        ready: Function that is called as soon as the HTTP server listens. Its arguments are the address of the server
+            and the token that requests need.
 
     Returns:
         The id of the run.
@@ -223,7 +225,7 @@ def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None])
 
 
 def _with_token(app: Any, token: str) -> Any:
-    """Return an ASGI application that passes a request on to `app` if it has the token, and else replies with 401."""
+    """Return an ASGI application that passes requests with the token on to `app`, and replies to others with 401."""
     expected = f"Bearer {token}".encode()
 
     async def checked(scope: Any, receive: Any, send: Any) -> None:

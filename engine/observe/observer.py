@@ -185,8 +185,8 @@ class Observer:
 class _Strip:
     """A panorama that is decoded on first use. Crops are copies, so that no crop keeps a panorama in memory.
 
-    The first crop is cut from the whole panorama. At the second use, the panorama is copied into contiguous tiles.
-    Crops from tiles are faster (10,000 per second instead of 6,000), because in a whole panorama the rows of a crop are
+    At the first use, the panorama stays in one piece. At the second use, it is copied into contiguous tiles. Crops
+    from tiles are faster (10,000 per second instead of 6,000), because in a whole panorama the rows of a crop are
     11 kB apart.
     """
 

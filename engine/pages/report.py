@@ -84,8 +84,8 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
         across: Name of the column that gives the inner keys.
 
     Returns:
-        A dictionary by outer key of dictionaries by inner key, which hold the rows. Keys are in the order of their
-        first appearance.
+        A dictionary from each outer key to an inner dictionary. An inner dictionary maps each inner key to a row. All
+        keys are in the order of their first appearance in the rows.
     """
     groups: dict[str, dict[str, Row]] = {}
     for row in rows:
@@ -94,9 +94,10 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
 
 
 class Crossed:
-    """Breakdown of the scores by a dimension, as a table with one cell for each pair of a run and a value.
+    """Table of the scores of runs, broken down by a dimension.
 
-    If there are fewer values than runs, the columns are the values. Otherwise the columns are the runs.
+    There is one cell for each pair of a run and a value of the dimension. If there are fewer values than runs, the
+    columns are the values. Otherwise the columns are the runs.
 
     Attributes:
         counts: For each value, the most frequent number of questions (`n`) among the runs. The page shows the `n` of a

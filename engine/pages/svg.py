@@ -179,7 +179,8 @@ def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
         rows: Rows of the table `main`. A row is left out if its answer score or its evidence score is None.
 
     Returns:
-        One dot per row, with the position of its number. Numbers cover no dot and no other number, if there is room.
+        One dot per row, with the position of the printed number. If there is room, no number covers a dot or another
+        number.
     """
     scale = (SQUARE - 2 * _MARGIN) / 100
     points = [
@@ -212,7 +213,8 @@ class _Area(NamedTuple):
 def _free_area(x: float, y: float, width: float, taken: Sequence[_Area]) -> tuple[_Area, bool]:
     """Return the area for a text beside a dot, and whether a line must connect the text with the dot.
 
-    The area is the nearest one that overlaps no area in `taken`. If all areas overlap one, it is right beside the dot.
+    The area is the nearest one that overlaps no area in `taken`. If there is no such area, the area on the right side
+    of the dot is returned.
     """
     for ring in range(_RINGS):
         far = _DOT + 1 + _STEP * ring

@@ -25,7 +25,14 @@ _POSE_READS: Final = ("action", "next_action")
 
 
 class Stretch(NamedTuple):
-    """A bar of a timeline row: first and last frame, drawing style (`kind`), and whether the shown fact is certain."""
+    """A bar of a timeline row.
+
+    Attributes:
+        first: First frame of the bar.
+        last: Last frame of the bar.
+        kind: Drawing style of the bar.
+        certain: Whether the shown fact is certain.
+    """
 
     first: int
     last: int

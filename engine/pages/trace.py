@@ -108,10 +108,10 @@ def _choice(answer: Answer | None) -> int | None:
 
 
 def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
-    """Return the content of the map.
+    """Return the content of the map, which shows frames and columns of the panoramas.
 
-    `low` and `high` are the first and the last frame, and `ticks` are the frames with a label. `answers` has the frames
-    that the true answer states and the frames that the run's answer states. `way` is the path of the target.
+    `low` and `high` are the first and the last frame of the map. `ticks` are the frames with a label. `answers` has the
+    frames that the true answer states and the frames that the run's answer states. `way` is the path of the target.
     """
     mode = trace.question["answer_mode"]
     true, predicted = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
@@ -132,7 +132,7 @@ def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
 
 
 def _frames(mode: str, text: str | None) -> list[int]:
-    """Return the frames that an answer states. The list is empty if the answer states none or cannot be read."""
+    """Return the frames that an answer states. The list is empty if the answer states no frame or cannot be read."""
     answer = read_answer(mode, text)
     return [] if answer is None else frames_of_answer(answer)
 
@@ -267,9 +267,10 @@ _MOST_NODES: Final = 40
 
 
 def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
-    """Return the drawing of relations: entities in a row (`knots`), and relations as arcs above the row (`ties`).
+    """Return the drawing of the relations between entities.
 
-    `left` and `size` give the view box. The result is None if there are no relations, or if there are too many entities
+    `knots` are the entities, which stand in a row. `ties` are the relations, which are arcs above the row. `left` and
+    `size` give the view box. The result is None if there are no relations, or if there are too many entities
     for a drawing.
     """
     made = {write.fact.entity.id: write.step for write in trace.writes if write.fact.entity is not None}
@@ -326,7 +327,7 @@ class _Reply(msgspec.Struct):
 
 
 def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> list[dict[str, Any]]:
-    """Return the steps of the run. Each has the writes that the world model refused in this step, and its look."""
+    """Return the steps of the run. Each step has its look, if any, and the refused changes of the world model."""
     views = {look.step: _view(trace, look, observer, strip) for look in trace.looks[:_PICTURES]}
     for look in trace.looks[_PICTURES:]:
         views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks have pictures"}
@@ -351,7 +352,7 @@ def _step(step: StoredRow) -> dict[str, Any]:
 def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
     """Return a look with two pictures: its panorama and its crop.
 
-    If a picture is missing, `missing` has the reason. Otherwise it is an empty text.
+    If a picture is missing, the value of `missing` is the reason. Otherwise the value is an empty text.
     """
     view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
     try:
@@ -364,9 +365,9 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
 
 
 def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """Return the evidence box, the target's box in the frame of the evidence, and two pictures.
+    """Return the evidence box, the target's box in the same frame (if there is one), and two pictures.
 
-    The pictures are the panorama of this frame, and a crop around the evidence box.
+    The pictures are the panorama of the frame, and a crop around the evidence box.
     """
     target = Box(*trace.target[frame]) if frame in trace.target else None
     angle = float(center_angle(box.x, box.w))

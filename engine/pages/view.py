@@ -40,7 +40,7 @@ class ViewedRun:
 
     Attributes:
         manifest: The run's manifest.
-        predictions: Row of the table `predictions` by question id.
+        predictions: For each question id, the row of the table `predictions`.
         scores: By question id, the scores answer, evidence and combined, each 0 or 1. Empty if scores are not shown.
         causes: By question id, the reason why the evidence box scores 0. Questions with another evidence score are
             missing. Empty if scores are not shown.
@@ -257,7 +257,7 @@ def public_runs(store: Store) -> list[ViewedRun]:
 
 
 def scored_runs(comparison: Comparison) -> list[ViewedRun]:
-    """Return the runs of a comparison in the form that the pages show.
+    """Convert the scored runs of a comparison to `ViewedRun` objects.
 
     Args:
         comparison: The comparison.
@@ -287,8 +287,8 @@ def _by_question(rows: Iterable[StoredRow]) -> dict[str, StoredRow]:
 def _fits(question: QuestionRow, filters: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
     """Return whether a question matches all filters.
 
-    If there is a filter of the outcome or of the cause, at least one run must match it. If there are both filters, at
-    least one run must match both.
+    The filters of the outcome and of the cause are about runs. If one of them is given, at least one run must match
+    this filter. If both are given, at least one run must match both.
     """
     if any(getattr(question, name) != filters[name] for name in _PUBLIC if name in filters):
         return False

@@ -65,9 +65,10 @@ def question_page(
         info: The sequence of the question.
         runs: The runs (`ViewedRun`) that have the question.
         chosen: The run to show in detail, or None.
-        transcript: Record of the chosen run's work on the question, or None. A `Trace` if scores may be shown.
+        transcript: Record of the chosen run's work on the question. None if there is no transcript. If scores may be
+            shown, the record is a `Trace`.
         missing: Reason why there is no transcript, or an empty text.
-        near: The previous and the next question of the store, or None at the ends.
+        near: The previous and the next question of the store. None stands for a question that does not exist.
         pictured: Whether the panoramas of the store are available.
         address: The function `view.address`, which returns the address of a page.
 
@@ -157,13 +158,13 @@ def _sightings(writes: Sequence[Written]) -> list[dict[str, Any]]:
 
 
 def beliefs(writes: Sequence[Written]) -> list[Belief]:
-    """Return the statements that writes made in a world model.
+    """Return the statements that a run has written to a world model.
 
     Args:
-        writes: Writes to the world model, in order.
+        writes: The changes that the run made to the world model, in order.
 
     Returns:
-        The statements in the order of the writes. Each statement has its evidence.
+        The statements in the order of the changes. Each statement has its evidence.
     """
     names = _names(writes)
     taken = {write.fact.observation.id: write.fact.observation for write in writes if write.fact.observation}

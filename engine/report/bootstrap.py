@@ -151,8 +151,9 @@ def mcnemar(only_first: int, only_second: int) -> float:
         only_second: Number of questions that only the second run has right.
 
     Returns:
-        The p-value. It is computed for the questions that exactly one run has right. It is the probability that two
-        equally good runs would share these questions at least as unevenly as the two runs do.
+        The p-value. It is a probability under one assumption: each question that exactly one run has right is equally
+        likely to belong to the first run or to the second run. The p-value is then the probability that the numbers of
+        questions of the two runs differ at least as much as `only_first` and `only_second` do.
     """
     n, least = only_first + only_second, min(only_first, only_second)
     # The sum is computed in integers, because 2 ** n overflows a float if the benchmark is large.

@@ -1,4 +1,4 @@
-"""Bundles. A bundle is a folder with the predictions of a run. It can be scored on another machine, with the answers.
+"""Bundles. A bundle is a folder with the predictions of a run. Another machine that has the answers can score a bundle.
 
     DIR/run.json            the run's manifest: questions, method, model and settings
     DIR/predictions.jsonl   the predictions, as `prediction_lines` writes them
@@ -108,7 +108,7 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 
 def bundle_submission(store: Store, bundle: Bundle) -> Submission:
-    """Return the run of a bundle in the form that `score_run` takes.
+    """Return the run of a bundle for `score_run`, if the run belongs to the questions of the store.
 
     Args:
         store: The store that has the answers.

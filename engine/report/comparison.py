@@ -61,7 +61,7 @@ class Comparison(Displayed):
         store: The store of the runs.
         index: The questions of the store, with their labels.
         runs: The scored runs, the best run first.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
         paper: Whether the tables include the figures of the paper.
     """
 
@@ -192,7 +192,7 @@ def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5)
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The scores of each run, the best run first.
@@ -215,7 +215,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
         paper: Whether the tables include the figures of the paper.
 
     Returns:
@@ -233,7 +233,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
 class RunDifference(Displayed):
     """Comparison of two scored runs on their common questions.
 
-    `rows` are the rows of `rows_of_pairs`, one per kind of score.
+    `rows` has one row of `rows_of_pairs` for each kind of score.
     """
 
     index: QuestionIndex
@@ -336,7 +336,7 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
         store: The store, or its folder.
         first: Id of the first run.
         second: Id of the second run.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The comparison of the two runs.
