@@ -6,8 +6,8 @@ Demographics and group information are lists of at most one object `{key: {label
 between frames, and each distinct object is decoded once.
 
 If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes are
-used only to check whether the file numbers its frames like the 2D layer. If a refused record may describe a person, no list in the
-record's frame is whole (see `relation_lists`), and the attributes in the frame are not used.
+used only to check whether the file numbers its frames like the 2D layer. If a refused record may describe a
+person, no list in the record's frame is whole (see `relation_lists`), and the attributes in the frame are not used.
 """
 
 from __future__ import annotations
