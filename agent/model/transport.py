@@ -136,7 +136,7 @@ def _certificates(environment: bool) -> ssl.SSLContext:
 
 
 class Credentials:
-    """Headers of requests. Their values come from the environment and must not appear in messages or replies."""
+    """Headers of requests. The values are secrets of the environment: error messages and stored replies hide them."""
 
     def __init__(self, key_variable: str, header_variables: Mapping[str, str]) -> None:
         """Read the key and the headers from the environment.
