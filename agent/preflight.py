@@ -115,7 +115,7 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
         method: The method of the run. If it is None, each needed check must have passed.
 
     Returns:
-        The lines of the failed checks.
+        One line for each failed check.
 
     Raises:
         EndpointError: If a check that the method needs has failed.
@@ -240,7 +240,7 @@ def _picture(send: Callable[..., _Probe]) -> Check:
 
 
 def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
-    """Send the largest numbers of panoramas and of crops in one request each, and yield a check of each request.
+    """Send one request with many panoramas and one request with many crops. Yield the check of each request.
 
     The marked picture is neither the first nor the last, because a server may pass only the first or the last picture
     to the model.

@@ -1,4 +1,7 @@
-"""Readers of the public tables of a store: the questions, and the sequences with the frames that can be observed."""
+"""Readers of the public tables of a store.
+
+One table has the questions. The other table has the sequences, with the frames that can be observed.
+"""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Store(Displayed):
 
     @classmethod
     def of(cls, store: Store | str | Path) -> Store:
-        """Return the store itself, or the store at a path."""
+        """Return the argument if it is a store already. Otherwise return the store at the given path."""
         return store if isinstance(store, Store) else cls(store)
 
     # -- paths ------------------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ class Store(Displayed):
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the rows of `intervals_<kind>`, then of `intervals_possible_<kind>` (with `certain` set to false)."""
+        """Return the rows of `intervals_<kind>`, then those of `intervals_possible_<kind>` with a false `certain`."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
@@ -387,7 +387,7 @@ def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
 def _write(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
 ) -> str:
-    """Write row groups with the types of `kinds`, and return the file's sha256. Readers get the types of `schema`."""
+    """Write each table of `groups` with the types of `kinds`, and return the sha256. Readers get those of `schema`."""
     # Readers take the column types from this entry. Without the entry, readers would return dictionary columns.
     read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
 

@@ -58,7 +58,8 @@ def map_sequences(
             three sequences of JRDB have over half of all boxes.
 
     Returns:
-        An iterator over pairs: the index of an item in `sequences`, and the result for this item.
+        An iterator over pairs. A pair has the index of an item in `sequences`, and the result of the function for
+        this item.
 
     Raises:
         StoreError: If a local process died, or if Ray workers died more than `RETRIES` times on one sequence.

@@ -221,7 +221,7 @@ class RecordWrite(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Question with all data and functions that a method may use to answer it.
+    """Question with all data and functions that a method may use to answer the question.
 
     Attributes:
         question: Public columns of the question.

@@ -39,7 +39,14 @@ optical centres.
 
 
 class Box(NamedTuple):
-    """Box in pixels of the stitched panorama: left column, top row, width and height. x may be outside [0, 3760)."""
+    """Box in pixels of the stitched panorama.
+
+    Attributes:
+        x: Left column, which may be outside [0, 3760).
+        y: Top row.
+        w: Width.
+        h: Height.
+    """
 
     x: float
     y: float
@@ -64,7 +71,11 @@ def angle_of_azimuth(azimuth_rad: F) -> F:
 
 
 def row_of_height(z: F, ground_distance: F) -> F:
-    """Return the row of a point that is `z` metres above the camera rig and `ground_distance` metres away from it."""
+    """Return the row of a point in stitched pixels.
+
+    The point is `z` metres above the camera rig. Its distance from the rig, along the ground, is `ground_distance`
+    metres.
+    """
     return HORIZON_ROW - FOCAL_ROWS * z / ground_distance
 
 
@@ -111,8 +122,8 @@ def iou(a: Box, b: Box) -> float:
     """Return the intersection over union of two boxes in stitched pixels, [0, 1].
 
     A box covers the columns [x, x + w) and the rows [y, y + h). Boxes may cross the seam between the columns 3759
-    and 0: one box is first shifted by the multiple of 3760 columns that gives the largest overlap. The parts of boxes
-    above and below the image count too. The result is 0 if a box has no area.
+    and 0. So one box is first shifted by the multiple of 3760 columns that gives the largest overlap. The parts of
+    boxes above and below the image count too. The result is 0 if the area of a box is 0.
     """
     if not (a.w > 0 and a.h > 0 and b.w > 0 and b.h > 0):
         return 0.0

@@ -197,7 +197,7 @@ class Attempt:
                 chat. For the first call, the list is empty. For the second call, the list holds one line: why the first
                 reply could not be read.
             schema: The JSON Schema of the reply.
-            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
+            read: Called with the JSON object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.
@@ -220,7 +220,7 @@ class Attempt:
             parts: The parts of the user message between the question and the instructions, such as panoramas.
             stage: The instructions of the stage, which come last.
             schema: The JSON Schema of the reply.
-            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
+            read: Called with the JSON object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.
@@ -240,7 +240,7 @@ class Attempt:
             The frame, and the angle in degrees.
 
         Raises:
-            DecodeError: If a part cannot be read, or if the frame is not a legal frame.
+            DecodeError: If one of the two values cannot be read, or if the frame is not a legal frame.
         """
         frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
         if frame not in self.task.sequence.frames:
@@ -292,7 +292,7 @@ class Attempt:
             The panoramas.
 
         Raises:
-            ObserveError: If the sequence has no panoramas, or one cannot be read.
+            ObserveError: If the sequence has no panoramas, or if a panorama cannot be read.
         """
         frames = uniform_frames(self.task.sequence.frames, n)
         if not frames:

@@ -125,8 +125,8 @@ def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
 
     Args:
         task: The question to answer.
-        parts: The parts of the call. Instructions come last, so that a server can cache the common beginning of two
-            calls.
+        parts: The parts of the user message after the heading. Instructions come last, so that a server can cache the
+            common beginning of two calls.
 
     Returns:
         The system message that all methods share, and the user message.

@@ -2,8 +2,9 @@
 
 The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as the
 prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
-model writes boxes, every reading is compared with the known boxes. A reading is chosen only if it explains the replies
-well, and no other reading explains them nearly as well. No question of a store is used.
+model writes boxes, the boxes that result from every reading are compared with the known boxes. A reading is chosen only
+if it explains the replies well, and no other reading explains the replies nearly as well. No question of a store is
+used.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ _READINGS: Final = tuple(Reading(order, scale) for scale in get_args(Scale) for 
 
 
 class Score(msgspec.Struct, frozen=True):
-    """Measure of how well a reading explains the replies that write their box under one key.
+    """Measure of how well a reading explains the replies that write their box under one JSON key.
 
-    key: the key. order, scale: the reading. n: the number of replies with this key. median_iou: the median IoU of the
-    boxes in these replies with the known boxes. share: the share of these boxes with an IoU of at least 0.5. chosen:
-    whether the reading is chosen for the key.
+    key: the JSON key. order, scale: the reading. n: the number of replies with this key. median_iou: the median IoU
+    of the boxes in these replies with the known boxes. share: the share of these replies with an IoU of at least 0.5.
+    chosen: whether the reading is chosen for the key.
     """
 
     key: str
@@ -67,12 +68,14 @@ class Score(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """The content of `STORE/conventions/<model>.json`: the readings of a model's boxes.
+    """The result of a calibration, which is stored as `STORE/conventions/<model>.json`.
 
-    response_format, thinking: the request settings for which the readings hold. asked: the number of requests.
-    asked_sha256: the hash of the requests. readable: the number of replies with a box. boxes: the order of the numbers,
-    for each key with a chosen reading. scales: the scale of the numbers, for each of these keys. Both are empty if no
-    reading was clearly the best. reason: why no reading was chosen, or "".
+    model: the model id that the requests named. served_model: the model id that the first reply named. response_format,
+    thinking: the request settings for which the readings hold. asked: the number of requests. asked_sha256: the hash of
+    the requests. readable: the number of replies with a box. scores: one score for each reading of each JSON key that
+    the replies use. boxes: the order of the numbers, for each JSON key with a chosen reading. scales: the scale of the
+    numbers, for each JSON key with a chosen reading. `boxes` and `scales` are empty if no reading was chosen. reason:
+    why no reading was chosen, or "".
     """
 
     model: str
@@ -102,7 +105,7 @@ class Calibration(msgspec.Struct, frozen=True):
 
 
 class _Written(NamedTuple):
-    """The four numbers that a model wrote under a key for a drawn rectangle."""
+    """The box of one reply: its JSON key, its four numbers, and the drawn rectangle that the request showed."""
 
     key: str
     numbers: list[float]
@@ -110,7 +113,7 @@ class _Written(NamedTuple):
 
 
 def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] = lambda steps: None) -> Calibration:
-    """Request boxes of drawn rectangles, and find the reading that explains these boxes.
+    """Request boxes of drawn rectangles, and find for each JSON key the reading that explains the replies.
 
     Args:
         client: The client of the model's server.
@@ -170,7 +173,7 @@ def request(drawn: DrawnPicture) -> list[Message]:
 
 
 def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Written | None:
-    """Return the numbers of a reply's box, or None unless the reply has exactly one box of four finite numbers."""
+    """Return the box of a reply. Return None if the reply does not have exactly one box of four finite numbers."""
     try:
         boxes = reply_object(reply, convention).get("evidence_bboxes")
     except DecodeError:
@@ -184,7 +187,10 @@ def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Writ
 
 
 class _Tried(NamedTuple):
-    """A reading applied to the replies under one key: the boxes (None for a refused box), and the score."""
+    """The result of applying one reading to the replies that write their box under one JSON key.
+
+    boxes: one box per reply, None if the box is invalid under this reading. score: the score of the reading.
+    """
 
     boxes: tuple[Box | None, ...]
     score: Score
@@ -196,7 +202,10 @@ class _Tried(NamedTuple):
 
 
 def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple[list[Score], str]:
-    """Return a score per key and reading, and the reason why no reading may be chosen, or ""."""
+    """Return the scores, and the reason why no reading may be chosen, or "".
+
+    There is one score for each reading of each JSON key that the replies use.
+    """
     scores: list[Score] = []
     reasons = []
     for key in KEYS:

@@ -1,9 +1,9 @@
 """Client of OpenAI-compatible chat servers.
 
 A call that finishes cleanly is stored under the sha256 of the whole request, so that it is never paid for twice. The
-client repeats a call if the transport or the server breaks the call (timeout, unreadable reply, 5xx). If the server is
-busy (429, 503, 529) or cannot be reached, the client repeats the call for a longer time. Any other refusal raises an
-EndpointError immediately. API keys come from the environment and are sent only in the headers of requests.
+client repeats a call for about two minutes if the server is busy (429, 503, 529) or cannot be reached. The client
+repeats a call a few times if the call breaks (timeout, unreadable reply, any other 5xx). Any other refusal raises an
+exception immediately. API keys come from the environment and are sent only in the headers of requests.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class _BrokenError(Exception):
 
 
 class _PassingError(_BrokenError):
-    """A failure of a server that may recover soon. The call waits and is repeated."""
+    """A failure of a server that may recover soon. The client waits, and then repeats the call."""
 
 
 class Client:
@@ -108,7 +108,7 @@ class Client:
             model: The model id that requests name.
             options: The request settings.
             convention: How thinking is turned on and off, and which part of a reply is the answer.
-            cache: The file of finished calls. None stores no calls.
+            cache: The file of finished calls. If it is None, no calls are stored.
             bounds: Maximum durations of an exchange with the server, and the maximum size of a reply.
             pause: Called with a number of seconds in order to wait that long.
             clock: Called in order to get the time in seconds.
@@ -157,7 +157,7 @@ class Client:
         Raises:
             EndpointError: If the server refuses the request, or if all retries fail.
             RunStoppedError: If the server was busy or could not be reached for two minutes, and no other call succeeded
-                in this time. Also if the server refuses the key, or if the calls have cost all credit or `max_cost`.
+                in this time. Also if the server refuses the key, if no credit is left, or if `max_cost` is spent.
         """
         request = self.options.request(self.model, self.convention, schema)
         if self._calls is None:
@@ -172,7 +172,7 @@ class Client:
         return reply
 
     def _cacheable(self, reply: Reply) -> bool:
-        """Return whether a reply finished cleanly, has an answer, and names the same model as the first reply."""
+        """Return whether a reply finished cleanly, has an answer, and names the model of the client's first reply."""
         of_model = reply.model == next(iter(self.served), reply.model)
         return of_model and reply.finished and bool(answer_text(reply, self.convention))
 
@@ -205,7 +205,10 @@ class Client:
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
     def _send(self, request: Mapping[str, Any], *, probe: bool = False) -> Reply:
-        """Send a request. If the server refuses the older name of the token limit, send it with the newer name."""
+        """Send a request and return the reply.
+
+        If the server refuses the older name of the token limit, the request is sent again with the newer name.
+        """
         longer = self._longer_name
         if longer:
             request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}

@@ -41,12 +41,12 @@ class Convention:
     """Convention of a family of models.
 
     boxes: the keys under which a reply may hold a box, each with the order of its four numbers. The contract's key
-    `bbox` is always one of these keys. scales: the scale of the numbers under a key of `boxes`. A key that `scales`
-    lacks has numbers in thousandths of the image. thinking: pairs of delimiters that open and close the thinking in a
-    reply. thinks: whether the chat template makes the model think by default, None if unknown. switches: whether
-    `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple: the model resizes images so that
-    both sides are multiples of this number of pixels. image_pixels: the maximum number of pixels of a resized image, 0
-    if unknown. calibrated: whether `calibrate` found the orders and scales.
+    `bbox` is always one of these keys. scales: the scale of the numbers under a key of `boxes`. If a key is missing in
+    `scales`, its numbers are in thousandths of the image. thinking: pairs of delimiters that open and close the
+    thinking in a reply. thinks: whether the chat template makes the model think by default, None if unknown. switches:
+    whether `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple: the model resizes images so
+    that both sides are multiples of this number of pixels. image_pixels: the maximum number of pixels of a resized
+    image, 0 if unknown. calibrated: whether `calibrate` found the orders and scales.
     """
 
     name: str

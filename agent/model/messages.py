@@ -161,14 +161,14 @@ def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
 
 
 def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
-    """Return messages for a transcript.
+    """Return messages in the form that a transcript stores.
 
     Args:
         messages: A chat.
 
     Returns:
-        The role and the text of each message. A text has the name of each picture, so that the picture can be made
-            again.
+        The role and the text of each message. The text contains the name of each picture, so that the picture can be
+            made again.
     """
     return [{"role": message.role, "content": message.text} for message in messages]
 

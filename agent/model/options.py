@@ -114,7 +114,7 @@ class EndpointOptions(Options):
             schema: The JSON schema of the reply. None if the reply is free text.
 
         Returns:
-            The values by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.
+            The values of the body by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.
         """
         name = "max_tokens" if self.token_parameter == AUTO else self.token_parameter
         request: dict[str, Any] = {"model": model}

@@ -53,7 +53,10 @@ _TRIES: Final = 200
 
 @dataclass(frozen=True)
 class DrawnPicture:
-    """A picture, its size in pixels, and its marked rectangle: the box in pixels and the colour."""
+    """A picture with one marked rectangle.
+
+    size: width and height of the picture in pixels. box: the rectangle in pixels. color: the colour of the rectangle.
+    """
 
     picture: Picture
     size: tuple[int, int]
@@ -66,7 +69,8 @@ def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
     """Draw a picture with one marked rectangle, or with no shape.
 
     Args:
-        size: Width and height in pixels. A panorama gets noise, so that its file is as large as a real one (650 kB).
+        size: Width and height in pixels. If they are the size of a panorama, the picture gets noise. Its file is then
+            as large as the file of a real panorama (650 kB).
         box: The rectangle in pixels. None draws no rectangle.
 
     Returns:

@@ -29,8 +29,9 @@ _SECRET: Final = 16
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of one exchange: seconds to connect, seconds of a whole probe, and bytes of a reply.
+    """Limits of one exchange.
 
+    connect_s: the seconds to connect. probe_s: the seconds of a whole probe. reply_bytes: the bytes of a reply.
     For comparison, a reply of a few thousand tokens has some kilobytes.
     """
 
@@ -135,7 +136,7 @@ def _certificates(environment: bool) -> ssl.SSLContext:
 
 
 class Credentials:
-    """Headers of requests. Their values come from the environment and must not appear in messages or replies."""
+    """Headers of requests. The values are secrets of the environment: error messages and stored replies hide them."""
 
     def __init__(self, key_variable: str, header_variables: Mapping[str, str]) -> None:
         """Read the key and the headers from the environment.

@@ -1,7 +1,7 @@
 """Shell completion for the names of runs, sequences and saved queries.
 
-The runs and sequences belong to the store that `--store` or the environment variable names. In bash, the line
-`eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"` switches completion on. In zsh or fish, replace bash_source by
+The runs and sequences belong to the store that `--store` or the environment variable JRDB_AVR_STORE names. In bash, the
+line `eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"` switches completion on. In zsh or fish, replace bash_source by
 zsh_source or fish_source.
 """
 

@@ -114,7 +114,7 @@ def page_option(default: str) -> Callable[[_C], _C]:
 
 
 def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[_C], _C]:
-    """Add an option NAME=VALUE that may be repeated. The command gets a list of pairs (name, value)."""
+    """Add a repeatable option with values of the form NAME=VALUE. The command gets a list of pairs (name, value)."""
 
     def split(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
         for text in texts:

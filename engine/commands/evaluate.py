@@ -135,7 +135,7 @@ def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
 
 
 def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
-    """Raise UsageError if two runs have the same name. Otherwise the second run would fail after the first."""
+    """Raise UsageError if two runs have the same name, because the second run would fail after the first."""
     from jrdb_avr.engine.run.evaluate import name_run
 
     names = [name_run(store, *evaluation) for evaluation in evaluations]

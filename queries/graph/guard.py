@@ -1,7 +1,7 @@
 """Execution of users' Cypher statements. A statement may only read, and it runs in a child process.
 
 A statement can make the engine read and write files (LOAD FROM, COPY TO, EXPORT, ATTACH), even if the database is open
-for reading only. The engine does not report this. So there are three safeguards:
+for reading only. The engine does not report such an access. So there are three safeguards:
 
 - The keywords of the statement are checked. A statement is refused if it has a clause that writes data, loads or
   attaches a file, installs an extension, calls a procedure, or begins or ends a transaction. A second statement is

@@ -2,8 +2,8 @@
 
 The class `Graph` is a session. It handles these properties of the engine Kùzu for its callers:
 
-- *A process can open a graph file only once, and either one process writes or several processes read it*. Sessions
-  share one database per file (`database.py`).
+- *A process can open a graph file only once. Either one process writes the file, or several processes read the file*.
+  Sessions share one database per file (`database.py`).
 - *The engine answers some statements wrongly without an error* (`wrong_answers.py`). The session checks each distinct
   statement once, and refuses a statement that would be answered wrongly.
 - *The order of rows differs between runs*. A statement that reads must have an ORDER BY or return a single row. Callers

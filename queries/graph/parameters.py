@@ -32,7 +32,7 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     Args:
         cypher: Statement. A semicolon at the end is removed.
         params: Values of the parameters, by name. A value is None, bool, int (64 bits), float, str, a numpy scalar, a
-            list or dict of these, or an Arrow table (for `LOAD FROM $name`).
+            list or dict of such values, or an Arrow table (for `LOAD FROM $name`).
 
     Returns:
         The statement with typed parameters, and the values to pass to the engine.

@@ -1,8 +1,8 @@
 """Checks that refuse statements which the engine is known to answer wrongly.
 
-The checks look at the plan and at the keywords of a statement. Each fault was found by a comparison of the engine with
-a brute-force search. For each fault, a test fails if a later version of the engine answers correctly. The
-check for this fault can then be removed.
+The checks look at the plan and at the keywords of a statement. The list below has the known faults of the engine. Each
+fault was found by a comparison of the engine with a brute-force search. For each fault, a test fails if a later version
+of the engine answers correctly. The check for the fault can then be removed.
 
 - *Cyclic patterns lose parallel edges*. If the plan has INTERSECT, the engine may return 2 rows instead of 4.
 - *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. An alias, a cast to BOOL or a CASE
