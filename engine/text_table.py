@@ -1,8 +1,8 @@
 """Layout of rows as text tables that fit into a given width. Words and numbers are not split.
 
-Long cells wrap between words. A table that is still too wide is transposed if it has only one row, or if it
-has few rows and the transposed table fits. Any other table that is too wide is divided into several tables, which share
-its columns among them.
+Long cells wrap between words. A table that is still too wide is transposed if it has only one row, or if it has few
+rows and the transposed table fits. Any other table that is still too wide is divided: its columns are distributed over
+several tables.
 """
 
 from __future__ import annotations

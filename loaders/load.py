@@ -327,7 +327,7 @@ def _finish(
     entries: dict[str, SequenceEntry],
     parts: Sequence[str],
 ) -> list[str]:
-    """Build the graph, then move the staged folders `parts` and the manifest into the store.
+    """Build the graph, then move the staged folders named in `parts`, and the staged manifest, into the store.
 
     Return one line for each run that the graph leaves out.
     """
@@ -344,7 +344,7 @@ def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
 
 
 def _half_moved(store: Store) -> bool:
-    """Return whether a load was killed after it deleted the old manifest and before it moved the new one."""
+    """Return whether a load was killed between the deletion of the old manifest and the move of the new manifest."""
     return (store.path / STAGING / "store.json").exists() and not (store.path / "store.json").exists()
 
 
@@ -397,7 +397,7 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
 
 
 def _nothing(root: Root, reports: list[SequenceReport]) -> str:
-    """Return the message that no sequence of a root could be loaded. The message states the first problem."""
+    """Return the error message for a root if no sequence could be loaded. The message states the first problem."""
     first = next((problem for report in reports for problem in report.problems), None)
     why = f"; first: {first.reason}" if first else ""
     return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"

@@ -43,8 +43,8 @@ class Problems:
         Args:
             kind: "file", "frame", "record" or "field".
             reason: reason of the refusal.
-            frame: frame key or name of the first part. Of the calls that are counted together, only the first sets the
-                frame and the value of the example.
+            frame: frame key or name of the first part. If the parts of several calls are counted together, the `frame`
+                and the `value` of the first call are kept as the example.
             field: name of the offending field.
             value: offending value of the first part.
             count: number of parts.
@@ -57,7 +57,7 @@ class Problems:
         self._problems[kind, reason, field] = example
 
     def without(self, reported: Problems) -> None:
-        """Remove each problem that is also in `reported` with the same count.
+        """Remove each problem that is also in `reported` with an equal reason, field and count.
 
         `reported` is the counter of another reader of the same file.
         """

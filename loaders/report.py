@@ -153,7 +153,7 @@ def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
 def sequence_warnings(
     labels: FrameRange | None, images: FrameRange | None, heading: Heading | None, cameras: Cameras | None
 ) -> list[str]:
-    """Return the warnings for the user that follow from the checks of a sequence, one line per warning."""
+    """Return one line of warning for each check of a sequence that has found a fault."""
     lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
         lines.append(

@@ -197,7 +197,7 @@ class Attempt:
                 chat. For the first call, the list is empty. For the second call, the list holds one line: why the first
                 reply could not be read.
             schema: The JSON Schema of the reply.
-            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
+            read: Called with the JSON object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.
@@ -220,7 +220,7 @@ class Attempt:
             parts: The parts of the user message between the question and the instructions, such as panoramas.
             stage: The instructions of the stage, which come last.
             schema: The JSON Schema of the reply.
-            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
+            read: Called with the JSON object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.

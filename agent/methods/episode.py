@@ -70,7 +70,7 @@ class Episode:
             task: The question, with the functions that return its pictures.
             budget: The maximum number of looks.
             convention: How the player writes boxes.
-            chat: The model, for a method that makes model calls through `attempt`. None if a player makes the moves.
+            chat: The model that a method calls through `attempt`. None if the player calls no model through `attempt`.
         """
         self.attempt = Attempt(task, chat, convention)
         self.question: Question = task.question

@@ -37,9 +37,9 @@ _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, Recursio
 class Calls:
     """A file of finished calls. Many threads may use it at the same time.
 
-    The file is opened when it is first read or written. Lines of other processes are read too if they were
-    written before that time. Later lines of other processes may be missed. If several lines of a request have been
-    read, the newest of these lines is used.
+    The file is opened when it is first read or written. Lines that other processes wrote before the opening are read
+    too. Lines that other processes write later may be missed. If several lines of a request have been read, the newest
+    of these lines is used.
     """
 
     def __init__(self, path: Path) -> None:

@@ -108,7 +108,7 @@ class Client:
             model: The model id that requests name.
             options: The request settings.
             convention: How thinking is turned on and off, and which part of a reply is the answer.
-            cache: The file of finished calls. None stores no calls.
+            cache: The file of finished calls. If it is None, no calls are stored.
             bounds: Maximum durations of an exchange with the server, and the maximum size of a reply.
             pause: Called with a number of seconds in order to wait that long.
             clock: Called in order to get the time in seconds.

@@ -4,7 +4,7 @@ A reply must be one JSON object. The object may be in a code fence. Thinking may
 delimiters enclose the thinking. A box is four numbers under a key. The model's convention, which is fixed before the
 first reply, says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are
 not swapped. An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded
-independently, so one of them can be valid if the other is not. No function here gets a true answer or a true box.
+independently, so one of them can be valid even if the other is not. No function here gets a true answer or a true box.
 """
 
 from __future__ import annotations

@@ -219,7 +219,7 @@ def _after_thinking(text: str, convention: Convention) -> str:
 def _without_blocks(text: str, opening: str, closing: str) -> str:
     """Return the text outside of thinking. It is empty if the reply holds only thinking.
 
-    Text before a block of thinking stays, because a reply with an answer before and after a block has two answers. If
+    Text before a block of thinking stays, because a reply with an answer before and after a block must be refused. If
     the opening delimiter is missing, everything before the closing delimiter is thinking. An opening delimiter that
     follows text and is never closed counts as text.
     """

@@ -136,7 +136,7 @@ def _certificates(environment: bool) -> ssl.SSLContext:
 
 
 class Credentials:
-    """Headers of requests. Their values come from the environment and must not appear in messages or replies."""
+    """Headers of requests, with secrets from the environment. `hide` and `hide_in_json` remove these secrets."""
 
     def __init__(self, key_variable: str, header_variables: Mapping[str, str]) -> None:
         """Read the key and the headers from the environment.

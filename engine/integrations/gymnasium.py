@@ -8,9 +8,9 @@ one of the legal frames and `angle` a direction (1 is 360 degrees). For an answe
 picture, and the meaning of `numbers` depends on the answer mode: a choice, one or two frames of the sequence, a frame
 and an angle, or a value (1 is `LARGEST`).
 
-A refused action costs a move, and `info` has the reason. The reward is always 0, unless the environment was made with
-the argument `reward`, which names a score. The reward of the last step is then this score of the prediction. This
-module needs the extra `gym`.
+A refused action costs a move, and `info` has the reason. If the environment was made with the argument `reward`, which
+names a score, the reward of the last step is this score of the prediction. All other rewards are 0. This module needs
+the extra `gym`.
 """
 
 from __future__ import annotations

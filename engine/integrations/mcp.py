@@ -62,7 +62,7 @@ class _Open:
 
 
 class Desk:
-    """The MCP tools and their state: the questions that are due, and the questions that the agent has begun."""
+    """The MCP tools and their state: the questions that wait, and the questions that the agent has begun."""
 
     def __init__(self, bench: Bench, run: Run) -> None:
         self._bench, self._run = bench, run

@@ -266,7 +266,7 @@ def decode_panorama(data: bytes, name: str) -> Image:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Return the width and height in the frame header of a JPEG, or None if there is no such header."""
+    """Return the width and height in the frame header of a JPEG, or None if the JPEG has no frame header."""
     at = 2
     while at + 9 <= len(data):
         if data[at] != 0xFF:

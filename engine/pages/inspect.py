@@ -112,8 +112,8 @@ class Inspected:
         moments: Frame of each time that the plan names, by the name of the time.
         annotated: Frame at which the page shows a time (see `nearest_annotated`), by the name of the time.
         decisive: The box that shows the answer. If the answer is a count, the first of the boxes that the answer needs.
-        boxes: Boxes of people in each frame that the page shows, by frame. Each box is in a pair with the role of its
-            person.
+        boxes: Boxes of people in each frame that the page shows, by frame. Each frame has a list of pairs. A pair is
+            the role and the box of a person.
         around: Boxes one second before and after each frame that the page shows, by frame. For each frame, there are
             two tuples of three members. The first member is -1 (before) or 1 (after). The second member is the frame
             at that time. The third member is a list of boxes, like the lists in `boxes`.

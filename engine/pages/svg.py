@@ -134,7 +134,7 @@ def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ..
 
 
 def _timed(text: str, at: str | None, several: bool) -> str:
-    """Return `text`, followed by the name of a time (`at`) if there is one and the plan has several times."""
+    """Return `text`. If `at` is the name of a time and the plan has several times, append this name to the text."""
     return f"{text}, {at}" if several and at else text
 
 
@@ -160,7 +160,7 @@ class Dot(NamedTuple):
         row: The run's row of the table `main`.
         label_x: Horizontal position of the centre of the printed number.
         label_y: Vertical position of the centre of the printed number.
-        leads: Whether the printed number is so far from the dot that a line must connect the two.
+        leads: Whether the printed number is so far from the dot that a line must connect the number with the dot.
     """
 
     x: float

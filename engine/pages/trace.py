@@ -138,7 +138,7 @@ def _frames(mode: str, text: str | None) -> list[int]:
 
 
 def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
-    """Return the path of the target as segments, which are lists of (column, frame).
+    """Return the path of the target as segments. A segment is a list of points, and a point is a pair (column, frame).
 
     A new segment begins after a gap in the frames, and after the target has crossed the seam of the panorama.
     """
@@ -154,7 +154,7 @@ def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
 
 
 def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
-    """Return the marks on the map: sightings of entities, and relations between entities in one frame.
+    """Return the marks on the map. A mark shows a sighting of an entity, or a relation between entities in one frame.
 
     Each mark has a step, a colour (`role`), a frame, a column and a text. The mark of a sighting also has a name
     (`label`, which may be empty). `label_y` is the distance from the mark down to the name. The mark of a relation also

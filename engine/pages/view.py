@@ -1,7 +1,7 @@
 """The pages of the command `view`: an overview of runs and questions, one question, and a comparison of two runs.
 
 If scores are not shown, only public files are read. The pages then have no true answer, no box of the target, and no
-outcome.
+outcome of a run.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class ViewedRun:
         manifest: The run's manifest.
         predictions: For each question id, the row of the table `predictions`.
         scores: By question id, the scores answer, evidence and combined, each 0 or 1. Empty if scores are not shown.
-        causes: By question id, the reason why the evidence box scores 0. Questions with another evidence score are
-            missing. Empty if scores are not shown.
+        causes: By question id, the reason why the evidence score is 0. Questions with the evidence score 1 are missing.
+            Empty if scores are not shown.
     """
 
     manifest: RunManifest

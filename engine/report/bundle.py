@@ -46,7 +46,7 @@ class Bundle:
 
     @property
     def question_set(self) -> str:
-        """Id of the set of questions that the run answered, 16 hex digits.
+        """Id of the set of questions that the run answered, as 16 hex digits.
 
         Two runs have the same id if they answered the same questions of the same questions file.
         """

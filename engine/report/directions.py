@@ -28,7 +28,7 @@ _SCORES: Final = ("answer", "evidence", "combined", "hallucination")
 
 
 def direction_lines(rows: Sequence[_Row]) -> list[str]:
-    """Describe in sentences how many directions of an ablation table agree with the paper, and which do not.
+    """Say how many directions of an ablation table agree with the paper, and list the other directions.
 
     Args:
         rows: Rows of the table `ablation`.

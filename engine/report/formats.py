@@ -15,7 +15,7 @@ Rows = Sequence[Mapping[str, Any]]
 _MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"})
 
 MARK: Final = "*"
-"""Mark after the `n` of a run that has another number of questions than most runs."""
+"""Mark that follows the value of `n` if this value differs from the `n` of most runs."""
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
 """Score columns of the table `main` in a paper, in order. They follow the columns that name the run."""
@@ -32,7 +32,7 @@ def cell(value: object, column: str = "", decimals: int = 2) -> str:
     Args:
         value: The value. None becomes "n/a".
         column: The name of the value's column. Floats in the column `p` get four decimals.
-        decimals: Number of decimals of floats in other columns.
+        decimals: Number of decimals of floats in all columns other than `p`.
 
     Returns:
         The text.
@@ -48,7 +48,8 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
     """Put each share and its interval into one cell, such as `12.50 [8.10, 17.20]`.
 
     Args:
-        rows: Rows with columns `NAME`, `NAME_low` and `NAME_high`.
+        rows: Rows of a table. If the column `NAME` has shares, the columns `NAME_low` and `NAME_high` have the bounds
+            of their intervals.
 
     Returns:
         The rows with all values as text. A row with too few sequences has no intervals. If at least one row
@@ -153,8 +154,8 @@ def markdown(rows: Rows) -> str:
 def latex(rows: Rows) -> str:
     """Return rows as a LaTeX table for the package booktabs.
 
-    If values repeat in the first column, rules separate the groups of equal values. Settings are long, so a cell of
-    the column `setting` has only the number of a note. The notes are below the table.
+    If values repeat in the first column, horizontal lines separate the groups of equal values. Settings are long,
+    so a cell of the column `setting` has only the number of a note. The notes are below the table.
 
     Args:
         rows: The rows. `cell` formats their values.

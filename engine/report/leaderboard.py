@@ -43,8 +43,9 @@ class Leaderboard(Displayed):
     """Scored bundles.
 
     Attributes:
-        sets: For each question set, its entries. The entry with the best combined score comes first.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        sets: One list of entries for each question set. In each list, the entry with the best combined score comes
+            first.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
     """
 
     sets: list[list[Entry]]
@@ -76,7 +77,7 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
     Args:
         store: The store that has the answers, or its folder.
         folders: Folders of bundles. A bundle that cannot be scored is left out with an AvrWarning.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The leaderboard. Each set of questions has its own ranking. The set with the most questions comes first.
@@ -111,7 +112,7 @@ def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou:
     Args:
         store: The store that has the answers, or its folder.
         folders: Folders of bundles.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The scores of each bundle, in the order of the folders.

@@ -78,7 +78,7 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     Args:
         truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         submission: The run.
-        iou: Minimum IoU for right evidence, in (0, 1].
+        iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
 
     Returns:
         The run with its scores. Its questions are in the order of `truth`.
@@ -116,7 +116,7 @@ def score_runs(
         truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         sources: Run ids, or folders of bundles.
         read: Function that is called with each source and returns the run of the source.
-        iou: Minimum IoU for right evidence, in (0, 1].
+        iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
         refuse: Function that is called with the error if a run cannot be scored. If the function returns, the run is
             left out. If the function raises the error, no further run is scored.
 
@@ -138,7 +138,7 @@ def write_scores(store: Store, run: ScoredRun, iou: float) -> None:
     Args:
         store: The store of the run.
         run: The scored run.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
     """
     path = store.run_path(run.manifest.run_id) / "scores.parquet"
     write_table(path, make_scores_table(run), RUNS["scores"], {"evidence_iou": f"{iou:g}"})

@@ -24,7 +24,7 @@ from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.tables import RUNS
 
 DEFAULT_IOU: Final = 0.5
-"""Default minimum IoU of the evidence box and the target's box for right evidence."""
+"""Default minimum IoU with the target's box that makes an evidence box right."""
 
 
 def score_predictions(
@@ -37,7 +37,7 @@ def score_predictions(
         run_id: The id of the run, for the table and for messages.
         question_ids: The ids of the run's n questions.
         predictions: Rows of the table `predictions`, in any order.
-        iou: Minimum IoU for right evidence, in (0, 1].
+        iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
 
     Returns:
         The table `scores` with one row per question of the run, in the order of `question_ids`.
@@ -141,7 +141,7 @@ def find_target_boxes(truth: Truth, rows: Ints, frame: Ints) -> tuple[Bools, Flo
 
     Args:
         truth: The true answers and evidence.
-        rows: Row number in `truth` of each question. Shape: (n,).
+        rows: For each question, its row number in `truth`. Shape: (n,).
         frame: Index of the frame in which the target's box is sought, for each question. Shape: (n,).
 
     Returns:

@@ -46,7 +46,7 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
     Args:
         index: The questions of the store, with their labels.
         runs: Scored runs.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         One row per run: the scores with 95 % intervals (bootstrap over sequences), and macro averages of the scores
@@ -173,7 +173,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
 
     Args:
         run: The scored run.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The scores of the run in percent of the run's questions.

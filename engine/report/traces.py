@@ -58,7 +58,7 @@ class Written:
     Attributes:
         row: The write's row of the table `world`.
         step: Index of the step that made the write.
-        until: Index of the step whose write replaced this write, or `ALWAYS` if no write replaced it.
+        until: Index of the step that replaced this write by a later write. `ALWAYS` if this write was never replaced.
         fact: The written fact.
     """
 

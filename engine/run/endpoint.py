@@ -101,7 +101,7 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
         model: The id of the model.
         base_url: The address of a running server. None starts the server of the simulated model.
         log: The log file of the simulated model. None writes no log.
-        knobs: The knobs of the simulated model. Default: the knobs of its profile.
+        knobs: The knobs of the simulated model. Default: the knobs of the profile that `model` names.
 
     Yields:
         The address.

@@ -330,7 +330,7 @@ def _read_line(path: Path, number: int, line: bytes) -> str:
 
 
 def _sync(folder: Path) -> None:
-    """Sync a folder to the disk, so that a new file in it survives a crash. Raise OSError if that fails."""
+    """Sync a folder to the disk, so that a new file in it survives a crash. Raise OSError if syncing fails."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

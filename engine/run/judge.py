@@ -71,7 +71,10 @@ class Judge(contextlib.ExitStack):
 
     @classmethod
     def open(cls, store: Store | str | Path) -> Judge:
-        """Return the judge of a store. Raise StoreError if the store's answers are missing or cannot be read."""
+        """Start a judge that uses the answers of a store, and return the judge.
+
+        Raise StoreError if the store's answers are missing or cannot be read.
+        """
         return cls(Store.of(store))
 
     def score(self, question: Question, prediction: Prediction) -> QuestionScore:

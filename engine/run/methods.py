@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
-"""Name of the model in the manifest of a run whose method calls no model."""
+"""Name that a manifest has instead of the id of a model if the method of the run calls no model."""
 
 METHODS: Final = (
     "monolithic",

@@ -1,7 +1,7 @@
 """Replace the names of sequences by opaque names, because a real name tells a method where a recording was made.
 
-An opaque name is made of the HMAC-SHA256 of the real name. The key is the file `opaque.key` of the store, so that all
-runs of a store have the same opaque names. No module of `agent` opens this file.
+An opaque name is made of the HMAC-SHA256 of the real name. The key of the HMAC is in the file `opaque.key` of the
+store, so that a sequence has the same opaque name in all runs of the store. No module of `agent` opens this file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _KEY_BYTES: Final = 32
 
 
 def key_path(store: Store) -> Path:
-    """Return the path of the file with the store's key."""
+    """Return the path of the file that holds the store's key."""
     return store.path / "opaque.key"
 
 

@@ -111,7 +111,7 @@ class MethodOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Options):
-    """Options of the run itself: its name, its files, and how it proceeds.
+    """Options of the run itself, such as its id, its files, and the questions that it answers at the same time.
 
     To answer the same questions several times, make several runs that differ in `epoch`: 1, 2, 3 and so on. The name of
     such a run ends in its epoch. In each epoch, the simulated model has another seed.

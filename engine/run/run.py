@@ -143,7 +143,7 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
         manifest: The manifest of the new or resumed run.
 
     Raises:
-        StoreError: If a setting that influences predictions differs. The message names the setting.
+        StoreError: If the manifests differ in a setting that influences predictions. The message names the setting.
     """
     if not has_manifest(store, manifest.run_id):
         write_run_manifest(store, manifest)

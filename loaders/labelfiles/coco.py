@@ -122,7 +122,7 @@ class Images:
     """Map from image ids to frames, for the images that are frames of the sequence.
 
     ids: image ids, ascending.
-    frame: frame of the image with each id, in the order of `ids`. No two images have the same frame.
+    frame: frames of the images, in the order of `ids`. No two images have the same frame.
     """
 
     def __init__(self, file: CocoFile, sequence: str, problems: Problems) -> None:

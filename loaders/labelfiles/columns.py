@@ -41,7 +41,7 @@ def paired(high: Ints, low: Ints) -> Ints:
 
 
 def unpaired(pairs: Ints) -> tuple[Ints, Ints]:
-    """Split numbers that `paired` made. Return the first number of each pair, and the second number of each pair."""
+    """Split numbers that `paired` made. Return the array of all first numbers, and the array of all second numbers."""
     return pairs >> PAIR_BITS, pairs & ((1 << PAIR_BITS) - 1)
 
 
@@ -51,15 +51,15 @@ def whole_numbers(table: pa.Table, name: str) -> Ints:
 
 
 def texts(values: Sequence[str], codes: Ints) -> pa.Array:
-    """Return an Arrow array of strings: `values[code]` for each code, or null if the code is negative."""
+    """Return an Arrow array with the string `values[code]` for each code in `codes`. A negative code gives null."""
     dictionary = pa.array(values, pa.string())
     return dictionary.take(pa.array(codes, pa.int64(), mask=codes < 0))
 
 
 def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
-    """Return an Arrow array of the type `kind` that has `values[code]` for each code.
+    """Return an Arrow array with the element `values[code]` for each code in `codes`.
 
-    If the type `kind` is string, the result is a dictionary array.
+    The array has the type `kind`. If `kind` is string, the result is a dictionary array of strings.
     """
     column, taken = pa.array(values, kind), pa.array(codes)
     if not pa.types.is_string(kind):

@@ -149,7 +149,10 @@ def _item(values: Any) -> Callable[[int], object]:
 
 
 def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> dict[str, Any]:
-    """Return the columns of a chunk, without the annotations that have no frame. A missing number becomes NaN."""
+    """Return the columns of a chunk of annotations. Annotations without a frame are left out.
+
+    The argument `frame` has the frame of each annotation, or -1. A missing number of a box or area becomes NaN.
+    """
     rows = np.flatnonzero(frame >= 0)
     chunk = [chunk[row] for row in rows.tolist()]
     refusals = Refusals(frame[rows], problems)

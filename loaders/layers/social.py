@@ -5,9 +5,9 @@ record: demographics, group information and interactions with people. Reasoning 
 Demographics and group information are lists of at most one object `{key: {label: difficulty}}`. These objects repeat
 between frames, and each distinct object is decoded once.
 
-If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes only
-show whether the file numbers its frames like the 2D layer. If a refused record may describe a person, no list in the
-record's frame is whole (see `relation_lists`), and the attributes in the frame are not used.
+If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes are
+used only to check whether the file numbers its frames like the 2D layer. If a refused record may describe a
+person, no list in the record's frame is whole (see `relation_lists`), and the attributes in the frame are not used.
 """
 
 from __future__ import annotations
@@ -186,7 +186,10 @@ def _box_table(box: npt.NDArray[np.float64], people: KeptRecords, refusals: Refu
 
 
 class _AttributeDecoder:
-    """Decoder that turns `[{key: {label: difficulty}}]` into facts (attribute, value, label, difficulty)."""
+    """Decoder of the JSON lists `[{key: {label: difficulty}}]` of attributes.
+
+    The content of a decoded fact is (attribute, value, label, difficulty).
+    """
 
     def __init__(self, field: str, keys: Mapping[str, str]) -> None:
         self._field, self._keys = field, keys

@@ -49,7 +49,7 @@ def engine() -> Any:
 
 @dataclass
 class SharedDatabase:
-    """Database of the graph engine that is open, and that several sessions may share.
+    """Open database of the graph engine. Several sessions of this process may share the database.
 
     Attributes:
         database: Database object of the engine.
