@@ -130,7 +130,7 @@ class Store(Displayed):
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the rows of `intervals_<kind>`. The rows of `intervals_possible_<kind>` follow, with `certain` = false."""
+        """Return the rows of `intervals_<kind>`, then the rows of `intervals_possible_<kind>` (as not `certain`)."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
