@@ -10,7 +10,7 @@ import msgspec
 
 
 class Problem(msgspec.Struct):
-    """Number of parts that were refused or skipped for one reason. The first of these parts is kept as an example."""
+    """Reason why parts of the input were refused or skipped, with their number and the first part as an example."""
 
     kind: str
     """What each counted part is: "file", "frame", "record" or "field"."""

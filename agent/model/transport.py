@@ -86,8 +86,8 @@ class Connections:
             The response and the bytes of its body.
 
         Raises:
-            EndpointError: If the server redirects, because the key must not be sent elsewhere. Also if the reply is too
-                long, or if it is compressed, because it could unpack to a huge size.
+            EndpointError: If the server redirects, or if the reply is too long or compressed. A redirect is not followed, so
+                that the key is not sent elsewhere. A compressed reply could unpack to a huge size.
             httpx2.HTTPError: If the server cannot be reached, or if the reply breaks off or does not end in time.
         """
         import httpx2
@@ -146,7 +146,8 @@ class Credentials:
             header_variables: For each further header, the environment variable that holds the header's value.
 
         Raises:
-            EndpointError: If a variable has no value that a header can hold. The message does not contain the value.
+            EndpointError: If a header variable is unset, or if a value has characters that a header cannot hold. The
+                message does not contain the value.
         """
         key = _read_variable(key_variable, "[!-~]*")
         values = {name: _read_variable(variable, "[ -~]+") for name, variable in header_variables.items()}
@@ -182,7 +183,7 @@ def _read_variable(variable: str, form: str) -> str:
 
 
 def _forms(character: str) -> str:
-    """Return a regular expression that matches all forms in which a server may write a character in JSON."""
+    """Return a regular expression for a given character: the character itself, or its JSON escape."""
     return rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))"
 
 

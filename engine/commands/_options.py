@@ -100,7 +100,7 @@ iou_option = click.option(
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=0.5,
     show_default=True,
-    help="Minimum IoU of the predicted box with the true box for the evidence to be correct.",
+    help="Evidence is right if the IoU of the predicted box and the true box is at least this value.",
 )
 
 port_option = click.option(

@@ -80,7 +80,7 @@ def timeline_rows(
         role: The person's node in the plan.
         plan: The plan of the question.
         people: Track id of each person of the plan, by node.
-        moments: Frame of each time that the plan names, by the name of the time.
+        moments: Mapping from the name of a time in the plan to its frame.
         sightings: The person's rows of the table `sightings`.
         sequence: The tables of the sequence.
 

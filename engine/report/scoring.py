@@ -3,7 +3,7 @@
 Each question of a run has one row with three scores of 0 or 1. The answer score compares the answer with the true
 answer under the question's answer mode (`schema/answer_modes.py`). The evidence score compares the evidence box with
 the target's box. The combined score is the product of the two scores. Missing, unreadable and failed predictions score
-0, so that means are over all questions of the run.
+0. Therefore each mean covers all questions of the run.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
         dimension: A name of `DIMENSIONS`.
 
     Returns:
-        One row for each pair of a value and a run that has questions with this value. Rows are grouped by value.
+        For each value, one row per run that has questions with this value.
     """
     labels = index.labels[dimension]
     columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]

@@ -182,7 +182,7 @@ class Decoded:
     def difficulty(self, value: object, name: str) -> int | None:
         """Return the difficulty code that `value` stands for, or None if `value` is unusable.
 
-        A label without a difficulty code is an unknown fact.
+        If the code of a label is unusable, the fact that the label states is unknown.
         """
         code: int | None = self.read(records.read_difficulty, value, name, "difficulty: ")
         return code
