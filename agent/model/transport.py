@@ -86,8 +86,8 @@ class Connections:
             The response and the bytes of its body.
 
         Raises:
-            EndpointError: If the server redirects, or if the reply is too long or compressed. A redirect is not followed, so
-                that the key is not sent elsewhere. A compressed reply could unpack to a huge size.
+            EndpointError: If the server redirects, or if the reply is too long or compressed. A redirect is not
+                followed, so that the key is not sent elsewhere. A compressed reply could unpack to a huge size.
             httpx2.HTTPError: If the server cannot be reached, or if the reply breaks off or does not end in time.
         """
         import httpx2
