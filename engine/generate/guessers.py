@@ -62,6 +62,7 @@ class LabelCounts:
             counts: For each (sequence, keyframe), the number of people in clear view by action.
         """
         self._at = counts
+        self._orders: dict[tuple[str, int], list[dict[str, int]]] = {}
         self._data: Counter[str] = Counter()
         self._in: dict[str, Counter[str]] = defaultdict(Counter)
         for (sequence, _), number in counts.items():
@@ -78,10 +79,13 @@ class LabelCounts:
 
     def orders(self, sequence: str, frame: int) -> list[dict[str, int]]:
         """Return the place of each action, the commonest first, in all data, in the sequence and at the keyframe."""
-        return [
-            {label: place for place, label in enumerate(sorted(CHOICE_LABELS, key=self._by(number)))}
-            for number in (self._data, self._in[sequence], self._at.get((sequence, frame), {}))
-        ]
+        found = self._orders.get((sequence, frame))
+        if found is None:
+            numbers = (self._data, self._in[sequence], self._at.get((sequence, frame), {}))
+            ordered = [sorted(CHOICE_LABELS, key=self._by(number)) for number in numbers]
+            found = [{label: place for place, label in enumerate(labels)} for labels in ordered]
+            self._orders[sequence, frame] = found
+        return found
 
     def ranks(self, sequence: str, frame: int, truth: str, wrong: Iterable[str]) -> tuple[int, ...]:
         """Return how many wrong choices are commoner than the right one, in each of `orders`."""
