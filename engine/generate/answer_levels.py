@@ -18,7 +18,6 @@ from jrdb_avr.engine.generate.hashes import hashed
 from jrdb_avr.engine.generate.levelling import Candidate, Question, Twins, doublings, sequence_cap, sizes_of
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.arrays import Ints
-from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 MAX_ANSWER_PERCENT: Final = 31
 """Maximum share of one answer, in percent."""
