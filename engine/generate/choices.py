@@ -120,19 +120,20 @@ def wrong_choices(truth: str, false: Collection[str], words: Iterable[str], pres
 
 
 @lru_cache(maxsize=4096)
-def wrong_triples(wrong: frozenset[str]) -> tuple[tuple[str, str, str], ...]:
-    """List the sets of three wrong choices, of which no two may be called the same.
+def wrong_sets(wrong: frozenset[str], size: int = 3) -> tuple[tuple[str, ...], ...]:
+    """List the sets of wrong choices, of which no two may be called the same.
 
     Args:
         wrong: The actions of `wrong_choices`.
+        size: Number of actions in a set.
 
     Returns:
         The sets, each sorted, in lexical order.
     """
     return tuple(
-        triple
-        for triple in itertools.combinations(sorted(wrong), 3)
-        if not any(may_be_same(*pair) for pair in itertools.combinations(triple, 2))
+        actions
+        for actions in itertools.combinations(sorted(wrong), size)
+        if not any(may_be_same(*pair) for pair in itertools.combinations(actions, 2))
     )
 
 

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.engine.generate.choices import wrong_triples
+from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import JUDGED, LabelCounts, Offer, within_bound
 from jrdb_avr.engine.generate.hashes import hashed, in_hash_order, mixed
 from jrdb_avr.engine.generate.near_duplicates import Subject, Taken
@@ -291,7 +291,7 @@ _BASE: Final = np.array([1, 64, 64 * 64], np.uint64)
 @lru_cache(maxsize=4096)
 def _coded_triples(wrong: frozenset[str]) -> npt.NDArray[np.int8]:
     """Return codes of the sets of three wrong choices (sets, 3)."""
-    return np.array([[_CODE[x] for x in triple] for triple in wrong_triples(wrong)], np.int8).reshape(-1, 3)
+    return np.array([[_CODE[x] for x in triple] for triple in wrong_sets(wrong)], np.int8).reshape(-1, 3)
 
 
 @dataclass
@@ -334,15 +334,14 @@ class Selector:
     def put_twins(self, pair: Twins) -> bool:
         """Select two twins with the wrong choices that are cheapest for both; tell whether caps allow it."""
         first, second = pair
-        shared = [x for x in wrong_triples(first.wrong) if second.truth in x]
-        shared = [x for x in shared if {first.truth, *x} - {second.truth} in map(set, wrong_triples(second.wrong))]
+        shared = wrong_sets(first.wrong & second.wrong, 2)
         moments = [moment_hash(candidate) for candidate in pair]
         if not shared or any(moment in self.chosen for moment in moments) or not self.admits(first):
             return False
         key, options = min(first.key, second.key), []
         for wrong in shared:
-            other = tuple(sorted({first.truth, *wrong} - {second.truth}))
-            one, two = Question(first, wrong, key), Question(second, other, key)
+            one = Question(first, tuple(sorted((second.truth, *wrong))), key)
+            two = Question(second, tuple(sorted((first.truth, *wrong))), key)
             cost = self.level.cost_of(one)
             self.level.add(one)
             cost += self.level.cost_of(two)
@@ -424,7 +423,7 @@ def group_moments(candidates: Iterable[Candidate]) -> dict[int, list[Candidate]]
     """Group candidates with choices by their moment, and keep of each right choice the one with the smallest key."""
     moments: dict[int, dict[str, Candidate]] = defaultdict(dict)
     for candidate in sorted(candidates, key=lambda candidate: candidate.key):
-        if wrong_triples(candidate.wrong):
+        if wrong_sets(candidate.wrong):
             moments[moment_hash(candidate)].setdefault(candidate.truth, candidate)
     return {moment: list(moments[moment].values()) for moment in sorted(moments)}
 
@@ -503,7 +502,7 @@ def level_choices(candidates: Sequence[Candidate], counts: LabelCounts) -> list[
         A question per candidate with at least three wrong choices, in the order of their keys.
     """
     level = Level(candidates, counts)
-    ordered = sorted((x for x in candidates if wrong_triples(x.wrong)), key=lambda candidate: candidate.key)
+    ordered = sorted((x for x in candidates if wrong_sets(x.wrong)), key=lambda candidate: candidate.key)
     chosen: dict[str, Question] = {}
     for turn in range(1 + PASSES):
         moved = False

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
-from jrdb_avr.engine.generate.choices import wrong_triples
+from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.hashes import hashed
 from jrdb_avr.engine.generate.levelling import Candidate, Twins, moment_hash
 from jrdb_avr.engine.generate.near_duplicates import Taken, near_frames
@@ -59,12 +59,7 @@ def may_be_twins(first: Candidate, second: Candidate, rules: Rules) -> bool:
         return False
     if first.truth not in second.wrong or second.truth not in first.wrong:
         return False
-    if first.truth not in CHOICE_LABELS:
-        return True
-    fitting = {frozenset((second.truth, *triple)) for triple in wrong_triples(second.wrong)}
-    return any(
-        second.truth in triple and frozenset((first.truth, *triple)) in fitting for triple in wrong_triples(first.wrong)
-    )
+    return first.truth not in CHOICE_LABELS or bool(wrong_sets(first.wrong & second.wrong, 2))
 
 
 def _possible(candidates: Iterable[Candidate], rules: Rules) -> Iterator[Twins]:

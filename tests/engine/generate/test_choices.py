@@ -12,7 +12,7 @@ from jrdb_avr.engine.generate.choices import (
     outcome,
     true_labels,
     wrong_choices,
-    wrong_triples,
+    wrong_sets,
 )
 from jrdb_avr.schema.labels import ACTIONS, CALLED, CHOICE_LABELS, POSES, implied_actions, may_be_same
 
@@ -67,8 +67,8 @@ def test_triples_are_all_sets_without_two_actions_that_may_be_called_the_same(wr
         for three in combinations(sorted(wrong), 3)
         if all(not may_be_same(one, other) for one, other in combinations(three, 2))
     }
-    assert set(wrong_triples(wrong)) == expected
-    assert len(wrong_triples(wrong)) == len(expected)
+    assert set(wrong_sets(wrong)) == expected
+    assert len(wrong_sets(wrong)) == len(expected)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.answer_levels import answer_contexts, select_answers
-from jrdb_avr.engine.generate.choices import wrong_triples
+from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares, within_bound
 from jrdb_avr.engine.generate.hashes import hashed
 from jrdb_avr.engine.generate.levelling import (
@@ -92,13 +92,13 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
     questions = []
     for number, choice in drawn:
         one = candidate(number)
-        if triples := wrong_triples(one.wrong):
+        if triples := wrong_sets(one.wrong):
             questions.append(Question(one, triples[choice % len(triples)]))
     level = Level([one.candidate for one in questions], COUNTS)
     for place, question in enumerate(questions):
         before = cost_from_scratch(questions[:place])
         assert level.cost_of(question) == cost_from_scratch(questions[: place + 1]) - before
-        options = [Question(question.candidate, wrong) for wrong in wrong_triples(question.candidate.wrong)]
+        options = [Question(question.candidate, wrong) for wrong in wrong_sets(question.candidate.wrong)]
         cost, best = level.cheapest([question.candidate])
         assert cost + before == min(cost_from_scratch([*questions[:place], option]) for option in options)
         assert cost + before == cost_from_scratch([*questions[:place], best])
@@ -131,19 +131,19 @@ def test_selection_levels_choices_under_its_caps():
     for one in questions:
         assert one.candidate.truth in one.choices
         assert set(one.choices) - {one.candidate.truth} == set(one.wrong) <= one.candidate.wrong
-    arbitrary = [Question(x, wrong_triples(x.wrong)[0]) for x in pool[:60] if wrong_triples(x.wrong)]
+    arbitrary = [Question(x, wrong_sets(x.wrong)[0]) for x in pool[:60] if wrong_sets(x.wrong)]
     assert cost_from_scratch(questions) < cost_from_scratch(arbitrary) // 4
 
 
 def test_levelling_without_selection_keeps_every_candidate():
     pool = [candidate(number) for number in range(60)]
     questions = level_choices(pool, COUNTS)
-    assert [one.candidate for one in questions] == sorted(
-        (x for x in pool if wrong_triples(x.wrong)), key=lambda x: x.key
-    )
+    assert [one.candidate for one in questions] == sorted((x for x in pool if wrong_sets(x.wrong)), key=lambda x: x.key)
 
 
-@pytest.mark.parametrize(("quota", "sequences", "percent", "cap"), [(76, 27, 20, 16), (32, 2, 20, 24), (900, 27, 10, 90)])
+@pytest.mark.parametrize(
+    ("quota", "sequences", "percent", "cap"), [(76, 27, 20, 16), (32, 2, 20, 24), (900, 27, 10, 90)]
+)
 def test_cap_of_a_sequence_is_rounded_up(quota, sequences, percent, cap):
     assert sequence_cap(quota, sequences, percent) == cap
 
