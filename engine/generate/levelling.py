@@ -473,13 +473,17 @@ def select_choices(
         best.improve()
         if within_bound(best.offers()):
             break
-    size = len(best.chosen)
-    for count in range(len(twins), 0, -1):
+    # The last matched pairs go if the bound would break; halving finds how many in a few attempts.
+    size, low, high = len(best.chosen), 0, len(twins)
+    count = high
+    while low < high:
         paired = attempt(size, twins[:count])
         paired.improve()
         if within_bound(paired.offers()):
-            best = paired
-            break
+            best, low = paired, count
+        else:
+            high = count - 1
+        count = (low + high + 1) // 2
     for _, question in sorted(best.chosen.items()):
         taken.add(question.candidate.subject)
     return [question for _, question in sorted(best.chosen.items())]
