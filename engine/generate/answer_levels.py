@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.engine.generate.guessers import JUDGED, Offer, within_bound
+from jrdb_avr.engine.generate.guessers import JUDGED, Offer, above_bound
 from jrdb_avr.engine.generate.hashes import hashed
-from jrdb_avr.engine.generate.levelling import Candidate, Question, Twins, doublings, sequence_cap, sizes_of
+from jrdb_avr.engine.generate.levelling import Candidate, Question, Selected, Twins, doublings, sequence_cap, sizes_of
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.arrays import Ints
 
@@ -115,7 +115,7 @@ def _numbered(values: Sequence[object]) -> Ints:
 
 def select_answers(
     candidates: Sequence[Candidate], quota: int, taken: Taken, sequences: int, twins: Sequence[Twins] = ()
-) -> list[Question]:
+) -> Selected:
     """Select the questions of a template with fixed answers, such as presence.
 
     Args:
@@ -126,24 +126,29 @@ def select_answers(
         twins: Matched pairs of time twins, the best first.
 
     Returns:
-        The selected questions, in an order that depends on the candidates alone. The size is the largest share of the
-        quota, in steps of 5 %, for which no counting guesser is above its bound.
+        The selected questions. Their number is the largest share of the quota, in steps of 5 %, for which no counting
+        guesser is above its bound.
     """
     cap = sequence_cap(quota, sequences, 10 if candidates and candidates[0].template == "presence" else 20)
     best: list[Question] = []
+    shortage = None
     for size in [quota, *sizes_of(quota)]:
         if best and len(best) <= size:
             continue
+        guesser: str | None = None
         for count in range(len(twins), -1, -1):
             best = _attempt(candidates, size, taken.copy(), cap, twins[:count])
-            if within_bound([_offer(question) for question in best]):
+            guesser = above_bound([_offer(question) for question in best])
+            if guesser is None:
                 break
-        else:
-            continue
-        break
+        if guesser is None:
+            break
+        shortage = f"of {size} questions a guesser would have too many right: {guesser}"
     for question in best:
         taken.add(question.candidate.subject)
-    return best
+    if shortage is None and len(best) < quota:
+        shortage = f"caps and the share of each answer leave {len(best)} of {len(candidates)} candidates"
+    return Selected(best, shortage)
 
 
 def _attempt(

@@ -88,7 +88,19 @@ class LabelCounts:
         return found
 
     def ranks(self, sequence: str, frame: int, truth: str, wrong: Iterable[str]) -> tuple[int, ...]:
-        """Return how many wrong choices are commoner than the right one, in each of `orders`."""
+        """Return how many wrong choices are commoner than the right one, in each of `orders`.
+
+        Args:
+            sequence: Name of the sequence.
+            frame: Frame at which the answer is read.
+            truth: The right choice.
+            wrong: The wrong choices.
+
+        Returns:
+            The three ranks, or none if the choices are no actions.
+        """
+        if truth not in CHOICE_LABELS:
+            return ()
         wrong = tuple(wrong)
         return tuple(sum(order[label] < order[truth] for label in wrong) for order in self.orders(sequence, frame))
 
@@ -123,12 +135,21 @@ def guesser_shares(offers: Sequence[Offer]) -> dict[str, Fraction]:
     return shares
 
 
-def within_bound(offers: Sequence[Offer]) -> bool:
-    """Tell whether no counting guesser is above `BOUND`, or the questions are too few to be judged."""
+def above_bound(offers: Sequence[Offer]) -> str | None:
+    """Name the best guesser above `BOUND`.
+
+    Args:
+        offers: The choices of all questions of a template.
+
+    Returns:
+        The name with its share of right answers, or None if no guesser is above the bound or the questions are too few
+        to be judged.
+    """
     if len(offers) < JUDGED:
-        return True
+        return None
     shares = guesser_shares(offers)
-    return all(shares[name] <= BOUND for name in COUNTING if name in shares)
+    share, name = max((shares[name], name) for name in COUNTING if name in shares)
+    return f"{name} {float(100 * share):.1f} %" if share > BOUND else None
 
 
 _Key = tuple[object, ...]

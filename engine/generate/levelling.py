@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from jrdb_avr.engine.generate.choices import wrong_sets
-from jrdb_avr.engine.generate.guessers import JUDGED, LabelCounts, Offer, within_bound
+from jrdb_avr.engine.generate.guessers import JUDGED, LabelCounts, Offer, above_bound
 from jrdb_avr.engine.generate.hashes import hashed, in_hash_order, mixed
 from jrdb_avr.engine.generate.near_duplicates import Subject, Taken
 from jrdb_avr.schema.arrays import Ints
@@ -108,6 +108,28 @@ class Question(NamedTuple):
 Twins = tuple[Candidate, Candidate]
 
 
+class Selected(NamedTuple):
+    """The questions of a template, in an order that depends on the candidates alone, and why there are no more."""
+
+    questions: list[Question]
+    shortage: str | None
+
+
+def offer_of(question: Question, counts: LabelCounts) -> Offer:
+    """Return what counting guessers know of a question.
+
+    Args:
+        question: The question.
+        counts: How common actions are.
+
+    Returns:
+        Its choices, with their ranks if they are actions.
+    """
+    one = question.candidate
+    ranks = counts.ranks(one.sequence, one.asked[-1], one.truth, question.wrong)
+    return Offer(one.sequence, one.truth, question.wrong, ranks)
+
+
 def choice_contexts(
     sequence: str, conditions: Iterable[str], relation: str | None, wait: int
 ) -> tuple[tuple[str, int], ...]:
@@ -175,7 +197,7 @@ class Level:
         """Number the contexts of all candidates of a template that may be selected."""
         ordered = sorted(candidates, key=lambda candidate: candidate.key)
         names = {name for candidate in ordered for name, _ in candidate.contexts}
-        self._counts = counts
+        self.counts = counts
         self._contexts = {name: number for number, name in enumerate(sorted(names), 1)}
         self._most = max((len(candidate.contexts) for candidate in ordered), default=0)
         self._options: dict[str, _Options] = {}
@@ -194,17 +216,11 @@ class Level:
         np.add.at(self._levels, (options.contexts[:, None], labels), sign * _SHARES)
         for label, share in zip(labels.tolist(), _SHARES.tolist(), strict=True):
             self._pairs[label, labels[labels != label]] += sign * share
-        ranks = self.offer(question).ranks
+        ranks = offer_of(question, self.counts).ranks
         self._ranks[np.arange(len(ranks)), list(ranks)] += sign
         self._count += sign
         self.of_person[question.candidate.moment[:2]] += sign
         self.of_sequence[question.candidate.sequence] += sign
-
-    def offer(self, question: Question) -> Offer:
-        """Return what guessers see of a question."""
-        candidate, wrong = question.candidate, question.wrong
-        ranks = self._counts.ranks(candidate.sequence, candidate.asked[-1], candidate.truth, wrong)
-        return Offer(candidate.sequence, candidate.truth, wrong, ranks)
 
     def cheapest(self, candidates: Sequence[Candidate]) -> tuple[int, Question]:
         """Find the question that raises the cost least.
@@ -244,8 +260,8 @@ class Level:
         wrong = _coded_triples(candidate.wrong)
         labels = np.hstack([np.full((len(wrong), 1), _CODE[candidate.truth], np.int8), wrong])
         labels = labels[np.argsort(mixed(labels[:, 1:].astype(np.uint64) @ _BASE, hashed(candidate.key)))]
-        doing = np.isin(labels[:, 1:], [_CODE[x] for x in self._counts.doing(sequence, frame) if x in _CODE])
-        orders = self._counts.orders(sequence, frame)
+        doing = np.isin(labels[:, 1:], [_CODE[x] for x in self.counts.doing(sequence, frame) if x in _CODE])
+        orders = self.counts.orders(sequence, frame)
         places = np.array([[order[label] for label in CHOICE_LABELS] for order in orders])[:, labels]
         ranks = (places[..., 1:] < places[..., :1]).sum(axis=2).T.astype(np.int8)
         numbers, weights = np.zeros((2, self._most), np.int64)
@@ -387,7 +403,7 @@ class Selector:
 
     def offers(self) -> list[Offer]:
         """Return what guessers see of the selected questions."""
-        return [self.level.offer(question) for _, question in sorted(self.chosen.items())]
+        return [offer_of(question, self.level.counts) for _, question in sorted(self.chosen.items())]
 
     def _loose(self) -> list[int]:
         return sorted(self.chosen.keys() - self.twins)
@@ -435,7 +451,7 @@ def select_choices(
     taken: Taken,
     sequences: int,
     twins: Sequence[Twins] = (),
-) -> list[Question]:
+) -> Selected:
     """Select the questions of a template with actions as choices.
 
     The size is the largest share of the quota, in steps of 5 %, for which no counting guesser is above its bound. Twins
@@ -450,7 +466,7 @@ def select_choices(
         twins: Matched pairs of time twins, the best first.
 
     Returns:
-        The selected questions, in an order that depends on the candidates alone.
+        The selected questions.
     """
     moments, cap = group_moments(candidates), sequence_cap(quota, sequences)
 
@@ -468,25 +484,28 @@ def select_choices(
     whole = attempt(quota, ())
     order = list(whole.chosen.values())
     sizes = [len(order), *(size for size in sizes_of(quota) if size < len(order))]
+    shortage = None if len(order) == quota else f"caps and near-duplicates leave {len(order)} of {len(moments)} moments"
     for size in sizes:
         best = attempt(size, (), order)
         best.improve()
-        if within_bound(best.offers()):
+        guesser = above_bound(best.offers())
+        if guesser is None:
             break
+        shortage = f"of {size} questions a guesser would have too many right: {guesser}"
     # The last matched pairs go if the bound would break; halving finds how many in a few attempts.
     size, low, high = len(best.chosen), 0, len(twins)
     count = high
     while low < high:
         paired = attempt(size, twins[:count])
         paired.improve()
-        if within_bound(paired.offers()):
+        if above_bound(paired.offers()) is None:
             best, low = paired, count
         else:
             high = count - 1
         count = (low + high + 1) // 2
     for _, question in sorted(best.chosen.items()):
         taken.add(question.candidate.subject)
-    return [question for _, question in sorted(best.chosen.items())]
+    return Selected([question for _, question in sorted(best.chosen.items())], shortage)
 
 
 def sizes_of(quota: int) -> list[int]:

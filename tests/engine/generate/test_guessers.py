@@ -2,7 +2,7 @@
 
 from fractions import Fraction
 
-from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, guesser_shares, within_bound
+from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, above_bound, guesser_shares
 
 
 def test_ranks_count_people_and_break_ties_by_all_data_then_by_label():
@@ -50,5 +50,6 @@ def test_sets_and_pairs_tell_more_than_labels():
 
 def test_the_bound_judges_templates_of_sixty_questions():
     offers = [Offer(str(n % 3), "a", ("b", "c", "d")) for n in range(60)]
-    assert within_bound(offers[:59])
-    assert not within_bound(offers)
+    assert above_bound(offers[:59]) is None
+    assert above_bound(offers) == "set 100.0 %"
+    assert guesser_shares([]) == {}

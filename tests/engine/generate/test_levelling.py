@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.answer_levels import answer_contexts, select_answers
 from jrdb_avr.engine.generate.choices import wrong_sets
-from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares, within_bound
+from jrdb_avr.engine.generate.guessers import LabelCounts, above_bound
 from jrdb_avr.engine.generate.hashes import hashed
 from jrdb_avr.engine.generate.levelling import (
     Candidate,
@@ -18,9 +18,11 @@ from jrdb_avr.engine.generate.levelling import (
     Question,
     choice_contexts,
     level_choices,
+    offer_of,
     select_choices,
     sequence_cap,
 )
+from jrdb_avr.engine.generate.mix import quota_of, select_mix
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.engine.generate.twins import match_twins, may_be_twins
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS, may_be_same
@@ -111,7 +113,7 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
 
 
 def selected(candidates, quota=30, twins=()):
-    return select_choices(candidates, quota, COUNTS, Taken(Rules()), len(SEQUENCES), twins)
+    return select_choices(candidates, quota, COUNTS, Taken(Rules()), len(SEQUENCES), twins).questions
 
 
 def test_selection_depends_on_the_candidates_and_not_on_their_order():
@@ -124,7 +126,7 @@ def test_selection_levels_choices_under_its_caps():
     pool = [candidate(number) for number in range(400)]
     questions = selected(pool, quota=60)
     assert len(questions) >= 59
-    assert within_bound([Level(pool, COUNTS).offer(one) for one in questions])
+    assert above_bound([offer_of(one, COUNTS) for one in questions]) is None
     assert len({one.candidate.moment for one in questions}) == len(questions)
     of_sequence = Counter(one.candidate.sequence for one in questions)
     assert max(of_sequence.values()) <= sequence_cap(60, 3) == 30
@@ -202,13 +204,41 @@ def presence(number):
 
 def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
     pool = [presence(number) for number in range(1500)]
-    questions = select_answers(pool, 120, Taken(Rules()), len(SEQUENCES))
-    assert questions == select_answers(pool[::-1], 120, Taken(Rules()), len(SEQUENCES))
+    questions = select_answers(pool, 120, Taken(Rules()), len(SEQUENCES)).questions
+    assert questions == select_answers(pool[::-1], 120, Taken(Rules()), len(SEQUENCES)).questions
     answers = Counter(one.candidate.truth for one in questions)
     assert 100 * max(answers.values()) <= 31 * len(questions)
     assert len(questions) > 100
     described = Counter((one.candidate.sequence, one.candidate.described) for one in questions)
     assert max(described.values()) <= 4
     assert max(Counter(one.candidate.sequence for one in questions).values()) <= sequence_cap(120, 3, 10)
-    assert within_bound([Level([], COUNTS).offer(one) for one in []])
-    assert guesser_shares([]) == {}
+
+
+@pytest.mark.parametrize(
+    ("selected", "located", "distance", "presence"),
+    [({"change": 300}, True, 660, 660), ({"change": 350}, False, 0, 1270), ({}, True, 810, 810)],
+)
+def test_presence_takes_what_change_and_distance_leave(selected, located, distance, presence):
+    quotas = {"unique_anchor": 1620, "two_hop": 76}
+    assert quota_of("change", quotas, {}, located) == 350
+    assert quota_of("distance", quotas, selected, located) == distance
+    assert quota_of("presence", quotas, selected | {"distance": distance}, located) == presence
+    assert quota_of("two_hop", quotas, selected, located) == 76
+
+
+def test_a_mix_reports_each_template_and_keeps_the_caps_of_people_in_all():
+    pool = {
+        "two_hop": [candidate(number, "two_hop") for number in range(80)],
+        "change": [candidate(number) for number in range(80, 200)],
+        "presence": [presence(number) for number in range(300)],
+    }
+    taken = Taken(Rules())
+    questions, rows = select_mix(pool, {"unique_anchor": 100, "two_hop": 20}, COUNTS, taken, 3, False)
+    by_template = Counter(one.candidate.template for one in questions)
+    assert by_template == {row["template"]: row["reached"] for row in rows if row["reached"]}
+    assert {row["template"]: row["quota"] for row in rows}["change"] == 100
+    assert by_template["presence"] <= 100 - by_template["change"]
+    assert all(row["shortage"] or row["reached"] == row["quota"] for row in rows if row["quota"])
+    people = Counter((one.candidate.sequence, one.candidate.track) for one in questions)
+    assert people == taken.questions
+    assert max(people.values()) <= Rules().max_per_person_in_all
