@@ -15,7 +15,16 @@ import numpy as np
 
 from jrdb_avr.engine.generate.guessers import JUDGED, Offer, above_bound
 from jrdb_avr.engine.generate.hashes import hashed
-from jrdb_avr.engine.generate.levelling import Candidate, Question, Selected, Twins, doublings, sequence_cap, sizes_of
+from jrdb_avr.engine.generate.levelling import (
+    Candidate,
+    Question,
+    Selected,
+    Twins,
+    doublings,
+    keep_most,
+    sequence_cap,
+    sizes_of,
+)
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.arrays import Ints
 
@@ -135,15 +144,17 @@ def select_answers(
     for size in [quota, *sizes_of(quota)]:
         if best and len(best) <= size:
             continue
-        guesser: str | None = None
-        for count in range(len(twins), -1, -1):
-            best = _attempt(candidates, size, taken.copy(), cap, twins[:count])
-            guesser = above_bound([_offer(question) for question in best])
-            if guesser is None:
-                break
+        best = _attempt(candidates, size, taken.copy(), cap, ())
+        guesser = above_bound([_offer(question) for question in best])
         if guesser is None:
             break
         shortage = f"of {size} questions a guesser would have too many right: {guesser}"
+
+    def with_twins(count: int) -> list[Question] | None:
+        paired = _attempt(candidates, size, taken.copy(), cap, twins[:count])
+        return paired if above_bound([_offer(question) for question in paired]) is None else None
+
+    best = keep_most(len(twins), with_twins) or best
     for question in best:
         taken.add(question.candidate.subject)
     if shortage is None and len(best) < quota:

@@ -10,10 +10,10 @@ per person and sequence, and wrong choices that nobody in the frame does.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,8 @@ PASSES: Final = 6
 SWAP_PASSES: Final = 2
 STEPS: Final = 20
 """Sizes of a template are so many parts of its quota."""
+
+Result = TypeVar("Result")
 
 _SHARES: Final = np.array([-3, 1, 1, 1])
 """What a question adds to X for its true choice and its three wrong choices."""
@@ -473,7 +475,8 @@ def select_choices(
     def attempt(size: int, pairs: Sequence[Twins], order: Sequence[Question] | None = None) -> Selector:
         selector = Selector(moments, Level(candidates, counts), taken.copy(), cap)
         for pair in pairs:
-            selector.put_twins(pair)
+            if len(selector.chosen) + 2 <= size:
+                selector.put_twins(pair)
         if order is None:
             selector.fill(size)
         else:
@@ -492,20 +495,38 @@ def select_choices(
         if guesser is None:
             break
         shortage = f"of {size} questions a guesser would have too many right: {guesser}"
-    # The last matched pairs go if the bound would break; halving finds how many in a few attempts.
-    size, low, high = len(best.chosen), 0, len(twins)
-    count = high
-    while low < high:
+    size = len(best.chosen)
+
+    def with_twins(count: int) -> Selector | None:
         paired = attempt(size, twins[:count])
         paired.improve()
-        if above_bound(paired.offers()) is None:
-            best, low = paired, count
-        else:
-            high = count - 1
-        count = (low + high + 1) // 2
+        return paired if above_bound(paired.offers()) is None else None
+
+    best = keep_most(len(twins), with_twins) or best
     for _, question in sorted(best.chosen.items()):
         taken.add(question.candidate.subject)
     return Selected([question for _, question in sorted(best.chosen.items())], shortage)
+
+
+def keep_most(most: int, attempt: Callable[[int], Result | None]) -> Result | None:
+    """Find the largest number of twins with which a selection succeeds, by halving.
+
+    Args:
+        most: Maximum number of pairs, which is tried first.
+        attempt: Returns the selection with so many of the first pairs, or None if the bound does not hold.
+
+    Returns:
+        The selection, or None if no attempt succeeds.
+    """
+    best, low, high, count = None, 0, most, most
+    while low < high:
+        result = attempt(count)
+        if result is None:
+            high = count - 1
+        else:
+            best, low = result, count
+        count = (low + high + 1) // 2
+    return best
 
 
 def sizes_of(quota: int) -> list[int]:

@@ -17,6 +17,7 @@ from jrdb_avr.engine.generate.levelling import (
     Level,
     Question,
     choice_contexts,
+    keep_most,
     level_choices,
     offer_of,
     select_choices,
@@ -242,3 +243,17 @@ def test_a_mix_reports_each_template_and_keeps_the_caps_of_people_in_all():
     people = Counter((one.candidate.sequence, one.candidate.track) for one in questions)
     assert people == taken.questions
     assert max(people.values()) <= Rules().max_per_person_in_all
+
+
+@pytest.mark.parametrize("limit", [*range(0, 11), 50])
+def test_as_many_twins_stay_as_the_bound_allows(limit):
+    tried = []
+    assert keep_most(10, lambda count: tried.append(count) or (count if count <= limit else None)) == (
+        min(limit, 10) or None
+    )
+    assert len(tried) <= 5
+
+
+def test_twins_never_exceed_the_size_of_a_template():
+    pairs = [(twin(n, 60, "walking"), twin(100 + n, 150, "sitting")._replace(track=n)) for n in range(20, 29)]
+    assert len(selected([one for pair in pairs for one in pair], 10, pairs)) == 10
