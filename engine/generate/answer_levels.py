@@ -51,7 +51,7 @@ def answer_contexts(
         sequence: Name of the sequence.
         frames: Number of frames of the sequence.
         described: Frame of the description.
-        asked: Frames asked about, ascending, without that of the description.
+        asked: Frames asked about, ascending, without the frame of the description.
         conditions: Words of each condition of the description.
 
     Returns:
@@ -60,14 +60,14 @@ def answer_contexts(
     times = (described, *asked)
     waits = tuple(doublings(later - time) for time, later in zip(times, asked, strict=False))
     words = sorted(set(conditions))
-    found = [("all", 10), (f"sequence {sequence}", 7), (f"waits {waits}", 7)]
+    contexts = [("all", 10), (f"sequence {sequence}", 7), (f"waits {waits}", 7)]
     for number, wait in enumerate(waits):
-        found += [(f"wait {number} {wait}", 7), (f"sequence {sequence} wait {number} {wait}", 4)]
-    found.append((f"end {min(_PARTS - 1, _PARTS * (frames - asked[-1]) // max(1, frames))}", 4))
-    found.append((f"left {doublings(frames - asked[0])} wait {waits[0]}", 4))
-    found.append((f"described {min(_PARTS - 1, _PARTS * described // max(1, frames))}", 4))
-    found.append((f"conditions {len(words)}", 3))
-    return (*found, *((f"condition {word}", 3) for word in words))
+        contexts += [(f"wait {number} {wait}", 7), (f"sequence {sequence} wait {number} {wait}", 4)]
+    contexts.append((f"end {min(_PARTS - 1, _PARTS * (frames - asked[-1]) // max(1, frames))}", 4))
+    contexts.append((f"left {doublings(frames - asked[0])} wait {waits[0]}", 4))
+    contexts.append((f"described {min(_PARTS - 1, _PARTS * described // max(1, frames))}", 4))
+    contexts.append((f"conditions {len(words)}", 3))
+    return (*contexts, *((f"condition {word}", 3) for word in words))
 
 
 class _Rows:
@@ -83,8 +83,8 @@ class _Rows:
         most = max((len(candidate.contexts) for candidate in candidates), default=0)
         self.contexts, self.weights = np.zeros((2, count, most), np.int64)
         for row, candidate in enumerate(self.candidates):
-            for place, (name, weight) in enumerate(candidate.contexts):
-                self.contexts[row, place], self.weights[row, place] = numbers[name], weight
+            for index, (name, weight) in enumerate(candidate.contexts):
+                self.contexts[row, index], self.weights[row, index] = numbers[name], weight
         self.answers = np.array([answers.index(candidate.truth) for candidate in self.candidates], np.int64)
         self.levels = np.zeros((len(names) + 1, len(answers)), np.int64)
         self.people = _numbered([candidate.moment[:2] for candidate in self.candidates])
@@ -192,8 +192,8 @@ def _attempt(
                 taken.remove(chosen.pop(pair[0]).candidate.subject)
     while len(chosen) < size and alive.any():
         free = np.flatnonzero(alive)
-        for place in np.argsort(rows.costs(free), kind="stable"):
-            row = int(free[place])
+        for index in np.argsort(rows.costs(free), kind="stable"):
+            row = int(free[index])
             if admits(row):
                 put(row)
                 break

@@ -18,7 +18,7 @@ Outcome = Literal["same", "different", "unknown"]
 
 _POSES: Final = frozenset(POSES)
 _WINDOW: Final = 3
-"""Keyframes before and after the time asked at which a wrong choice is absent; for a pose, one keyframe."""
+"""Number of keyframes before and after the time asked that must lack a wrong choice. For a pose it is one."""
 
 
 class Labels(NamedTuple):
@@ -81,7 +81,7 @@ def outcome(labels: Labels | None, label: str) -> Outcome:
     """Compare an action with the labels of a person who has a box and is not covered.
 
     Args:
-        labels: The labels at a keyframe, or None if there are none.
+        labels: The labels at a keyframe, or None if no list exists.
         label: The action.
 
     Returns:
@@ -121,7 +121,7 @@ def wrong_choices(truth: str, false: Collection[str], words: Iterable[str], pres
 
 @lru_cache(maxsize=4096)
 def wrong_sets(wrong: frozenset[str], size: int = 3) -> tuple[tuple[str, ...], ...]:
-    """List the sets of wrong choices, of which no two may be called the same.
+    """List the sets of wrong choices without two actions that may be called the same.
 
     Args:
         wrong: The actions of `wrong_choices`.

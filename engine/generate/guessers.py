@@ -34,7 +34,7 @@ class Offer(NamedTuple):
         truth: The right choice.
         wrong: The wrong choices.
         ranks: How many choices are commoner than the right one in all data, in the sequence and in the frame; empty if
-            the choices are no actions.
+            the choices are not actions.
     """
 
     sequence: str
@@ -78,26 +78,26 @@ class LabelCounts:
         return frozenset(label for label in at if at[label])
 
     def orders(self, sequence: str, frame: int) -> list[dict[str, int]]:
-        """Return the place of each action, the commonest first, in all data, in the sequence and at the keyframe."""
-        found = self._orders.get((sequence, frame))
-        if found is None:
+        """Return the position of each action, the commonest first, in all data, in the sequence and at the keyframe."""
+        orders = self._orders.get((sequence, frame))
+        if orders is None:
             numbers = (self._data, self._in[sequence], self._at.get((sequence, frame), {}))
             ordered = [sorted(CHOICE_LABELS, key=self._by(number)) for number in numbers]
-            found = [{label: place for place, label in enumerate(labels)} for labels in ordered]
-            self._orders[sequence, frame] = found
-        return found
+            orders = [{label: index for index, label in enumerate(labels)} for labels in ordered]
+            self._orders[sequence, frame] = orders
+        return orders
 
     def ranks(self, sequence: str, frame: int, truth: str, wrong: Iterable[str]) -> tuple[int, ...]:
         """Return how many wrong choices are commoner than the right one, in each of `orders`.
 
         Args:
             sequence: Name of the sequence.
-            frame: Frame at which the answer is read.
+            frame: Frame of the answer.
             truth: The right choice.
             wrong: The wrong choices.
 
         Returns:
-            The three ranks, or none if the choices are no actions.
+            The three ranks, or an empty tuple if the choices are not actions.
         """
         if truth not in CHOICE_LABELS:
             return ()
@@ -116,16 +116,16 @@ def guesser_shares(offers: Sequence[Offer]) -> dict[str, Fraction]:
         offers: The choices of all questions of a template.
 
     Returns:
-        The share by the name of the guesser, for those of `COUNTING` that apply. In addition "frame" takes the
+        The share by the name of the guesser, for each guesser of `COUNTING` that applies. In addition "frame" takes the
         commonest choice in the frame, and "least label", "least set" and "least pair" take the choice that is least
-        often true elsewhere; they are only information. A guesser who wavers between n choices is right in one nth.
+        often true elsewhere; they are only information. If n choices are equally good, each counts one nth.
     """
     if not offers:
         return {}
     shares = {}
     if all(offer.ranks for offer in offers):
-        for place, name in enumerate(("data", "sequence", "frame")):
-            shares[name] = Fraction(sum(offer.ranks[place] == 0 for offer in offers), len(offers))
+        for index, name in enumerate(("data", "sequence", "frame")):
+            shares[name] = Fraction(sum(offer.ranks[index] == 0 for offer in offers), len(offers))
     true, offered = _tallies(offers)
     for name, keys in _KEYS.items():
         beliefs = [_beliefs(offer, keys, true, offered) for offer in offers]

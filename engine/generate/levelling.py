@@ -4,7 +4,7 @@ The cost is a whole number. For each context of a question and each action, X is
 offered as wrong, minus three times the number of times that it is true. For each ordered pair of actions offered
 together, P is the same number for the first action. For each ranking of the true choice, R is the number of questions
 with each rank. The cost grows with the squares of X and P and with uneven R. Then come the number of questions
-per person and sequence, and wrong choices that nobody in the frame does.
+per person and sequence, and wrong choices that no person in the frame does.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ class Candidate(NamedTuple):
         sequence: Name of the sequence.
         track: Track of the target.
         described: The description with its time, and the relations, as text.
-        asked: Frames at which the answer is read.
+        asked: Frames of the answer.
         truth: The right answer: an action, or one of four fixed answers.
         wrong: The answers that may be wrong choices.
-        contexts: Names of the contexts and their weights. (`choice_contexts`, `answer_contexts`).
+        contexts: Names of the contexts and their weights. (`choice_contexts`, `answer_contexts`)
         event: The event of the target that only one question may be about, if any.
     """
 
@@ -85,7 +85,7 @@ class Candidate(NamedTuple):
 
     @property
     def moment(self) -> tuple[str, int, tuple[int, ...]]:
-        """The person and the times asked, of which a template has one question only."""
+        """The person and the times asked. A template has one question only about them."""
         return self.sequence, self.track, self.asked
 
     @property
@@ -111,7 +111,7 @@ Twins = tuple[Candidate, Candidate]
 
 
 class Selected(NamedTuple):
-    """The questions of a template, in an order that depends on the candidates alone, and why there are no more."""
+    """The questions of a template, in the order of their moments' hashes, and the reason if they are too few."""
 
     questions: list[Question]
     shortage: str | None
@@ -235,27 +235,27 @@ class Level:
         """
         rows = [self._options_of(candidate) for candidate in candidates]
         costs = self._costs(rows)
-        place = int(costs.argmin())
-        increase, row = int(costs[place]), 0
-        while place >= len(rows[row].base):
-            place -= len(rows[row].base)
+        index = int(costs.argmin())
+        increase, row = int(costs[index]), 0
+        while index >= len(rows[row].base):
+            index -= len(rows[row].base)
             row += 1
-        wrong = tuple(CHOICE_LABELS[code] for code in sorted(rows[row].labels[place, 1:].tolist(), key=_lexical))
+        wrong = tuple(CHOICE_LABELS[code] for code in sorted(rows[row].labels[index, 1:].tolist(), key=_lexical))
         return increase, Question(candidates[row], wrong)
 
     def cost_of(self, question: Question) -> int:
         """Return by how much a question raises the cost."""
         options = self._options_of(question.candidate)
         codes = {_CODE[label] for label in question.wrong}
-        (place,) = (row for row, labels in enumerate(options.labels[:, 1:].tolist()) if set(labels) == codes)
-        return int(self._costs([options])[place])
+        (index,) = (row for row, labels in enumerate(options.labels[:, 1:].tolist()) if set(labels) == codes)
+        return int(self._costs([options])[index])
 
     def _options_of(self, candidate: Candidate) -> _Options:
         """Return the possible choices of a candidate, from memory if they were asked for before."""
-        found = self._options.get(candidate.key)
-        if found is None:
-            found = self._options[candidate.key] = self._make_options(candidate)
-        return found
+        options = self._options.get(candidate.key)
+        if options is None:
+            options = self._options[candidate.key] = self._make_options(candidate)
+        return options
 
     def _make_options(self, candidate: Candidate) -> _Options:
         sequence, frame = candidate.sequence, candidate.asked[-1]
@@ -267,8 +267,8 @@ class Level:
         places = np.array([[order[label] for label in CHOICE_LABELS] for order in orders])[:, labels]
         ranks = (places[..., 1:] < places[..., :1]).sum(axis=2).T.astype(np.int8)
         numbers, weights = np.zeros((2, self._most), np.int64)
-        for place, (name, weight) in enumerate(candidate.contexts):
-            numbers[place], weights[place] = self._contexts[name], weight
+        for index, (name, weight) in enumerate(candidate.contexts):
+            numbers[index], weights[index] = self._contexts[name], weight
         # What one question costs by itself: squares of its own shares, and of its own ranks.
         own = int(_SHARES @ _SHARES) * int(weights.sum()) + 12 * sum(RANK_WEIGHTS)
         own += PAIR_WEIGHT * 3 * int(_SHARES @ _SHARES)
@@ -322,7 +322,7 @@ class Selector:
         taken: Account of near-duplicates and caps of all templates.
         cap: Maximum number of questions from one sequence.
         chosen: The selected question of each moment, by the moment's hash.
-        twins: Hashes of moments whose questions are twins and stay.
+        twins: Hashes of the moments of twins, which stay selected.
     """
 
     moments: dict[int, list[Candidate]]
@@ -421,11 +421,11 @@ class Selector:
         return best is not question
 
     def _draw(self, moments: npt.NDArray[np.uint64], salt: int, count: int) -> tuple[list[int], list[int]]:
-        """Draw moments that are admitted; return them in the order of their hash, and those refused on the way."""
+        """Draw admitted moments in the order of their hash; return them and the refused ones."""
         drawn: list[int] = []
         refused: list[int] = []
-        for place in np.argsort(mixed(moments, salt)):
-            moment = int(moments[place])
+        for index in np.argsort(mixed(moments, salt)):
+            moment = int(moments[index])
             (drawn if self.admits(self.moments[moment][0]) else refused).append(moment)
             if len(drawn) == count:
                 break

@@ -18,7 +18,7 @@ FIXED: Final = ("distance", "presence")
 """Templates with four fixed answers."""
 
 CHANGE_QUOTA: Final = 350
-"""Number of questions of the template change among those of its family."""
+"""Maximum number of questions of the template change."""
 
 
 def quota_of(template: str, quotas: Mapping[str, int], selected: Mapping[str, int], located: bool) -> int:

@@ -1,4 +1,4 @@
-"""Match time twins: pairs of questions that differ in one asked time only, and whose answers differ.
+"""Match time twins: pairs of questions that differ in one asked time and in their answers.
 
 A method that finds the right person and ignores the time cannot answer both.
 """

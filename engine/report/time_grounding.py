@@ -1,4 +1,4 @@
-"""Time-grounded accuracy: the share of pairs of time twins of which a method has both answers right.
+"""Time-grounded accuracy: the share of pairs of time twins with both answers right.
 
 Time twins differ in one asked time, and their answers differ. A method that finds the right person and ignores the time
 has at most one of the two right. As the pairs are few, methods are never ranked by this share alone.
@@ -15,8 +15,8 @@ import numpy as np
 from jrdb_avr.engine.report.bootstrap import Interval, intervals, mean_ratio
 
 CHANCE: Final = {"change": (1 / 16, 1 / 12), "later_action": (1 / 16, 1 / 12), "presence": (1 / 16, 1 / 4)}
-"""For each template with twins, the share of pairs that a uniform guesser has right: one who does not know the twins,
-and one who knows them and gives two different answers. In presence the twins share a time, so fewer answers fit."""
+"""For each template with twins, the share of pairs that a uniform guesser has right: without knowledge of the twins,
+and with two different answers for each pair. In presence the twins share a time, so fewer answers fit."""
 
 
 class TwinScore(NamedTuple):

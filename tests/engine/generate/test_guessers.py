@@ -2,7 +2,10 @@
 
 from fractions import Fraction
 
+from jrdb_avr.engine.generate.blind import QuestionText, offers_of
 from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, above_bound, guesser_shares
+
+from jrdb_avr.schema.answers import Choice
 
 
 def test_ranks_count_people_and_break_ties_by_all_data_then_by_label():
@@ -53,3 +56,14 @@ def test_the_bound_judges_templates_of_sixty_questions():
     assert above_bound(offers[:59]) is None
     assert above_bound(offers) == "set 100.0 %"
     assert guesser_shares([]) == {}
+
+
+def test_a_published_question_is_the_offer_of_its_selection():
+    counts = LabelCounts({("s", 60): {"walking": 1, "bending": 2}})
+    texts = ("walking", "riding a scooter", "bending down", "eating something")
+    question = QuestionText("s", "change", "action", "multiple_choice", texts, (), (0, 60), Choice(3))
+    (offer,) = offers_of([question], counts)
+    assert offer == Offer("s", "bending", ("eating sth", "scootering", "walking"), (0, 0, 0))
+    fixed = ("both times", "only at the first time", "only at the second time", "neither time")
+    question = QuestionText("s", "presence", "presence", "multiple_choice", fixed, (), (0, 60, 120), Choice(1))
+    assert offers_of([question], counts)[0].ranks == ()
