@@ -4,7 +4,6 @@ from fractions import Fraction
 
 from jrdb_avr.engine.generate.blind import QuestionText, offers_of
 from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, above_bound, guesser_shares
-
 from jrdb_avr.schema.answers import Choice
 
 
