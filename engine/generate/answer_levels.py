@@ -13,30 +13,22 @@ from typing import Final
 
 import numpy as np
 
+from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, Twins, doublings, sequence_cap, sizes_of
 from jrdb_avr.engine.generate.guessers import JUDGED, Offer, above_bound
-from jrdb_avr.engine.generate.hashes import hashed
-from jrdb_avr.engine.generate.levelling import (
-    Candidate,
-    Question,
-    Selected,
-    Twins,
-    doublings,
-    keep_most,
-    sequence_cap,
-    sizes_of,
-)
+from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.levelling import keep_most
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.arrays import Ints
 
-MAX_ANSWER_PERCENT: Final = 31
+_MAX_ANSWER_PERCENT: Final = 31
 """Maximum share of one answer, in percent."""
 
-MAX_DESCRIBED: Final = 4
+_MAX_DESCRIBED: Final = 4
 """Maximum number of questions of the template presence with one description at one time."""
 
-PERSON_COST: Final = 160
-DESCRIBED_COST: Final = 160
-SEQUENCE_COST: Final = 8
+_PERSON_COST: Final = 160
+_DESCRIBED_COST: Final = 160
+_SEQUENCE_COST: Final = 8
 
 _PARTS: Final = 4
 """Times in a sequence are compared by its quarters."""
@@ -74,7 +66,7 @@ class _Rows:
     """The candidates of a template as arrays, in the order of their keys' hashes, and the state of the selection."""
 
     def __init__(self, candidates: Sequence[Candidate]) -> None:
-        self.candidates = sorted(candidates, key=lambda candidate: hashed(candidate.key))
+        self.candidates = sorted(candidates, key=lambda candidate: hash_of(candidate.key))
         count = len(self.candidates)
         self.number = {candidate.key: row for row, candidate in enumerate(self.candidates)}
         answers = sorted({candidate.truth for candidate in candidates})
@@ -113,7 +105,7 @@ class _Rows:
         return self.people, self.described, self.sequences
 
 
-_GROUP_COSTS: Final = (PERSON_COST, DESCRIBED_COST, SEQUENCE_COST)
+_GROUP_COSTS: Final = (_PERSON_COST, _DESCRIBED_COST, _SEQUENCE_COST)
 
 
 def _numbered(values: Sequence[object]) -> Ints:
@@ -171,7 +163,7 @@ def _attempt(
     chosen: dict[int, Question] = {}
 
     def admits(row: int) -> bool:
-        below = rows.per[1][rows.described[row]] < MAX_DESCRIBED and rows.per[2][rows.sequences[row]] < cap
+        below = rows.per[1][rows.described[row]] < _MAX_DESCRIBED and rows.per[2][rows.sequences[row]] < cap
         return bool(below) and taken.admits(rows.candidates[row].subject)
 
     def put(row: int, twin: str | None = None) -> None:
@@ -208,7 +200,7 @@ def _drop_frequent(rows: _Rows, chosen: dict[int, Question]) -> None:
         numbers = Counter(question.candidate.truth for question in chosen.values())
         answer, number = min(numbers.items(), key=lambda item: (-item[1], item[0]))
         loose = [row for row, one in chosen.items() if one.candidate.truth == answer and one.twin is None]
-        if 100 * number <= MAX_ANSWER_PERCENT * len(chosen) or not loose:
+        if 100 * number <= _MAX_ANSWER_PERCENT * len(chosen) or not loose:
             return
         worst = max(zip(rows.costs(np.array(loose)).tolist(), loose, strict=True))[1]
         rows.add(worst, -1)

@@ -11,17 +11,18 @@ from collections.abc import Collection, Iterable, Mapping
 from functools import lru_cache
 from typing import Final, Literal, NamedTuple
 
-from jrdb_avr.schema.labels import CALLED, CHOICE_LABELS, POSES, implied_actions, may_be_same
+from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, implied_actions, may_be_same
+from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-Outcome = Literal["same", "different", "unknown"]
+Comparison = Literal["same", "different", "unknown"]
 
 _POSES: Final = frozenset(POSES)
 _WINDOW: Final = 3
 """Number of keyframes before and after the time asked that must lack a wrong choice. For a pose it is one."""
 
 
-class Labels(NamedTuple):
+class ListedActions(NamedTuple):
     """The action labels of a person at a keyframe.
 
     Attributes:
@@ -35,7 +36,7 @@ class Labels(NamedTuple):
     complete: bool = True
 
 
-Timeline = Mapping[int, Labels]
+Timeline = Mapping[int, ListedActions]
 """The labels of a person by keyframe, in frames."""
 
 
@@ -50,7 +51,7 @@ def true_labels(timeline: Timeline, frame: int) -> frozenset[str]:
         The actions that are certain at the keyframe and at the keyframe before or after it.
     """
     near = [timeline[at].certain for at in (frame - KEYFRAME_STEP, frame + KEYFRAME_STEP) if at in timeline]
-    present = timeline.get(frame, Labels()).certain.intersection(CHOICE_LABELS)
+    present = timeline.get(frame, ListedActions()).certain.intersection(CHOICE_LABELS)
     return present & frozenset().union(*near)
 
 
@@ -77,7 +78,7 @@ def false_labels(timeline: Timeline, frame: int) -> frozenset[str]:
     )
 
 
-def outcome(labels: Labels | None, label: str) -> Outcome:
+def outcome(labels: ListedActions | None, label: str) -> Comparison:
     """Compare an action with the labels of a person who has a box and is not covered.
 
     Args:
@@ -107,7 +108,7 @@ def wrong_choices(truth: str, false: Collection[str], words: Iterable[str], pres
     Args:
         truth: The right choice.
         false: The actions that are false of the target (`false_labels`).
-        words: Labels of the actions, interactions and verbs in the text of the question.
+        words: ListedActions of the actions, interactions and verbs in the text of the question.
         present: The actions that are certainly true of a person in clear view at a keyframe of the sequence.
 
     Returns:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from fractions import Fraction
 from typing import Final, NamedTuple
 
-from jrdb_avr.schema.labels import CHOICE_LABELS
+from jrdb_avr.schema.choice_labels import CHOICE_LABELS
 
 BOUND: Final = Fraction(34, 100)
 """Maximum share of each counting guesser in a template of `JUDGED` or more questions."""
@@ -22,7 +22,7 @@ COUNTING: Final = ("data", "sequence", "label", "set", "pair")
 """Guessers that the bound judges: the commonest choice in all data and in the sequence; the choice that is most often
 true elsewhere, by itself, with its set of choices, and beside each of the other choices."""
 
-PRIOR: Final = 4
+_PRIOR: Final = 4
 """Weight of the prior belief, in questions: one choice of four is true."""
 
 
@@ -203,7 +203,7 @@ def _beliefs(
         belief = Fraction(1, 4)
         for key in keys(choice, offer.choices):
             right, all_of = (tally["", *key] - tally[offer.sequence, *key] for tally in (true, offered))
-            belief = (right + PRIOR * belief) / (all_of + PRIOR)
+            belief = (right + _PRIOR * belief) / (all_of + _PRIOR)
         beliefs[choice] = belief
     return beliefs
 

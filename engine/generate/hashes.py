@@ -14,12 +14,12 @@ _FACTORS = np.array([0x9E3779B97F4A7C15, 0xD6E8FEB86659FD93], np.uint64)
 _HALF = np.uint64(32)
 
 
-def hashed(*parts: object) -> int:
+def hash_of(*parts: object) -> int:
     """Return a number of 64 bits for some values, equal in every process."""
     return int.from_bytes(hashlib.blake2b(repr(parts).encode(), digest_size=8).digest(), "big")
 
 
-def mixed(hashes: Hashes, salt: int) -> Hashes:
+def permute(hashes: Hashes, salt: int) -> Hashes:
     """Permute all numbers of 64 bits, by the salt.
 
     Args:
@@ -38,4 +38,4 @@ def mixed(hashes: Hashes, salt: int) -> Hashes:
 
 def in_hash_order(texts: Iterable[str], salt: str) -> tuple[str, ...]:
     """Return texts in an order that depends on them and the salt alone."""
-    return tuple(sorted(texts, key=lambda text: hashed(salt, text)))
+    return tuple(sorted(texts, key=lambda text: hash_of(salt, text)))

@@ -13,40 +13,44 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from jrdb_avr.engine.generate.asked import (
+    Candidate,
+    Question,
+    Selected,
+    Twins,
+    moment_hash,
+    offer_of,
+    sequence_cap,
+    sizes_of,
+)
 from jrdb_avr.engine.generate.choices import wrong_sets
-from jrdb_avr.engine.generate.guessers import JUDGED, LabelCounts, Offer, above_bound
-from jrdb_avr.engine.generate.hashes import hashed, in_hash_order, mixed
-from jrdb_avr.engine.generate.near_duplicates import Subject, Taken
+from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, above_bound
+from jrdb_avr.engine.generate.hashes import hash_of, permute
+from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.arrays import Ints
-from jrdb_avr.schema.labels import CHOICE_LABELS
-from jrdb_avr.schema.rules import KEYFRAME_STEP
+from jrdb_avr.schema.choice_labels import CHOICE_LABELS
 
-ALL_WEIGHT: Final = 50
-SEQUENCE_WEIGHT: Final = 20
-CONTEXT_WEIGHT: Final = 10
-PAIR_WEIGHT: Final = 20
-RANK_WEIGHTS: Final = (3, 4, 4)
-PERSON_COST: Final = 60
-SEQUENCE_COST: Final = 3
-DOING_GAIN: Final = 10
+_PAIR_WEIGHT: Final = 20
+_RANK_WEIGHTS: Final = (3, 4, 4)
+_PERSON_COST: Final = 60
+_SEQUENCE_COST: Final = 3
+_DOING_GAIN: Final = 10
 
-DRAWN: Final = 120
+_DRAWN: Final = 120
 """Moments that each step of the greedy selection compares."""
 
-DRAWN_FOR_SWAP: Final = 40
+_DRAWN_FOR_SWAP: Final = 40
 """Moments that each question is compared with in a pass of swaps."""
 
-PASSES: Final = 6
+_PASSES: Final = 6
 """Maximum number of passes that look for better choices of each question."""
 
-SWAP_PASSES: Final = 2
-STEPS: Final = 20
-"""Sizes of a template are so many parts of its quota."""
+_SWAP_PASSES: Final = 2
 
 Result = TypeVar("Result")
 
@@ -54,122 +58,6 @@ _SHARES: Final = np.array([-3, 1, 1, 1])
 """What a question adds to X for its true choice and its three wrong choices."""
 
 _CODE: Final = {label: number for number, label in enumerate(CHOICE_LABELS)}
-
-
-class Candidate(NamedTuple):
-    """A proven question for which choices are to be selected.
-
-    Attributes:
-        key: Hash of the question's sequence, target and plan, unique in a template.
-        template: Name of the template.
-        sequence: Name of the sequence.
-        track: Track of the target.
-        described: The description with its time, and the relations, as text.
-        asked: Frames of the answer.
-        truth: The right answer: an action, or one of four fixed answers.
-        wrong: The answers that may be wrong choices.
-        contexts: Names of the contexts and their weights. (`choice_contexts`, `answer_contexts`)
-        event: The event of the target that only one question may be about, if any.
-    """
-
-    key: str
-    template: str
-    sequence: str
-    track: int
-    described: str
-    asked: tuple[int, ...]
-    truth: str
-    wrong: frozenset[str]
-    contexts: tuple[tuple[str, int], ...]
-    event: str | None = None
-
-    @property
-    def moment(self) -> tuple[str, int, tuple[int, ...]]:
-        """The person and the times asked. A template has one question only about them."""
-        return self.sequence, self.track, self.asked
-
-    @property
-    def subject(self) -> Subject:
-        """What near-duplicates and caps compare."""
-        return Subject((self.sequence, self.track), self.template, self.asked, self.event)
-
-
-class Question(NamedTuple):
-    """A selected candidate with its wrong choices, in lexical order. `twin` is the common key of two time twins."""
-
-    candidate: Candidate
-    wrong: tuple[str, ...]
-    twin: str | None = None
-
-    @property
-    def choices(self) -> tuple[str, ...]:
-        """All choices in the order of the question. Time twins have the same order."""
-        return in_hash_order((self.candidate.truth, *self.wrong), self.twin or self.candidate.key)
-
-
-Twins = tuple[Candidate, Candidate]
-
-
-class Selected(NamedTuple):
-    """The questions of a template, in the order of their moments' hashes, and the reason if they are too few."""
-
-    questions: list[Question]
-    shortage: str | None
-
-
-def offer_of(question: Question, counts: LabelCounts) -> Offer:
-    """Return what counting guessers know of a question.
-
-    Args:
-        question: The question.
-        counts: How common actions are.
-
-    Returns:
-        Its choices, with their ranks if they are actions.
-    """
-    one = question.candidate
-    ranks = counts.ranks(one.sequence, one.asked[-1], one.truth, question.wrong)
-    return Offer(one.sequence, one.truth, question.wrong, ranks)
-
-
-def choice_contexts(
-    sequence: str, conditions: Iterable[str], relation: str | None, wait: int
-) -> tuple[tuple[str, int], ...]:
-    """List the contexts of a question with actions as choices.
-
-    Args:
-        sequence: Name of the sequence.
-        conditions: Words of each condition of the description.
-        relation: The relation that leads to the target, or None; of a fork-join both, as one text.
-        wait: Frames from the description to the time asked.
-
-    Returns:
-        The name and the weight of each context.
-    """
-    others = [f"condition {words}" for words in sorted(set(conditions))]
-    others += [f"relation {relation}"] if relation else []
-    others += [f"wait {doublings(wait)}"] if wait else []
-    every = (("all", ALL_WEIGHT), (f"sequence {sequence}", SEQUENCE_WEIGHT))
-    return (*every, *((name, CONTEXT_WEIGHT) for name in others))
-
-
-def doublings(wait: int) -> int:
-    """Return how many times one second must be doubled to exceed a wait in frames."""
-    return (wait // KEYFRAME_STEP).bit_length()
-
-
-def sequence_cap(quota: int, sequences: int, percent: int = 20) -> int:
-    """Return the maximum number of questions of a template from one sequence.
-
-    Args:
-        quota: Number of questions wanted of the template.
-        sequences: Number of sequences.
-        percent: Minimum share of the quota that one sequence may give.
-
-    Returns:
-        The larger one of that share and 1.5 times the even share, rounded up.
-    """
-    return max(-(-quota * percent // 100), -(-3 * quota // (2 * sequences)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +94,7 @@ class Level:
         labels = len(CHOICE_LABELS)
         self._levels = np.zeros((len(names) + 1, labels), np.int64)
         self._pairs = np.zeros((labels, labels), np.int64)
-        self._ranks = np.zeros((len(RANK_WEIGHTS), 4), np.int64)
+        self._ranks = np.zeros((len(_RANK_WEIGHTS), 4), np.int64)
         self._count = 0
         self.of_person: Counter[tuple[str, int]] = Counter()
         self.of_sequence: Counter[str] = Counter()
@@ -261,7 +149,7 @@ class Level:
         sequence, frame = candidate.sequence, candidate.asked[-1]
         wrong = _coded_triples(candidate.wrong)
         labels = np.hstack([np.full((len(wrong), 1), _CODE[candidate.truth], np.int8), wrong])
-        labels = labels[np.argsort(mixed(labels[:, 1:].astype(np.uint64) @ _BASE, hashed(candidate.key)))]
+        labels = labels[np.argsort(permute(labels[:, 1:].astype(np.uint64) @ _BASE, hash_of(candidate.key)))]
         doing = np.isin(labels[:, 1:], [_CODE[x] for x in self.counts.doing(sequence, frame) if x in _CODE])
         orders = self.counts.orders(sequence, frame)
         places = np.array([[order[label] for label in CHOICE_LABELS] for order in orders])[:, labels]
@@ -270,14 +158,14 @@ class Level:
         for index, (name, weight) in enumerate(candidate.contexts):
             numbers[index], weights[index] = self._contexts[name], weight
         # What one question costs by itself: squares of its own shares, and of its own ranks.
-        own = int(_SHARES @ _SHARES) * int(weights.sum()) + 12 * sum(RANK_WEIGHTS)
-        own += PAIR_WEIGHT * 3 * int(_SHARES @ _SHARES)
-        return _Options(candidate, labels, ranks, own - DOING_GAIN * doing.sum(axis=1), numbers, weights)
+        own = int(_SHARES @ _SHARES) * int(weights.sum()) + 12 * sum(_RANK_WEIGHTS)
+        own += _PAIR_WEIGHT * 3 * int(_SHARES @ _SHARES)
+        return _Options(candidate, labels, ranks, own - _DOING_GAIN * doing.sum(axis=1), numbers, weights)
 
     def _costs(self, rows: Sequence[_Options]) -> Ints:
         """Return by how much each option of some candidates raises the cost (sum of their options)."""
-        people = [PERSON_COST * self.of_person[row.candidate.moment[:2]] for row in rows]
-        others = [SEQUENCE_COST * self.of_sequence[row.candidate.sequence] for row in rows]
+        people = [_PERSON_COST * self.of_person[row.candidate.moment[:2]] for row in rows]
+        others = [_SEQUENCE_COST * self.of_sequence[row.candidate.sequence] for row in rows]
         which = np.repeat(np.arange(len(rows)), [len(row.base) for row in rows])
         labels, ranks, costs = (
             np.concatenate([getattr(row, name) for row in rows]) for name in ("labels", "ranks", "base")
@@ -292,9 +180,9 @@ class Level:
         both = self._pairs + self._pairs.T
         pairs = beside[true, first] + beside[true, second] + beside[true, third]
         pairs += both[first, second] + both[first, third] + both[second, third]
-        costs += 2 * PAIR_WEIGHT * pairs
-        uneven = 8 * (4 * self._ranks - self._count) * np.array(RANK_WEIGHTS)[:, None]
-        costs += uneven[np.arange(len(RANK_WEIGHTS)), ranks].sum(axis=1)
+        costs += 2 * _PAIR_WEIGHT * pairs
+        uneven = 8 * (4 * self._ranks - self._count) * np.array(_RANK_WEIGHTS)[:, None]
+        costs += uneven[np.arange(len(_RANK_WEIGHTS)), ranks].sum(axis=1)
         return costs
 
 
@@ -364,7 +252,7 @@ class Selector:
             self.level.add(one)
             cost += self.level.cost_of(two)
             self.level.add(one, -1)
-            options.append((cost, hashed(key, wrong), one, two))
+            options.append((cost, hash_of(key, wrong), one, two))
         *_, one, two = min(options)
         self.put(moments[0], one)
         if not self.admits(second):
@@ -379,7 +267,7 @@ class Selector:
         alive = np.array([moment for moment in sorted(self.moments) if moment not in self.chosen], np.uint64)
         order = []
         while len(self.chosen) < size and len(alive):
-            drawn, refused = self._draw(alive, len(self.chosen), DRAWN)
+            drawn, refused = self._draw(alive, len(self.chosen), _DRAWN)
             alive = alive[~np.isin(alive, refused)]
             if not drawn:
                 continue
@@ -392,14 +280,14 @@ class Selector:
 
     def improve(self) -> None:
         """Look for better choices of each question, and then for better moments."""
-        for _ in range(PASSES):
+        for _ in range(_PASSES):
             if not sum(self._replace(moment, [moment]) for moment in self._loose()):
                 break
-        for turn in range(SWAP_PASSES):
+        for turn in range(_SWAP_PASSES):
             for moment in self._loose():
                 free = np.array([one for one in self.moments if one not in self.chosen], np.uint64)
                 question = self.take_out(moment)
-                drawn, _ = self._draw(free, hashed(turn, moment), DRAWN_FOR_SWAP)
+                drawn, _ = self._draw(free, hash_of(turn, moment), _DRAWN_FOR_SWAP)
                 self.put(moment, question)
                 self._replace(moment, drawn)
 
@@ -424,17 +312,12 @@ class Selector:
         """Draw admitted moments in the order of their hash; return them and the refused ones."""
         drawn: list[int] = []
         refused: list[int] = []
-        for index in np.argsort(mixed(moments, salt)):
+        for index in np.argsort(permute(moments, salt)):
             moment = int(moments[index])
             (drawn if self.admits(self.moments[moment][0]) else refused).append(moment)
             if len(drawn) == count:
                 break
         return drawn, refused
-
-
-def moment_hash(candidate: Candidate) -> int:
-    """Return the hash of a candidate's moment."""
-    return hashed(candidate.template, *candidate.moment)
 
 
 def group_moments(candidates: Iterable[Candidate]) -> dict[int, list[Candidate]]:
@@ -529,12 +412,6 @@ def keep_most(most: int, attempt: Callable[[int], Result | None]) -> Result | No
     return best
 
 
-def sizes_of(quota: int) -> list[int]:
-    """Return the shares of a quota that are tried, the largest first; smaller ones are not judged."""
-    judged = [size for step in range(STEPS, 0, -1) if (size := quota * step // STEPS) >= JUDGED]
-    return [*judged, JUDGED - 1]
-
-
 def level_choices(candidates: Sequence[Candidate], counts: LabelCounts) -> list[Question]:
     """Choose the wrong choices of all candidates of a template, without leaving any out.
 
@@ -548,7 +425,7 @@ def level_choices(candidates: Sequence[Candidate], counts: LabelCounts) -> list[
     level = Level(candidates, counts)
     ordered = sorted((x for x in candidates if wrong_sets(x.wrong)), key=lambda candidate: candidate.key)
     chosen: dict[str, Question] = {}
-    for turn in range(1 + PASSES):
+    for turn in range(1 + _PASSES):
         moved = False
         for candidate in ordered:
             question = chosen.get(candidate.key)

@@ -6,18 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from jrdb_avr.engine.generate.answer_levels import select_answers
+from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
-from jrdb_avr.engine.generate.levelling import Candidate, Question, Selected, offer_of, select_choices, sequence_cap
+from jrdb_avr.engine.generate.levelling import select_choices
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.engine.generate.twins import MAX_TWINS, match_twins
 
 ORDER: Final = ("fork_join", "three_hop", "two_hop", "later_action", "consequence", "change", "distance", "presence")
 """Templates in the order of selection: as a person is in few questions, the scarce templates choose first."""
 
-FIXED: Final = ("distance", "presence")
+_FIXED: Final = ("distance", "presence")
 """Templates with four fixed answers."""
 
-CHANGE_QUOTA: Final = 350
+_CHANGE_QUOTA: Final = 350
 """Maximum number of questions of the template change."""
 
 
@@ -36,7 +37,7 @@ def quota_of(template: str, quotas: Mapping[str, int], selected: Mapping[str, in
     """
     rest = quotas["unique_anchor"] - selected.get("change", 0) - selected.get("distance", 0)
     if template == "change":
-        return min(CHANGE_QUOTA, quotas["unique_anchor"])
+        return min(_CHANGE_QUOTA, quotas["unique_anchor"])
     if template == "distance":
         return rest // 2 if located else 0
     return rest if template == "presence" else quotas.get(template, 0)
@@ -86,6 +87,6 @@ def _select(
     """Match the time twins of a template, and select its questions around them."""
     cap = sequence_cap(quota, sequences, 10 if template == "presence" else 20)
     twins = match_twins(candidates, taken, cap) if template in MAX_TWINS else []
-    if template in FIXED:
+    if template in _FIXED:
         return select_answers(candidates, quota, taken, sequences, twins)
     return select_choices(candidates, quota, counts, taken, sequences, twins)

@@ -10,11 +10,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
+from jrdb_avr.engine.generate.asked import Candidate, Twins, moment_hash
 from jrdb_avr.engine.generate.choices import wrong_sets
-from jrdb_avr.engine.generate.hashes import hashed
-from jrdb_avr.engine.generate.levelling import Candidate, Twins, moment_hash
+from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.near_duplicates import Taken, near_frames
-from jrdb_avr.schema.labels import CHOICE_LABELS
+from jrdb_avr.schema.choice_labels import CHOICE_LABELS
 from jrdb_avr.schema.rules import Rules
 
 MAX_TWINS: Final = {"change": 50, "presence": 50, "later_action": 9}
@@ -107,4 +107,4 @@ def _admit(pair: Sequence[Candidate], taken: Taken) -> bool:
 
 
 def _pair_hash(pair: Twins) -> int:
-    return hashed(*(candidate.key for candidate in pair))
+    return hash_of(*(candidate.key for candidate in pair))

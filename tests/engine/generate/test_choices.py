@@ -7,14 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.choices import (
-    Labels,
+    ListedActions,
     false_labels,
     outcome,
     true_labels,
     wrong_choices,
     wrong_sets,
 )
-from jrdb_avr.schema.labels import ACTIONS, CALLED, CHOICE_LABELS, POSES, implied_actions, may_be_same
+from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, implied_actions, may_be_same
+from jrdb_avr.schema.labels import ACTIONS, POSES
 
 SOME = ("walking", "standing", "sitting", "cycling", "holding sth", "typing", "reading", "pulling", "looking into sth")
 ALL = frozenset(ACTIONS)
@@ -27,7 +28,7 @@ def timelines(draw):
         if draw(st.integers(0, 5)):
             certain = draw(st.frozensets(st.sampled_from(SOME), max_size=3))
             hard = draw(st.frozensets(st.sampled_from(SOME), max_size=1)) - certain
-            timeline[frame] = Labels(certain, hard, bool(draw(st.integers(0, 5))))
+            timeline[frame] = ListedActions(certain, hard, bool(draw(st.integers(0, 5))))
     return timeline
 
 

@@ -9,24 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.answer_levels import answer_contexts, select_answers
+from jrdb_avr.engine.generate.asked import Candidate, Question, choice_contexts, offer_of, sequence_cap
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import LabelCounts, above_bound
-from jrdb_avr.engine.generate.hashes import hashed
-from jrdb_avr.engine.generate.levelling import (
-    Candidate,
-    Level,
-    Question,
-    choice_contexts,
-    keep_most,
-    level_choices,
-    offer_of,
-    select_choices,
-    sequence_cap,
-)
+from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.levelling import Level, keep_most, level_choices, select_choices
 from jrdb_avr.engine.generate.mix import quota_of, select_mix
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.engine.generate.twins import match_twins, may_be_twins
-from jrdb_avr.schema.labels import PRESENCE_ANSWERS, may_be_same
+from jrdb_avr.schema.choice_labels import may_be_same
+from jrdb_avr.schema.labels import PRESENCE_ANSWERS
 from jrdb_avr.schema.rules import Rules
 
 LABELS = ("walking", "standing", "sitting", "skating", "eating sth", "talking to someone", "holding sth")
@@ -34,14 +26,14 @@ SEQUENCES = ("s0", "s1", "s2")
 
 
 def pick(values, *parts):
-    return values[hashed(*parts) % len(values)]
+    return values[hash_of(*parts) % len(values)]
 
 
 def candidate(number, template="change", asked=None, truth=None, described=None):
-    sequence, track = pick(SEQUENCES, "s", number), hashed("p", number) % 9
+    sequence, track = pick(SEQUENCES, "s", number), hash_of("p", number) % 9
     truth = truth or pick(LABELS, "t", number)
-    wrong = frozenset(x for x in LABELS if not may_be_same(x, truth) and hashed(number, x) % 8)
-    asked = asked or (60 + 45 * (hashed("k", number) % 8),)
+    wrong = frozenset(x for x in LABELS if not may_be_same(x, truth) and hash_of(number, x) % 8)
+    asked = asked or (60 + 45 * (hash_of("k", number) % 8),)
     contexts = choice_contexts(sequence, [pick(("tall", "male"), number)], pick((None, "left"), number), asked[-1])
     key = hashlib.sha256(str(number).encode()).hexdigest()
     return Candidate(key, template, sequence, track, described or str(number), asked, truth, wrong, contexts)
@@ -50,7 +42,7 @@ def candidate(number, template="change", asked=None, truth=None, described=None)
 def counts_of():
     return LabelCounts(
         {
-            (sequence, frame): {x: hashed(sequence, frame, x) % 4 for x in LABELS}
+            (sequence, frame): {x: hash_of(sequence, frame, x) % 4 for x in LABELS}
             for sequence in SEQUENCES
             for frame in range(60, 500, 45)
         }
@@ -192,15 +184,15 @@ def test_matched_twins_stay_in_the_selection_with_equal_choices():
 
 def presence(number):
     sequence = pick(SEQUENCES, "s", number)
-    t1 = 60 + hashed("1", number) % 300
-    asked = (t1, t1 + 45 + hashed("2", number) % 300)
+    t1 = 60 + hash_of("1", number) % 300
+    asked = (t1, t1 + 45 + hash_of("2", number) % 300)
     answers = PRESENCE_ANSWERS + PRESENCE_ANSWERS[:1] * 3
     truth = pick(answers, "a", number)
     key = hashlib.sha256(str(number).encode()).hexdigest()
     contexts = answer_contexts(sequence, 900, 0, asked, [pick(("tall", "male"), number)])
     wrong = frozenset(PRESENCE_ANSWERS) - {truth}
-    described = str(hashed("d", number) % 40)
-    return Candidate(key, "presence", sequence, hashed(number) % 30, described, asked, truth, wrong, contexts)
+    described = str(hash_of("d", number) % 40)
+    return Candidate(key, "presence", sequence, hash_of(number) % 30, described, asked, truth, wrong, contexts)
 
 
 def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
