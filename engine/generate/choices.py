@@ -15,7 +15,7 @@ from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, implied_actions
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-Comparison = Literal["same", "different", "unknown"]
+LabelOutcome = Literal["same", "different", "unknown"]
 
 _POSES: Final = frozenset(POSES)
 _WINDOW: Final = 3
@@ -78,7 +78,7 @@ def false_labels(timeline: Timeline, frame: int) -> frozenset[str]:
     )
 
 
-def outcome(labels: ListedActions | None, label: str) -> Comparison:
+def outcome(labels: ListedActions | None, label: str) -> LabelOutcome:
     """Compare an action with the labels of a person who has a box and is not covered.
 
     Args:
