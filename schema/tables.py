@@ -83,6 +83,8 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "listed": (_B, "true if the whole list of actions was read, so that an action without a label is false"),
     "interactions_listed": (_B, "true if the whole list was read, so that an interaction without a label is false"),
     "handles_listed": (_B, "true if the whole list was read, so that handling a thing without a label is false"),
+    "robot_view_listed": (_B, "true unless `load` left out who is the first person to a side, for too many facts"),
+    "person_view_listed": (_B, "true if the person is located, unless `load` left out all relative places"),
     "group_size": (_I, "number of people in the group; null if it is unknown"),
     "located": (_B, "true if the person has a 3D box with lidar points at the frame"),
     "heading": (_F, "direction that the person faces, radians counter-clockwise from straight ahead of the robot"),
@@ -214,7 +216,7 @@ def _schema(view: str, columns: str) -> pa.Schema:
 
 
 def _schemas(prefix: str, tables: dict[str, tuple[str, str]]) -> dict[str, pa.Schema]:
-    """Return the schema of each table by name, and add the sentence about each table to `ABOUT`."""
+    """Return the schemas of tables, by the name of the table. Add the sentence about each table to `ABOUT`."""
     ABOUT.update({prefix + table: about for table, (about, _) in tables.items()})
     return {table: _schema(prefix + table, columns) for table, (_, columns) in tables.items()}
 
@@ -274,7 +276,7 @@ _INTERVALS: Final = {
         "Boxes of people, with direction, distance, visibility, pose and group of the person at that frame.",
         "sequence frame track x y w h angle occlusion? no_eval clear face_visible? listed interactions_listed "
         "handles_listed pose? cluster? group_size? sector? located distance? distance_word? "
-        "distance_word_other? cx? cy? cz? heading?",
+        "distance_word_other? cx? cy? cz? heading? robot_view_listed person_view_listed",
     ),
     "object_sightings": (
         "Boxes of things at the frames of the panoptic layer, with the direction of the box.",

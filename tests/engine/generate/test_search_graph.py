@@ -47,9 +47,10 @@ SQL = {
     "SeenIn": f"""
         SELECT {PERSON}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle, occlusion, no_eval, clear,
                face_visible, listed, interactions_listed, handles_listed, pose, group_size, sector,
-               located, distance, distance_word, distance_word_other, cx, cy, cz, heading FROM sightings
+               located, distance, distance_word, distance_word_other, cx, cy, cz, heading, robot_view_listed,
+               person_view_listed FROM sightings
         UNION ALL
-        SELECT {THING}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle{", NULL" * 18}
+        SELECT {THING}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle{", NULL" * 20}
         FROM object_sightings""",
     "Present": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM presences",
     "Absent": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM absences",
