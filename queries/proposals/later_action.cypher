@@ -1,4 +1,4 @@
-// later_pose: two relations lead to a person whose posture ten seconds later or more is another one.
+// later_action: two relations lead to a person whose posture ten seconds later or more is another one.
 // param sequence: text
 MATCH (n:Name)-[:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
       <-[:At]-(p:Person)-[:At]->(m1:Moment)
