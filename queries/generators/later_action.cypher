@@ -1,5 +1,4 @@
-// later_action: two relations lead to a person whose posture ten seconds later or more is another one.
-// param sequence: text
+// later_pose: two relations lead to a person whose posture ten seconds later or more is another one.
 MATCH (n:Name)-[:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
       <-[:At]-(p:Person)-[:At]->(m1:Moment)
 WHERE n.sequence = $sequence AND n.general AND c.id <> a.id AND m1.frame >= c.frame + $later AND m1.pose <> c.pose
