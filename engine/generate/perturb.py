@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol, cast
 import msgspec
 from msgspec.structs import replace
 
+from jrdb_avr.engine.generate.choices import outcome
 from jrdb_avr.engine.generate.facts import Fit, Key
 from jrdb_avr.schema.answer_modes import same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
@@ -53,7 +54,7 @@ class FactSource(Protocol):
             keys: Keys of one of these forms, with people by track:
                 ("people_at", sequence, frame), ("match", sequence, condition, frame) and
                 ("follow", sequence, relation, track, frame) give the people as a `Fit`;
-                ("pose", sequence, track, frame) gives a posture or None;
+                ("labels", sequence, track, frame) gives `ListedActions`, or None if nothing can be read;
                 ("seen", sequence, track, frame) gives a `Seen`;
                 ("start", sequence, track, action, after) gives a `FrameViewpoint` or None;
                 ("onsets", sequence, track, action, frame) gives rows (frame, angle, could, certain).
@@ -204,7 +205,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     """Run a program.
 
     Args:
-        program: Program that reads an action, presence, a change of distance, or a start with its direction.
+        program: Program that reads presence, a change of distance, or a start with its direction.
         source: Source of facts.
         rules: Thresholds of distances.
 
@@ -220,11 +221,6 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
         (start,) = source.ask([("start", program.sequence, who, program.action, program.frame)])
         return cast(FrameViewpoint, _known(start))
     seen = [("seen", program.sequence, who, frame) for frame in program.times]
-    if program.read == "action":
-        view, pose = source.ask([*seen, ("pose", program.sequence, who, program.times[0])])
-        if view.present is False:
-            raise NoAnswerError("empty")
-        return str(_known(pose))
     first, second = source.ask(seen)
     if program.read == "presence":
         return PRESENCE_ANSWERS[3 - 2 * _known(first.present) - _known(second.present)]
@@ -235,6 +231,26 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     if abs(nearer) >= rules.distance_changed_m:
         return DISTANCE_ANSWERS[0 if nearer > 0 else 1]
     return DISTANCE_ANSWERS[_known(2 if abs(nearer) < rules.distance_same_m else None)]
+
+
+def read_action(program: Program, label: str, source: FactSource) -> str:
+    """Read whether the target of a program does an action.
+
+    Args:
+        program: Program that reads an action.
+        label: The action.
+        source: Source of facts.
+
+    Returns:
+        The outcome: "same", "different", "unknown", or "empty" if the person is absent.
+
+    Raises:
+        NoAnswerError: If the program finds no single person.
+        MissingFactsError: If facts are missing.
+    """
+    about = program.sequence, find_people(program, source)[program.target], program.times[0]
+    seen, labels = source.ask([("seen", *about), ("labels", *about)])
+    return "empty" if seen.present is False else outcome(labels, label)
 
 
 def _known(value: Any) -> Any:
@@ -316,10 +332,10 @@ def _prove(
     if perturbed is None:
         return Proof(kind, variant, False, "outside")
     try:
-        outcome, text = _outcome(perturbed, answer, keyframes, rules, source)
+        result, text = _compare(perturbed, answer, keyframes, rules, source)
     except MissingFactsError:
         return None
-    return Proof(kind, variant, outcome in PROVING, outcome, text)
+    return Proof(kind, variant, result in PROVING, result, text)
 
 
 def _prove_drop(
@@ -329,26 +345,32 @@ def _prove_drop(
     kind, variant, known, missing = "time.drop", "all keyframes", [], False
     for program in moved:
         try:
-            text = _outcome(program, answer, keyframes, rules, source)[1]
+            result = _compare(program, answer, keyframes, rules, source)
         except MissingFactsError:
             missing = True
             continue
-        known += [] if text is None else [text]
+        known += [result] if result[0] in ("same", "different") else []
         if known and known[-1] != known[0]:
             return Proof(kind, variant, True, "different")
-    outcome = "same" if len(known) > 1 else "empty"
-    return None if missing else Proof(kind, variant, outcome in PROVING, outcome)
+    end = "same" if len(known) > 1 else "empty"
+    return None if missing else Proof(kind, variant, end in PROVING, end)
 
 
-def _outcome(
+def _compare(
     perturbed: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
 ) -> tuple[str, str | None]:
-    """Compare the answer of a perturbed program with the question's answer; return the outcome, and a choice's text."""
+    """Compare the answer of a perturbed program with the question's answer; return the outcome, and a choice's text.
+
+    Of actions there is a text only if the outcome is "same", because a person may do several.
+    """
     if not all(frame in keyframes for frame in (perturbed.frame, *perturbed.times)):
         return "unknown", None
     try:
         if isinstance(answer, FrameViewpoint):
             return _compare_starts(perturbed, answer, source), None
+        if perturbed.read == "action":
+            result = read_action(perturbed, answer, source)
+            return result, answer if result == "same" else None
         again = run(perturbed, source, rules)
     except NoAnswerError as reason:
         return str(reason), None
