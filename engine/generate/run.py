@@ -30,11 +30,11 @@ from jrdb_avr.engine.generate.found import (
     slim_pool,
 )
 from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
-from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
 from jrdb_avr.engine.generate.sequence import SequenceJob
+from jrdb_avr.engine.generate.stored_layer import ensure_layer
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash, write_atomic
 from jrdb_avr.queries.graph.handle import hold_graph

@@ -1,5 +1,4 @@
 // Return who is seen once per second in a sequence, how each person is seen, and which labels were read.
-// param sequence: text
 // $phase: number of any keyframe of the sequence modulo 15.
 // param phase: integer = 0
 MATCH (p:Person)-[s:SeenIn]->(:Frame)
