@@ -6,10 +6,10 @@ What a selection cannot use is dropped without a proof.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -27,21 +27,22 @@ from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.perturb import (
     Answer,
     MissingFactsError,
-    NoAnswerError,
     Program,
     iterate_proofs,
     make_program,
+    read_answer,
 )
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
-from jrdb_avr.schema.answer_modes import decode_answer
-from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import QUESTION_RELATIONS
 from jrdb_avr.schema.rules import frames
 from jrdb_avr.schema.templates import Template
 from jrdb_avr.schema.wording.text import implied_choices
+
+EXAMPLES: Final = 100
+"""Maximum number of examples of refused proposals per sequence, template and rule."""
 
 _DESCRIPTIONS: Final = 6
 """Number of descriptions of a person with which questions of a template with time twins begin."""
@@ -53,7 +54,12 @@ _ROW_KEYS: Final = ("segment", "t0", "t1", "t2", "r1", "r2", "r3", "r4", "answer
 
 
 class Prover:
-    """Proves proposals of one sequence over its sets of facts."""
+    """Proves proposals of one template in one sequence over its sets of facts.
+
+    Attributes:
+        counts: Number of proposals that were refused, by rule, a key of `diagnostics.RULES`.
+        examples: The first refused proposals, by rule, each with the outcomes of the proofs of the rule.
+    """
 
     def __init__(self, search: Search, cypher: CypherFacts, held_out: Sequence[Extent] = ()) -> None:
         """Make a prover.
@@ -64,6 +70,14 @@ class Prover:
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
         self._search, self._cypher, self._held_out = search, cypher, held_out
+        self.counts: Counter[str] = Counter()
+        self.examples: dict[str, list[tuple[Proposal, str | None]]] = defaultdict(list)
+
+    def refuse(self, rule: str, proposal: Proposal | None = None, detail: str | None = None) -> None:
+        """Count a proposal as refused. A proposal that was tried may become an example."""
+        self.counts[rule] += 1
+        if proposal is not None and len(self.examples[rule]) < EXAMPLES:
+            self.examples[rule].append((proposal, detail))
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
@@ -72,32 +86,42 @@ class Prover:
         return self._cypher.ask(keys) if keys[0][0] == "onsets" else self._search.layer.facts.ask(keys)
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
-        """Return the proofs of a proposal about conditions, hops and times, or None if one of them does not hold."""
+        """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
+        if rule := self._excluding_rule(proposal):
+            self.refuse(rule, proposal)
+            return None
         template = proposal.template
-        if any(_touches(proposal, extent) for extent in self._held_out):
-            return None
-        if not template.single_view and self._fits_one_view(proposal):
-            return None
-        if template.counts:
-            stretch = proposal.frames["t1"], proposal.frames["t2"]
-            if self._cypher.count(proposal.sequence, proposal.relations[0], proposal.target, *stretch) != len(
-                proposal.counted
-            ):
-                return None
         program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
-        answer: Answer = proposal.answer
-        if template.spec.mode == "frame_viewpoint":
-            answer = cast(FrameViewpoint, decode_answer(template.spec.mode, proposal.answer))
+        proofs = self._try_proofs(program, read_answer(template.spec.mode, proposal.answer), template)
+        if not (lacking := failing(template.name, proofs, self._search.rules)):
+            return proofs
+        rule = lacking[0].split()[0]
+        detail = ", ".join(f"{proof.variant}: {proof.outcome}" for proof in proofs if proof.kind == rule)
+        self.refuse(rule, proposal, detail)
+        return None
+
+    def _excluding_rule(self, proposal: Proposal) -> str | None:
+        """Return the rule that refuses a proposal before its proofs are tried."""
+        template, frames = proposal.template, proposal.frames
+        if any(_touches(proposal, extent) for extent in self._held_out):
+            return "held_out"
+        if not template.single_view and self._fits_one_view(proposal):
+            return "view.single"
+        if template.counts:
+            stretch = proposal.relations[0], proposal.target, frames["t1"], frames["t2"]
+            if self._cypher.count(proposal.sequence, *stretch) != len(proposal.counted):
+                return "count"
+        return None
+
+    def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
+        """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
         while True:
             try:
                 return self._prove(program, answer, template)
-            except NoAnswerError:
-                return None
             except MissingFactsError:
                 self._cypher.fill()
 
-    def _prove(self, program: Program, answer: Answer, template: Template) -> list[Proof] | None:
-        """Return the proofs if they hold. Stop at the first that fails, unless another one of its kind is enough."""
+    def _prove(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         rules, proofs, missing = self._search.rules, [], False
         for proof in iterate_proofs(program, answer, self._search.layer.facts.keyframes, rules, self):
             if proof is None:
@@ -106,10 +130,10 @@ class Prover:
             proofs.append(proof)
             alternative = proof.kind == "time.shift" or (proof.kind == "hop.stop" and template.joins)
             if not alternative and failing(template.name, [proof], rules):
-                return None
+                return proofs
         if missing:
             raise MissingFactsError
-        return None if failing(template.name, proofs, rules) else proofs
+        return proofs
 
     def _fits_one_view(self, proposal: Proposal) -> bool:
         """Return whether one view shows everybody at t0, and the target when the answer is read."""
@@ -213,22 +237,23 @@ def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iter
         kept: list[Sequence[int]] = []
         for proposal, row in sorted(members, key=lambda member: member[0].key):
             if len(kept) == search.rules.max_per_person:
-                break
-            if any(_is_near(proposal.read, read, near) for read in kept) or prover.prove(proposal) is None:
-                continue
-            kept.append(proposal.read)
-            candidate = make_candidate(search, proposal)
-            assert candidate is not None
-            yield Entry(candidate, proposal.template.query, row)
+                prover.refuse("max_per_person")
+            elif any(_is_near(proposal.read, read, near) for read in kept):
+                prover.refuse("near_duplicate")
+            elif (candidate := make_candidate(search, proposal)) and prover.prove(proposal) is not None:
+                kept.append(proposal.read)
+                yield Entry(candidate, proposal.template.query, row)
 
 
 def _prove(search: Search, form: Template, row: Row, prover: Prover) -> Entry | None:
     """Return the candidate of a row, or None if it lacks wrong choices or a proof does not hold."""
     proposal = make_proposal(search, form, row)
     candidate = make_candidate(search, proposal)
-    if candidate is None or prover.prove(proposal) is None:
-        return None
-    return Entry(candidate, form.query, row)
+    if candidate is None:
+        prover.refuse("choices", proposal)
+    elif prover.prove(proposal) is not None:
+        return Entry(candidate, form.query, row)
+    return None
 
 
 _FILLS: Final[dict[str, Callable[[Search, Sequence[Template], Prover], Iterator[Entry]]]] = {

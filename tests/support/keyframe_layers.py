@@ -72,17 +72,6 @@ def searched(store, sequence, rules):
     yield context
 
 
-def layer_rows(store):
-    """Every row of a stored layer, by table."""
-    with Graph.open(store.graph_path, read_only=True) as graph:
-        found = {name: graph.query(f"MATCH (n:{name}) RETURN n.*", ordered=False) for name in KEYFRAME_NODES}
-        for name, (source, target, columns) in KEYFRAME_RELS.items():
-            listed = "".join(f", r.{column.split()[0]}" for column in columns)
-            text = f"MATCH (a:{source})-[r:{name}]->(b:{target}) RETURN a.id, b.id{listed}"
-            found[name] = graph.query(text, ordered=False)
-    return {name: sorted(map(repr, rows.to_pylist())) for name, rows in found.items()}
-
-
 def search(store, sequence, rules, candidates=None):
     """What a worker of generation returns for a sequence."""
     with layers_in_memory():
