@@ -305,7 +305,7 @@ def iterate_proofs(
     for condition in program.conditions:
         left = replace(program, conditions=tuple(one for one in program.conditions if one is not condition))
         yield _prove_condition(condition, left, source)
-    for kind, variant, perturbed in _hops(replace(program, held=people["a"])):
+    for kind, variant, perturbed in hops(replace(program, held=people["a"])):
         yield _prove(kind, variant, perturbed, answer, keyframes, rules, source)
     if program.moves == "construction":
         yield from (Proof(kind, BY_CONSTRUCTION, None, "not_run") for kind in ("time.shift", "time.drop"))
@@ -315,7 +315,7 @@ def iterate_proofs(
         # The person of whom the answer is read stays the same.
         moving = replace(program, edges=(), target="a", held=people[program.target])
         begin = program.frame + frames(rules.min_wait_s)
-    for variant, shifted in _shifts(moving, keyframes, rules):
+    for variant, shifted in shifts(moving, keyframes, rules):
         yield _prove("time.shift", variant, shifted, answer, keyframes, rules, source)
     moved = (_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin)
     yield _prove_drop(moved, answer, keyframes, rules, source)
@@ -403,8 +403,15 @@ def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSour
     return "empty"
 
 
-def _hops(program: Program) -> Iterator[tuple[str, str, Program]]:
-    """Yield the programs that stop at an earlier person, then those without a hop: kind, variant, program."""
+def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
+    """Yield the programs that stop at an earlier person, then those without a hop.
+
+    Args:
+        program: Program of a question.
+
+    Yields:
+        The kind and the variant of the proof, and the program.
+    """
     if not program.edges:
         return
     for place, node in enumerate(program.nodes[:-1]):
@@ -423,8 +430,17 @@ def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
     return tuple(replace(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
 
 
-def _shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
-    """Yield the programs with moved times. None stands for a time outside the sequence or before the description."""
+def shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
+    """Yield the programs with moved times.
+
+    Args:
+        moving: Program of a question.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+
+    Yields:
+        The variant of the proof, and the program, or None if a time is outside the sequence or before the description.
+    """
     first = max(moving.frame + 1, keyframes[0]) if moving.moves == "times" else keyframes[0]
     later = _later(moving)
     for by in (-frames(rules.shift_s), frames(rules.shift_s)):

@@ -1,8 +1,8 @@
-"""Questions of proven proposals: choices, all proofs, the boxes that are needed, and measures of difficulty."""
+"""Questions of proven proposals: all proofs, the boxes that are needed, measures of difficulty, and choices."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, Final
 
 import msgspec
@@ -10,82 +10,60 @@ import numpy as np
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
-from jrdb_avr.engine.generate.distractors import Choices, arrange, pose_sets
+from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.layer import Layer
-from jrdb_avr.engine.generate.perturb import NoAnswerError, Program, make_program, match, run
+from jrdb_avr.engine.generate.perturb import (
+    NoAnswerError,
+    Program,
+    find_people,
+    hops,
+    make_program,
+    match,
+    run,
+    shifts,
+)
 from jrdb_avr.engine.generate.propose import Proposal, Search
 from jrdb_avr.schema.answers import Choice, encode_answer
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
+from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.questions import NeededBox, Proof, QuestionRecord
-from jrdb_avr.schema.relations import QUESTION_RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, rules_hash
-from jrdb_avr.schema.wording.text import question_id, render, stated_actions
+from jrdb_avr.schema.wording.text import question_id, render
 
-_EVENTS: Final = ("start", "span", "start_view")
-"""Reads of which only one question may be about one start."""
-
-
-def make_row(search: Search, proposal: Proposal, proofs: list[Proof]) -> dict[str, Any] | None:
-    """Make the row of the pool for a proven proposal.
-
-    Args:
-        search: Sequence of the proposal.
-        proposal: Proven proposal.
-        proofs: Its proofs about conditions, hops and times.
-
-    Returns:
-        The row, in the columns of `selection.POOL`, or None if fewer than three answers are certainly wrong.
-    """
-    sets = _choice_sets(search, proposal, proofs)
-    if not sets:
-        return None
-    record = make_record(search, proposal, proofs, sets[0])
-    template, frames = proposal.template, proposal.frames
-    row: dict[str, Any] = {"key": proposal.key, "form": template.query, "answer_text": proposal.answer}
-    row |= {"stated": list(stated_actions(proposal.plan)), "times": [frames[name] for name in template.stated]}
-    row |= {"read_frames": list(proposal.read), "event": _event(search, proposal)}
-    row["sets"] = [msgspec.json.encode(choices).decode() for choices in sets if choices.texts]
-    return record.columns() | row
+Row = dict[str, Any]
 
 
-def _event(search: Search, proposal: Proposal) -> str | None:
-    """Return the start of an action, or the count of people, that a question is about."""
-    template = proposal.template
-    if template.counts:
-        return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"
-    number = proposal.segments[0] - min(search.layer.segments) if template.spec.read in _EVENTS else None
-    return None if number is None else f"start {number}"
-
-
-def make_record(search: Search, proposal: Proposal, proofs: list[Proof], choices: Choices) -> QuestionRecord:
-    """Make the record of a question.
+def make_row(search: Search, proposal: Proposal, key: str, proofs: list[Proof]) -> Row:
+    """Make the row of a question that lacks its choices.
 
     Args:
         search: Sequence of the proposal.
         proposal: Proven proposal.
+        key: Key of the candidate.
         proofs: Its proofs about conditions, hops and times.
-        choices: Choices of the question, without texts if the answer is not a choice.
 
     Returns:
-        The record.
+        The columns of the tables `questions` and `answers`, and those that `with_choices` reads.
     """
     layer, template, plan = search.layer, proposal.template, proposal.plan
     text = render(template.name, plan, proposal.key, layer.action_step == KEYFRAME_STEP)
-    public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
-    public |= {"question": text, "choices": choices.texts, "answer_mode": plan.answer.mode}
     needed, times, begin = needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
     angles = {box.frame: layer.boxes[box.track, box.frame]["angle"] for box in needed if box.node == template.target}
     decisive = [angles[box.frame] for box in needed if box.node == template.target and box.decisive]
-    return QuestionRecord(
-        question_id=question_id(**public),
-        **public,
-        answer=encode_answer(Choice(choices.true)) if choices.true else proposal.answer,
+    record = QuestionRecord(
+        question_id="",
+        sequence=proposal.sequence,
+        family=template.family,
+        template=template.name,
+        question=text,
+        choices=(),
+        answer_mode=plan.answer.mode,
+        answer=proposal.answer,
         target_track=proposal.target,
         plan=canonical(plan),
         proofs=_all_proofs(search, proposal, proofs, needed),
-        distractors=choices.perturbations,
+        distractors=(),
         rules=rules_hash(search.rules),
         hops=len(template.edges),
         time_gap_s=(max(times.values()) - begin) / layer.fps,
@@ -94,6 +72,33 @@ def make_record(search: Search, proposal: Proposal, proofs: list[Proof], choices
         bindings={**proposal.people, **dict(sorted(times.items()))},
         needed=needed,
     )
+    mistakes = dict(reversed(list(_mistakes(search, proposal)))) if template.answer is None else {}
+    return record.columns() | {"key": key, "mistakes": msgspec.json.encode(mistakes).decode()}
+
+
+def with_choices(row: Row, question: Question) -> Row:
+    """Add its choices to the row of a question.
+
+    Args:
+        row: Row of `make_row`.
+        question: The selected question.
+
+    Returns:
+        The row with choices, answer, distractors and id.
+    """
+    row = dict(row)
+    if question.wrong:
+        labels, mistakes = question.choices, msgspec.json.decode(row["mistakes"])
+        truth = labels.index(question.candidate.truth)
+        row["choices"] = [choice_text(label) for label in labels]
+        row["answer"] = encode_answer(Choice(truth + 1))
+        names = [None if place == truth else mistakes.get(label) for place, label in enumerate(labels)]
+        row["distractors"] = msgspec.json.encode(names).decode()
+    row["question_id"] = question_id(**{name: row[name] for name in _PUBLIC})
+    return row
+
+
+_PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
 
 
 def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:
@@ -156,70 +161,44 @@ def _all_proofs(
     )
 
 
-# -- choices ----------------------------------------------------------------------------------------------------------
+# -- mistakes ---------------------------------------------------------------------------------------------------------
 
 
-def _choice_sets(search: Search, proposal: Proposal, proofs: list[Proof]) -> tuple[Choices, ...]:
-    """Return the sets of choices that a question may have: one without choices if its answer is not a choice."""
-    template, truth = proposal.template, proposal.answer
-    if template.answer is not None:
-        return (Choices((), 0, ()),)
-    sets: tuple[tuple[str, ...], ...] = (PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS,)
-    if template.pose_answer:
-        barred: set[str] = {pose for pose in POSES if pose in stated_actions(proposal.plan)}
-        frame = proposal.frames[template.decisive[-1]]
-        doubtful = search.layer.doubtful.get(proposal.target, [])
-        barred |= {pose for pose, first, last in doubtful if first <= frame <= last} - {truth}
-        sets = pose_sets(truth, frozenset(barred))
-    return arrange(sets, truth, proposal.key, _mistakes(search, proposal, proofs))
-
-
-def _mistakes(search: Search, proposal: Proposal, proofs: list[Proof]) -> Iterator[tuple[str, str]]:
-    """Yield the answer and the name of every perturbed program that has an answer, the most telling first."""
+def _mistakes(search: Search, proposal: Proposal) -> Iterator[tuple[str, str]]:
+    """Yield the answers of changed programs, each with the name of the change, the most telling first."""
     template, facts = proposal.template, search.layer.facts
-    answers = [(proof.kind, proof.variant, proof.answer) for proof in proofs if proof.answer is not None]
-    for hop in ("hop.stop", "hop.skip"):
+    program = make_program(proposal.sequence, proposal.plan, template)
+    if program.read == "next_action":
+        return
+    for kind in ("hop.stop", "hop.skip"):
         # The people nearest to the target on the path come first.
-        for kind, variant, answer in reversed(answers):
-            if kind == hop:
-                yield answer, f"{kind}({variant})"
-    if template.pose_answer and template.read != ("t0",):
-        own = facts.pose(proposal.target, proposal.frames["t0"])
-        if own is not None:
-            yield own, "pose at t0"
-    for kind, variant, answer in answers:
-        if kind == "time.shift":
-            yield answer, f"time.shift {variant}"
-    if not template.joins:
-        yield from _look_alikes(search, proposal)
-
-
-def _look_alikes(search: Search, proposal: Proposal) -> Iterator[tuple[str, str]]:
-    """Yield the answers of the people whom a description may mean if one condition is left out."""
-    facts = search.layer.facts
-    program = make_program(proposal.sequence, proposal.plan, proposal.template)
+        for name, variant, hopped in reversed(list(hops(replace(program, held=proposal.people["a"])))):
+            if name == kind:
+                yield from _named(search, hopped, f"{kind}({variant})")
+    if program.read == "action" and program.times[0] != program.frame:
+        yield from _named(search, replace(program, times=(program.frame,)), "description's time")
+    for variant, shifted in shifts(program, facts.keyframes, search.rules):
+        if shifted is not None:
+            yield from _named(search, shifted, f"time.shift {variant}")
+    if template.joins:
+        return
     for condition in proposal.conditions:
         left = replace(program, conditions=tuple(one for one in proposal.conditions if one is not condition))
         for who in sorted(match(left, facts).could - {proposal.people["a"]}):
-            if (answer := _answer_of(search, replace(program, held=who))) is not None:
-                yield answer, f"look-alike without {condition.words}"
+            yield from _named(search, replace(program, held=who), f"look-alike without {condition.words}")
 
 
-def _answer_of(search: Search, program: Program) -> str | None:
-    """Return the answer of a program, or None if there is none."""
+def _named(search: Search, program: Program, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the answers of a program with the name."""
     facts = search.layer.facts
+    if not facts.keyframe_set.issuperset((program.frame, *program.times)):
+        return
     try:
-        if program.read != "next_action":
-            return str(run(program, facts, search.rules))
+        if program.read != "action":
+            yield str(run(program, facts, search.rules)), name
+            return
+        target = find_people(program, facts)[program.target]
     except NoAnswerError:
-        return None
-    held = facts.pose(program.held or 0, program.frame)
-    later = (facts.pose(program.held or 0, frame) for frame in facts.keyframes if frame > program.frame)
-    return None if held is None else next((pose for pose in later if pose != held), None)
-
-
-def rows_of(search: Search, proven: list[tuple[Proposal, list[Proof]]]) -> Iterator[Mapping[str, Any]]:
-    """Yield the rows of the pool for proven proposals that have enough wrong answers."""
-    for proposal, proofs in proven:
-        if (row := make_row(search, proposal, proofs)) is not None:
-            yield row
+        return
+    labels = facts.labels(target, program.times[0])
+    yield from ((label, name) for label in sorted(labels.certain if labels else ()))
