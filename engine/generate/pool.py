@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.answer_levels import answer_contexts
 from jrdb_avr.engine.generate.asked import Candidate, choice_contexts
+from jrdb_avr.engine.generate.bins import answer_bin
 from jrdb_avr.engine.generate.choices import false_labels, wrong_choices, wrong_sets
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
@@ -289,7 +290,6 @@ def make_candidate(search: Search, proposal: Proposal) -> Candidate | None:
     template, answer, layer = proposal.template, proposal.answer, search.layer
     words, begin = [condition.words for condition in proposal.conditions], proposal.frames["t0"]
     key, asked, wrong = proposal.key, proposal.read, frozenset[str]()
-    contexts: tuple[tuple[str, int], ...] = ()
     if template.asks_action:
         # The labels are given at keyframes; a posture may begin between two of them.
         after = bisect_left(layer.facts.keyframes, proposal.frames[template.decisive[0]])
@@ -303,6 +303,10 @@ def make_candidate(search: Search, proposal: Proposal) -> Candidate | None:
         asked = tuple(proposal.frames[name] for name in template.decisive)
         wrong = frozenset(PRESENCE_ANSWERS if answer in PRESENCE_ANSWERS else DISTANCE_ANSWERS) - {answer}
         contexts = answer_contexts(proposal.sequence, layer.length, begin, asked, words)
+    else:
+        times = [proposal.frames[name] for name in template.stated]
+        number = answer_bin(template.spec.mode, answer, times, template.spec.read)
+        contexts = ((f"form {template.query}", 1), (f"form {template.query} answer {number}", 1))
     return Candidate(
         key=key,
         template=template.name,

@@ -1,69 +1,217 @@
-"""Questions of proven proposals: all proofs, the boxes that are needed, measures of difficulty, and choices."""
+"""Questions of selected candidates: proofs, needed boxes, measures of difficulty, and choices.
+
+Two other programs confirm each candidate. The statements in `queries/necessity` run each perturbation of its plan over
+the stored graph; their outcomes are the proofs that are stored. The second program (`engine.rederive`) derives the plan
+again from the annotation tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Question
-from jrdb_avr.engine.generate.layer import Layer
+from jrdb_avr.engine.generate.cypher_facts import CypherFacts
+from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.layer import Layer, Row
 from jrdb_avr.engine.generate.perturb import (
+    Answer,
+    MissingFactsError,
     NoAnswerError,
     Program,
     find_people,
     hops,
     make_program,
     match,
+    prove,
+    read_answer,
     run,
     shifts,
 )
-from jrdb_avr.engine.generate.propose import Proposal, Search
+from jrdb_avr.engine.generate.proofs import failing
+from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal
+from jrdb_avr.engine.generate.stored_layer import LayerJob
+from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.queries.graph.handle import open_worker_graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.workers import without_collector
 from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.questions import NeededBox, Proof, QuestionRecord
-from jrdb_avr.schema.rules import KEYFRAME_STEP, rules_hash
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
+from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.templates import TEMPLATES
 from jrdb_avr.schema.wording.text import question_id, render
 
-Row = dict[str, Any]
+COLUMNS: Final = pa.schema([*dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS["answers"])), ("key", pa.string())])
+"""Columns of the tables `questions` and `answers`, and the key of `key_of`."""
 
 
-def make_row(search: Search, proposal: Proposal, key: str, proofs: list[Proof]) -> Row:
-    """Make the row of a question that lacks its choices.
+class Chosen(NamedTuple):
+    """A selected question, with the form and the row that make its proposal again."""
+
+    question: Question
+    form: str
+    row: Row
+
+
+@dataclass(frozen=True)
+class QuestionJob(LayerJob):
+    """Selected questions of a sequence."""
+
+    chosen: tuple[Chosen, ...]
+
+
+class Fault(NamedTuple):
+    """A candidate that is not confirmed.
+
+    Attributes:
+        candidate: Sequence and plan of the candidate.
+        difference: Result of the other program.
+    """
+
+    candidate: str
+    difference: str
+
+    def __str__(self) -> str:
+        """Return the fault as one line."""
+        return ": ".join(self)
+
+
+def key_of(question: Question) -> str:
+    """Return a key of a question with its choices and its twin."""
+    return " ".join((question.candidate.template, question.candidate.key, *question.choices, question.twin or ""))
+
+
+@without_collector()
+def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, Fault]]:
+    """Make the selected questions of a sequence.
 
     Args:
-        search: Sequence of the proposal.
-        proposal: Proven proposal.
-        key: Key of the candidate.
-        proofs: Its proofs about conditions, hops and times.
+        job: Selected questions of the sequence.
 
     Returns:
-        The columns of the tables `questions` and `answers`, and those that `with_choices` reads.
+        The questions in the columns of `COLUMNS`, and the faults of those that are not confirmed, by `key_of`.
+
+    Raises:
+        StoreError: If a table or the graph is missing.
     """
+    store = Store(job.store)
+    annotations = Annotations.read(store, job.sequence, job.rules)
+    with open_worker_graph(store.graph_path) as graph:
+        search = Search(graph, job.sequence, job.layer(graph), job.rules)
+        proposals = {key_of(one.question): make_proposal(search, TEMPLATES[one.form], one.row) for one in job.chosen}
+        source, keyframes = CypherFacts(graph, job.rules.load), search.layer.facts.keyframes
+        programs = {key: _program(proposal) for key, proposal in proposals.items()}
+        proofs = prove_all(programs, keyframes, job.rules, source)
+    rows, faults = [], {}
+    for chosen in job.chosen:
+        key = key_of(chosen.question)
+        proposal = proposals[key]
+        row = _make_row(search, proposal, chosen.question, proofs[key])
+        if difference := _refuted(proofs[key], proposal, job.rules) or _rederived(
+            annotations, row, proposal, job.rules
+        ):
+            faults[key] = Fault(f"{job.sequence} {row['plan']}", difference)
+        rows.append(row | {"key": key})
+    return pa.Table.from_pylist(rows, schema=COLUMNS), faults
+
+
+def _program(proposal: Proposal) -> tuple[Program, Answer]:
+    program = make_program(proposal.sequence, proposal.plan, proposal.template)
+    # Proofs leave out the conditions in the order of the description.
+    program = replace(program, conditions=proposal.conditions)
+    return program, read_answer(proposal.template.spec.mode, proposal.answer)
+
+
+def prove_all(
+    programs: Mapping[str, tuple[Program, Answer]], keyframes: Sequence[int], rules: Rules, source: CypherFacts
+) -> dict[str, list[Proof]]:
+    """Prove programs of one sequence together, so that one statement returns the facts of all of them.
+
+    Args:
+        programs: Programs with the answers of their questions, by key.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+        source: Source of the facts.
+
+    Returns:
+        The proofs of each program by key, or no proofs if the program finds no single person.
+    """
+    proofs: dict[str, list[Proof]] = {}
+    while waiting := programs.keys() - proofs.keys():
+        for key in sorted(waiting):
+            program, answer = programs[key]
+            try:
+                proofs[key] = prove(program, answer, keyframes, rules, source)
+            except NoAnswerError:
+                proofs[key] = []
+            except MissingFactsError:
+                continue
+        source.fill()
+    return proofs
+
+
+def _refuted(proofs: Sequence[Proof], proposal: Proposal, rules: Rules) -> str | None:
+    """Return which proofs by statements do not hold."""
+    if not proofs:
+        return "statements find no single person"
+    lacking = failing(proposal.template.name, proofs, rules)
+    return f"by statements, {', '.join(lacking)} do not hold" if lacking else None
+
+
+def _rederived(annotations: Annotations, row: Row, proposal: Proposal, rules: Rules) -> str | None:
+    """Return how the result of the second program differs."""
+    second = rederive(annotations, proposal.plan, proposal.template.name, rules, row["choices"])
+    if second.outcome != "defined" or second.answer != proposal.answer:
+        return f"answer {proposal.answer}, rederived {second.answer or second.outcome}"
+    if second.target != proposal.target:
+        return f"target {proposal.target}, rederived {second.target}"
+    if second.faults:
+        return second.faults[0]
+    needed = msgspec.json.decode(row["needed"], type=tuple[NeededBox, ...])
+    return None if _places(needed) == _places(second.needed) else "other boxes are needed"
+
+
+def _places(boxes: Iterable[NeededBox]) -> set[tuple[str, int, int, bool]]:
+    return {(box.node, box.track, box.frame, box.decisive) for box in boxes}
+
+
+# -- rows -------------------------------------------------------------------------------------------------------------
+
+
+def _make_row(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> Row:
+    """Return the columns of a question in the tables `questions` and `answers`."""
     layer, template, plan = search.layer, proposal.template, proposal.plan
-    text = render(template.name, plan, proposal.key, layer.action_step == KEYFRAME_STEP)
     needed, times, begin = needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
     angles = {box.frame: layer.boxes[box.track, box.frame]["angle"] for box in needed if box.node == template.target}
     decisive = [angles[box.frame] for box in needed if box.node == template.target and box.decisive]
+    public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
+    public["question"] = render(template.name, plan, proposal.key, layer.action_step == KEYFRAME_STEP)
+    answer, mistakes = proposal.answer, dict[str, str]()
+    labels = question.choices if question.wrong else ()
+    if labels:
+        answer = encode_answer(Choice(labels.index(proposal.answer) + 1))
+        # The first name of an answer is the most telling one.
+        mistakes = dict(reversed(list(_mistakes(search, proposal)))) | {proposal.answer: ""}
+    public |= {"choices": tuple(map(choice_text, labels)), "answer_mode": plan.answer.mode}
     record = QuestionRecord(
-        question_id="",
-        sequence=proposal.sequence,
-        family=template.family,
-        template=template.name,
-        question=text,
-        choices=(),
-        answer_mode=plan.answer.mode,
-        answer=proposal.answer,
+        question_id=question_id(**public),
+        **public,
+        answer=answer,
         target_track=proposal.target,
         plan=canonical(plan),
         proofs=_all_proofs(search, proposal, proofs, needed),
-        distractors=(),
+        distractors=tuple(mistakes.get(label) or None for label in labels),
         rules=rules_hash(search.rules),
         hops=len(template.edges),
         time_gap_s=(max(times.values()) - begin) / layer.fps,
@@ -71,34 +219,9 @@ def make_row(search: Search, proposal: Proposal, key: str, proofs: list[Proof]) 
         people_in_scene=len(layer.facts.people[begin]),
         bindings={**proposal.people, **dict(sorted(times.items()))},
         needed=needed,
+        twin_id=None if question.twin is None else f"{hash_of(question.twin):016x}",
     )
-    mistakes = dict(reversed(list(_mistakes(search, proposal)))) if template.answer is None else {}
-    return record.columns() | {"key": key, "mistakes": msgspec.json.encode(mistakes).decode()}
-
-
-def with_choices(row: Row, question: Question) -> Row:
-    """Add its choices to the row of a question.
-
-    Args:
-        row: Row of `make_row`.
-        question: The selected question.
-
-    Returns:
-        The row with choices, answer, distractors and id.
-    """
-    row = dict(row)
-    if question.wrong:
-        labels, mistakes = question.choices, msgspec.json.decode(row["mistakes"])
-        truth = labels.index(question.candidate.truth)
-        row["choices"] = [choice_text(label) for label in labels]
-        row["answer"] = encode_answer(Choice(truth + 1))
-        names = [None if place == truth else mistakes.get(label) for place, label in enumerate(labels)]
-        row["distractors"] = msgspec.json.encode(names).decode()
-    row["question_id"] = question_id(**{name: row[name] for name in _PUBLIC})
-    return row
-
-
-_PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
+    return record.columns()
 
 
 def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:

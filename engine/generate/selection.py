@@ -41,7 +41,7 @@ _TOGETHER: Final = (("action_search",), ("span", "start"), ("gap",))
 """Templates without choices. Those that stand together share the quota of their family, and are selected first."""
 
 ORDER: Final = ("fork_join", "three_hop", "two_hop", "consequence", "later_action", "change", "distance", "presence")
-"""Templates with choices in the order of selection. A person is in few questions, so the scarce templates come first."""
+"""Templates with choices in the order of selection. As a person is in few questions, scarce templates come first."""
 
 _FIXED: Final = ("distance", "presence")
 """Templates with four fixed answers."""
@@ -89,8 +89,8 @@ def select(
         n: Maximum number of questions of a profile without quotas, or None for all.
 
     Returns:
-        The selected questions. Also a row per template: family, template, quota, proven, reached, twins (pairs), shortage
-        and guessers (the share of right answers of each guesser that counts).
+        The selected questions. Also a row per template: family, template, quota, proven, reached, twins (pairs),
+        shortage and guessers (the share of right answers of each guesser that counts).
     """
     quotas = PROFILES[profile]
     if quotas:
