@@ -8,7 +8,6 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -47,6 +46,9 @@ EXAMPLES: Final = 100
 
 _DESCRIPTIONS: Final = 6
 """Number of descriptions of a person with which questions of a template with time twins begin."""
+
+_TRIES: Final = 6
+"""Maximum number of proposals about one person, time and answer that are tried without success."""
 
 _PAIRS: Final = 3
 """Maximum number of candidates of the template presence with one description and one answer."""
@@ -171,31 +173,55 @@ def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list
 def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
     """Yield one candidate for each person, time and true answer: the first proven one in the order of a hash."""
     (form,) = forms
-    moments: dict[tuple[int, int, str], list[Row]] = defaultdict(list)
+    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
     for row in propose(search, form):
-        moments[row[form.target], row.get("segment", row["t0"]), row["answer"]].append(row)
+        moments[_moment(form, row)].append(row)
     for rows in moments.values():
-        tried = (_prove(search, form, row, prover) for row in sorted(rows, key=lambda row: _rank(search, row)))
-        yield from islice(filter(None, tried), 1)
+        yield from _prove_first(search, form, rows, prover)
 
 
 def _fill_described(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
-    """Yield, for some descriptions of each person, the candidates of all times and true answers.
+    """Yield the candidates of all times and true answers for some descriptions of each person, and one of each other.
 
-    Time twins have equal descriptions, so that each description needs all its times.
+    Time twins have equal descriptions, so that some descriptions need all their times.
     """
     (form,) = forms
     described: dict[int, dict[tuple[Any, ...], list[Row]]] = defaultdict(lambda: defaultdict(list))
+    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
     for row in propose(search, form):
         described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
+        moments[_moment(form, row)].append(row)
     for groups in described.values():
         used = 0
         for rows in sorted(groups.values(), key=lambda rows: _rank(search, rows[0])):
-            entries = [entry for row in rows if (entry := _prove(search, form, row, prover)) is not None]
-            yield from entries
-            used += bool(entries)
+            proven = [(entry, row) for row in rows if (entry := _prove(search, form, row, prover)) is not None]
+            for entry, row in proven:
+                moments.pop(_moment(form, row), None)
+                yield entry
+            used += bool(proven)
             if used == _DESCRIPTIONS:
                 break
+    for rows in moments.values():
+        yield from _prove_first(search, form, rows, prover)
+
+
+def _moment(form: Template, row: Row) -> tuple[Any, ...]:
+    """Return the person, the time asked and the true answer of a row."""
+    return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
+
+
+def _prove_first(search: Search, form: Template, rows: Iterable[Row], prover: Prover) -> Iterator[Entry]:
+    """Yield the first proven candidate of some rows in the order of a hash, after a few tries at most."""
+    tries = 0
+    for row in sorted(rows, key=lambda row: _rank(search, row)):
+        proposal = make_proposal(search, form, row)
+        if (candidate := make_candidate(search, proposal)) is None:
+            prover.refuse("choices", proposal)
+        elif prover.prove(proposal) is not None:
+            yield Entry(candidate, form.query, row)
+            return
+        elif (tries := tries + 1) == _TRIES:
+            return
 
 
 def _fill_presence(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
