@@ -41,6 +41,10 @@ def random_store(tmp_path_factory):
     return memory_store(tmp_path_factory.mktemp("random"), world)
 
 
+def possible_sizes(row):
+    return [] if row["group_size_min"] is None else [*range(row["group_size_min"], row["group_size_max"] + 1)]
+
+
 def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
     """Facts of the per-frame tables and of the interval tables, worked out by programs that share nothing."""
     seen = 0
@@ -50,8 +54,9 @@ def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
             track, frame = row["track"], row["frame"]
             seen += 1
             assert annotations.clear(track, frame) == row["clear"]
+            assert annotations.covered(track, frame) == row["covered"]
             assert annotations.pose(track, frame) == row["pose"]
-            assert annotations.group_size(track, frame) == row["group_size"]
+            assert [*annotations.group_sizes(track, frame)] == possible_sizes(row)
             assert annotations.distance(track, frame) == (
                 pytest.approx(row["distance"], rel=1e-12) if row["located"] else None
             )
