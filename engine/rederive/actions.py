@@ -35,7 +35,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Listed:
-    """The list of actions of one person at one frame: the code of each, which are written and not implied, and which are poses."""
+    """The list of actions of one person at one frame: their codes, which are written, and which are poses."""
 
     codes: Mapping[str, int]
     written: frozenset[str]

@@ -36,7 +36,7 @@ def outline_of(box: Box) -> Outline:
 
 
 def is_nearer(one: Outline, other: Outline) -> bool:
-    """Return whether the box `other` is nearer to the robot than `one`: lower, or higher if both reach the last rows."""
+    """Return whether the box `other` is nearer: its bottom is lower, or its top higher if both reach the last rows."""
     cut_off = (HEIGHT - 2) * _PARTS
     if one.bottom >= cut_off and other.bottom >= cut_off:
         return one.top - other.top > 4 * _PARTS

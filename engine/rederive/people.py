@@ -16,7 +16,6 @@ from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS
 from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 
-
 View = Literal["clear", "covered", "uncertain"]
 """Class of a person with a box in a frame: in clear view, certainly not in clear view, or neither."""
 

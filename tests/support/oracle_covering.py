@@ -22,7 +22,7 @@ def corners(x, y, w, h):
 
 
 def nearer(one, other):
-    """Whether the second box is nearer: its feet are lower by more than 2 px; or both have none, and its head is higher."""
+    """Whether the second box is nearer: its feet are lower, or its head is higher if both have no feet."""
     both = one[3] >= 478 * PIXEL and other[3] >= 478 * PIXEL
     return one[2] - other[2] > 4 * PIXEL if both else other[3] - one[3] > 2 * PIXEL
 
@@ -34,7 +34,7 @@ def hidden_share(box, others):
     if left >= right or top >= bottom:
         return None
     hiding = []
-    for other in map(lambda other: corners(*other), others):
+    for other in (corners(*other) for other in others):
         if nearer(own, other):
             begin = other[0] + (left - other[0]) // TURN * TURN
             for start in (begin, begin + TURN):

@@ -208,7 +208,7 @@ class Oracle:
         return share is not None and share >= Fraction(4, 5)
 
     def grouped_about(self, frame, track):
-        """Whether the nearest frame with group labels, a second away at most, has one of the person that is not hard."""
+        """Whether the nearest frame with group labels, at most a second away, has an easy one of the person."""
         if not self.clusters:
             return True
         away = sorted((abs(by), by) for by in range(-15, 16) if self.grouped.get(frame + by))
