@@ -68,7 +68,8 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "category_id": (_I, "id of the thing's category in the label file"),
     "category": (_S, "name of the category; null if it is unknown"),
     "action": (_S, "name of the action"),
-    "pose": (_S, "pose, if exactly one is certain; else null"),
+    "pose": (_S, "pose, if exactly one is certain and the person is not covered; else null"),
+    "posed": (_B, "true if the list tells exactly one certain pose, so that all other poses are false"),
     "seconds": (_F, "time of the frame after frame 0, or duration of the step or answer, in seconds"),
     "keyframe": (_B, "true if the frame is a keyframe of the sequence"),
     "annotated": (_B, "true if the 2D layer has the frame and its boxes show all people in view"),
@@ -280,7 +281,7 @@ _INTERVALS: Final = {
     "sightings": (
         "Boxes of people, with direction, distance, visibility, pose and group of the person at that frame.",
         "sequence frame track x y w h angle occlusion? no_eval clear covered face_visible? listed interactions_listed "
-        "handles_listed pose? cluster? group_size? group_size_min? group_size_max? sector? located distance? "
+        "handles_listed pose? posed cluster? group_size? group_size_min? group_size_max? sector? located distance? "
         "distance_word? distance_word_other? cx? cy? cz? heading?",
     ),
     "object_sightings": (

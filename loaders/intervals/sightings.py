@@ -79,6 +79,7 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules) -> pa.Tabl
         "face_visible": nullable(_take(people.faces.visible, face), face < 0, pa.bool_()),
         **{f"{layer}_listed": rows_of(keys, boxes.keys) >= 0 for layer, keys in people.listed.items()},
         "pose": texts(people.actions.names, certain_pose(boxes, people.actions)),
+        "posed": people.posed,
         "cluster": nullable(_take(people.groups.value, member), member < 0, pa.int64()),
         "group_size": nullable(least, ~known | (least < most), pa.int32()),
         "group_size_min": nullable(least, ~known, pa.int32()),

@@ -484,6 +484,7 @@ class Oracle:
             "interactions_listed": ("interactions", frame, track) in self.listed,
             "handles_listed": ("handles", frame, track) in self.listed,
             "pose": self.pose(frame, track),
+            "posed": self.one_pose(frame, track) is not None,
             "cluster": self.clusters.get((frame, track), (None,))[0],
             "group_size": sizes[0] if len(sizes) == 1 else None,
             "group_size_min": min(sizes, default=None),
