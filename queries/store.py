@@ -197,10 +197,7 @@ class Store(Displayed):
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
     def visibility(self) -> dict[str, str]:
-        """Return the evidence for clear views by sequence, in the order of names.
-
-        The values are "attributes" (degrees of occlusion), "geometry" (nearer boxes and group labels) and "nothing".
-        """
+        """Return the evidence for clear views by sequence: "attributes", "geometry" (of boxes) or "nothing"."""
         names = sorted(self.manifest().sequences)
         return {name: self.interval("sequence", name)["visibility"][0].as_py() for name in names}
 

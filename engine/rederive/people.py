@@ -16,7 +16,7 @@ from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS
 from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 
-View = Literal["clear", "covered", "uncertain"]
+ViewClass = Literal["clear", "covered", "uncertain"]
 """Class of a person with a box in a frame: in clear view, certainly not in clear view, or neither."""
 
 
@@ -48,7 +48,7 @@ class PersonBoxes:
         for frame, track, cluster, difficulty in rows(tables["groups"], "frame", "track", "cluster", "difficulty"):
             self._groups[frame, track] = (cluster, difficulty in (1, 2))
         self._grouped_frames = sorted({frame for frame, _ in self._groups})
-        self._views: dict[tuple[int, int], View] = {}
+        self._views: dict[tuple[int, int], ViewClass] = {}
         self._people: dict[int, dict[int, _Person2D]] = defaultdict(dict)
         columns = ("frame", "track", "x", "y", "w", "h", "occlusion", "no_eval", "has_actions")
         for frame, track, x, y, w, h, occlusion, no_eval, listed in rows(boxes, *columns):
@@ -106,14 +106,14 @@ class PersonBoxes:
         """Return everybody with a 2D box at the frame who is not covered."""
         return [track for track in self.people(frame) if self.view(track, frame) != "covered"]
 
-    def view(self, track: int, frame: int) -> View:
+    def view(self, track: int, frame: int) -> ViewClass:
         """Return the class of a person with a 2D box at the frame."""
         key = (track, frame)
         if key not in self._views:
             self._views[key] = self._judge(track, frame)
         return self._views[key]
 
-    def _judge(self, track: int, frame: int) -> View:
+    def _judge(self, track: int, frame: int) -> ViewClass:
         person = self._people[frame][track]
         load, box = self.rules.load, person.box
         fits = load.clear_min_width <= box.w <= load.clear_max_width and box.h >= load.clear_min_height

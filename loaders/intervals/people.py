@@ -185,7 +185,8 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
     person = np.cumsum(begins(facts.keys)) - 1
     poses = np.bincount(person, weights=pose & (facts.difficulty < UNWRITTEN))[person]
     row = boxes.rows(facts.frame, facts.track)
-    certain = facts.certain & (~pose | ((poses == 1) & np.append(boxes.listed, False)[row]))
+    whole = np.append(boxes.listed, False)[row]
+    certain = facts.certain & (~pose | ((poses == 1) & whole))
     posed = np.zeros(len(boxes.frame), np.bool_)
     posed[row[certain & pose & (row >= 0)]] = True
     return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), posed
