@@ -79,7 +79,7 @@ class Annotations(RelationFacts):
                 return self.attribute(track, name, wanted)
             case "group_size", int(wanted):
                 sizes = self.group_sizes(track, frame)
-                return UNKNOWN if not sizes else among(wanted, [*sizes])
+                return UNKNOWN if not sizes else among(wanted, sizes)
             case "sector", str(wanted):
                 return self.in_sector(track, wanted, frame) if wanted in AXES else FALSE
             case "distance", str(wanted):

@@ -121,18 +121,16 @@ def group_sizes_in_view(line: Timeline, boxes: Boxes, groups: Facts, cluster_row
         if a record of the frame could not be read.
     """
     member = (cluster_row >= 0) & _take(groups.certain, cluster_row) & ~boxes.covered
-    doubtful = ~member & ~boxes.covered
-    order = ascending(boxes.frame, ~member, _take(groups.value, cluster_row))
-    group, frame = np.empty((2, len(order)), np.int64)
-    group[order] = np.cumsum(begins(boxes.frame[order], ~member[order], _take(groups.value, cluster_row)[order])) - 1
-    frame[order] = np.cumsum(begins(boxes.frame[order])) - 1
-    clear, doubts = (
+    cluster = np.where(member, _take(groups.value, cluster_row), -1)
+    order = ascending(boxes.frame, cluster)
+    group = np.empty_like(order)
+    group[order] = np.cumsum(begins(boxes.frame[order], cluster[order])) - 1
+    frame = np.cumsum(begins(boxes.frame)) - 1
+    clear, members, doubts = (
         np.bincount(key, weights=people).astype(np.int64)[key]
-        for key, people in ((group, member & boxes.clear), (frame, doubtful))
+        for key, people in ((group, member & boxes.clear), (group, member), (frame, ~member & ~boxes.covered))
     )
-    least = 1 + clear - boxes.clear
-    most = np.bincount(group, weights=member).astype(np.int64)[group] + doubts
-    return least, most, member & np.isin(boxes.frame, line.frames_of("2d"))
+    return 1 + clear - boxes.clear, members + doubts, member & np.isin(boxes.frame, line.frames_of("2d"))
 
 
 def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> tuple[Ints, Ints, Bools]:
