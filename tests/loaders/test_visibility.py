@@ -318,6 +318,11 @@ def test_the_size_of_a_group_is_unknown_if_it_is_not_known_which_group_it_is(own
     assert not world.read(RULES).group_sizes(1, 0)
 
 
+def test_a_group_may_have_any_whole_number():
+    world = World([0]).see(1, [0], group=-1).see(2, [0], x=100, group=-1).see(3, [0], x=200, group=(-1, HARD))
+    assert [(row["group_size_min"], row["group_size_max"]) for row in rows(world)] == [(2, 3), (2, 3), (None, None)]
+
+
 def test_an_uncertain_person_counts_one_in_the_own_group():
     world = World([0]).see(1, [0], group=7, occlusion=None).see(2, [0], x=100, group=7)
     assert [(row["group_size_min"], row["group_size_max"]) for row in rows(world)] == [(2, 2), (1, 2)]
