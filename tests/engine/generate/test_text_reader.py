@@ -8,6 +8,7 @@ import ast
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import pytest
 from environment import REAL, SUPPORT
@@ -80,7 +81,10 @@ def test_every_paraphrase_of_a_question_is_read_alike(sample_benchmark):
     for row in sample_benchmark.questions("questions").to_pylist():
         plan = plans[row["question_id"]]
         for key in range(6):
-            assert parse(render(row["template"], plan, f"{key:064x}")) == parse(row["question"])
+            read = parse(render(row["template"], plan, f"{key:064x}"))
+            assert read == parse(row["question"])
+            judged = parse(render(row["template"], plan, f"{key:064x}", in_view=True))
+            assert judged == replace(read, judged=True)
 
 
 def real_benchmark(folder, sequences):
