@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import pytest
 from environment import REAL, SUPPORT
+from keyframe_layers import ANY_VIEW
 from question_files import all_evidence
 from text_reader import Found, Reader, differs
 from text_reader_language import HELD, Reading, parse
@@ -92,15 +93,14 @@ def real_benchmark(folder, sequences):
     from jrdb_avr.loaders.load import load
     from jrdb_avr.loaders.root import find_root
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.schema.rules import LoadRules, Rules
 
     labels = folder / "root" / "labels" / "labels_2d_stitched"
     labels.mkdir(parents=True)
     for path in sequences:
         shutil.copy(path, labels)
     store = Store(folder / "store")
-    load(find_root(folder / "root"), store, LoadRules(), 1)
-    generate(store, Rules(), workers=1)
+    load(find_root(folder / "root"), store, ANY_VIEW.load, 1)
+    generate(store, ANY_VIEW, workers=1)
     return Benchmark(store, folder / "root")
 
 
