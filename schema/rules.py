@@ -68,7 +68,7 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Minimum height of a box for a clear view, in pixels."""
     clear_max_width: Pixels = 480.0
     """Maximum width of a box for a clear view, in pixels. A wider box does not fit into a crop."""
-    visibility: Literal["clear", "any"] = "any"
+    visibility: Literal["clear", "any"] = "clear"
     """With clear, occlusion attributes, or else nearer boxes and group labels, decide on clear views. With any, not."""
     max_covered: Share = 0.5
     """Covered share of a box from which the box is no clear view. Applies to sequences without occlusion attributes."""
