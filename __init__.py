@@ -12,7 +12,7 @@ module of a public name is imported when the name is first used. `__init__.pyi` 
 Each package imports only packages above it in this list, except that `agent` imports only `schema` and `queries`:
 
 schema   the data model: plans, answers, tables, rules and errors
-queries  the store, its graph, and queries of both in SQL and Cypher
+queries  the store with its SQL queries, and the graph with its Cypher queries
 loaders  readers that turn JRDB files into annotation tables, intervals and the graph; the synthetic sample world
 engine   generation of questions, proofs, observation, scoring, runs, reports and the command line
 agent    methods that answer the questions

@@ -7,7 +7,7 @@
     panoramas, crops   the server takes the largest number of pictures that a method sends, with the method's own
               schema, and the model finds the marked rectangle among them
     plan      the server takes the schema of a plan (only if schemas are sent)
-    thinking  replies hold thinking if the options declare it on, and no thinking if they declare it off
+    thinking  replies hold thinking if the options declare thinking on, and none if they declare thinking off
     finish    replies state why they ended, so that a reply that was cut off can be recognized
     tokens    the server counts tokens (a warning: the run's counts would be 0)
     model     replies name the requested model (a warning: the run records the name)
@@ -75,8 +75,8 @@ _SEEN_CORNERS: Final = 3
 class Check:
     """The result of one check.
 
-    needed: whether a run suffers if the check fails. methods: the methods that need the check, or
-    nothing if all methods need it.
+    needed: whether a run needs the check. If not, a failed check is only a warning. methods: the methods that need the
+    check. Empty means all methods.
     """
 
     name: str
@@ -112,10 +112,10 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
 
     Args:
         checks: The checks of the server.
-        method: The method of the run. None stands for any method.
+        method: The method of the run. If it is None, each needed check must have passed.
 
     Returns:
-        The lines of the failed checks.
+        One line for each failed check.
 
     Raises:
         EndpointError: If a check that the method needs has failed.
@@ -129,8 +129,9 @@ def require(checks: Sequence[Check], method: str | None = None) -> list[str]:
 class _Probe(NamedTuple):
     """The result of a request.
 
-    reply: the reply, or None if the server refuses the request. value: the JSON object of the reply, empty if it
-    cannot be read. fault: why it cannot be read. remedy: the only thing that can help, or "" if several things can.
+    reply: the reply, None if the server refuses the request. value: the JSON object of the reply, empty if the reply
+    cannot be read. fault: why the request was refused or the reply cannot be read, or "". remedy: the only remedy of
+    the fault, or "" if several remedies may help.
     """
 
     reply: Reply | None
@@ -140,7 +141,7 @@ class _Probe(NamedTuple):
 
 
 def _send(client: Client, system: bool, *parts: Part, schema: Mapping[str, Any] | None = None) -> _Probe:
-    """Send one user message, and before it a system message if `system` is true. Return the result."""
+    """Send a system message if `system` is true, and a user message. Return the result of the request."""
     before = [Message("system", (render("preflight_system"),))] if system else []
     try:
         reply = client.probe([*before, Message("user", parts)], schema)
@@ -239,9 +240,10 @@ def _picture(send: Callable[..., _Probe]) -> Check:
 
 
 def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
-    """Send the largest number of pictures in one request, and yield the checks.
+    """Send one request with many panoramas and one request with many crops. Yield the check of each request.
 
-    The marked picture is neither the first nor the last, because a server may pass on only the first or last one.
+    The marked picture is neither the first nor the last, because a server may pass only the first or the last picture
+    to the model.
     """
     question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
     panoramas = [

@@ -1,4 +1,4 @@
-"""Output of the commands: rows as a table, JSON or CSV, notes, and progress bars.
+"""Output of the commands: rows (as a table, as JSON or as CSV), notes, and progress bars.
 
 Rows are printed on stdout, everything else on stderr. `--json` prints exactly one JSON array with an object per row.
 `--csv` prints the same rows. Text from files or models loses its control characters before it reaches a terminal.
@@ -85,8 +85,8 @@ def print_rows(
 ) -> None:
     """Print rows as a table, JSON or CSV.
 
-    A table is as wide as the terminal. If stdout is not a terminal, the environment variable COLUMNS sets the width in
-    characters. The default is 100.
+    A table is as wide as the terminal. If stdout is not a terminal, the environment variable COLUMNS sets the width of
+    the table in characters. Without this variable, the width is 100 characters.
 
     Args:
         rows: The rows. A table on a terminal shows at most 100 rows.
@@ -124,7 +124,7 @@ def note(message: object) -> None:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print AvrWarnings of the `with` block as notes on stderr."""
+    """Print the AvrWarnings that occur in the `with` block as notes on stderr."""
     with warnings.catch_warnings(action="always", category=AvrWarning):
         warnings.showwarning = lambda message, *where: note(message)
         yield
@@ -137,8 +137,8 @@ def progress_bar(beside: Callable[[], str] = lambda: "") -> Iterator[Callable[[s
     Args:
         beside: Function that returns the text beside the bars. It is called several times per second.
 
-    Yields: A function that moves the bar of a step. Its arguments are the step's name, the finished count and the total
-    count.
+    Yields: A function that advances the progress bar of a step. Its arguments are the step's name, the finished count
+    and the total count.
     """
     from rich.console import Console
     from rich.progress import (

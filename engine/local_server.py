@@ -30,7 +30,14 @@ _IDLE_S: Final = 60.0
 
 
 class Request(NamedTuple):
-    """An accepted request: method, path after the token, values of the query by name, and body of a POST."""
+    """An accepted request.
+
+    Attributes:
+        method: The HTTP method.
+        path: The part of the path after the token.
+        query: For each name in the query, a list of its values.
+        body: The body. It is empty if the method is not POST.
+    """
 
     method: str
     path: str
@@ -82,7 +89,7 @@ def listen(port: int) -> socket.socket:
 
 
 def hosts_of(listener: socket.socket) -> list[str]:
-    """Return the allowed values of the header `Host`: the addresses of a listening socket on this machine."""
+    """Return the allowed values of the header `Host` of requests to a listening socket. They are local addresses."""
     return [f"{name}:{listener.getsockname()[1]}" for name in ("127.0.0.1", "localhost")]
 
 
@@ -92,7 +99,7 @@ def new_token() -> str:
 
 
 def same_token(sent: bytes, token: bytes) -> bool:
-    """Return whether two tokens are equal. The time of the comparison does not depend on their characters."""
+    """Return whether two tokens are equal. The duration of the comparison does not depend on the tokens' characters."""
     return hmac.compare_digest(sent, token)
 
 

@@ -1,7 +1,8 @@
-"""Layout of rows as text tables that fit a width and split no word or number.
+"""Layout of rows as text tables that fit into a given width. Words and numbers are not split.
 
-Long cells wrap between words. If a table is still too wide, it is transposed if it has few rows, and otherwise its
-columns are divided among several tables.
+Long cells wrap between words. A table that is still too wide is transposed if it has only one row, or if it has few
+rows and the transposed table fits. Any other table that is still too wide is divided: its columns are distributed over
+several tables.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def clean(value: object) -> str:
         value: Any value. None becomes an empty text.
 
     Returns:
-        The text. A terminal that prints it does not move its cursor or change its colours.
+        The text. A terminal can print this text safely: the text cannot move the cursor or change the colours.
     """
     return _CONTROL.sub("", "" if value is None else str(value))
 
@@ -90,8 +91,8 @@ def make_tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width
 
     Args:
         rows: The rows.
-        columns: Names of the columns. If there are none, all keys of the rows are columns.
-        width: Maximum characters per line. A line is longer only if a single word does not fit.
+        columns: Names of the columns. If there are no names, all keys of the rows become columns.
+        width: Maximum characters per line. Because words are not split, very long words may make a line longer.
 
     Returns:
         One `rich` table, or several tables to print below each other.
@@ -110,7 +111,10 @@ def make_tables(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], width
 
 
 def _split_columns(names: Sequence[str], cells: _Cells, width: int) -> list[list[str]]:
-    """Divide the columns into parts that fit the width. Each part begins with the columns that identify a row."""
+    """Divide the columns into parts, one for each table. Each part fits the width, if possible.
+
+    Each part begins with the columns that identify a row, if there is space for them.
+    """
     key = list(names[:1])
     for count in range(_MAX_KEYS, 0, -1):
         if len({tuple(row[name] for name in names[:count]) for row in cells}) == len(cells):
@@ -127,7 +131,7 @@ def _split_columns(names: Sequence[str], cells: _Cells, width: int) -> list[list
 
 
 def _min_width(names: Sequence[str], cells: _Cells) -> int:
-    """Return the width, borders included, of the narrowest table that splits no word."""
+    """Return the width of the narrowest table that splits no word. The width includes the borders."""
     return sum(_max_length(str.split, name, cells) + 3 for name in names) + 1
 
 

@@ -1,1 +1,4 @@
-"""Readers that turn JRDB files into annotation tables, intervals and the graph of a store, and the sample world."""
+"""Readers of JRDB files, and the sample world.
+
+The readers fill the annotation tables, the interval tables and the graph of a store.
+"""

@@ -3,10 +3,10 @@
 The graph is only an index. It holds the content of the folder `intervals/` and adds keys for traversal. Therefore the
 graph can be built again from this folder at any time. The graph is built in two steps:
 
-1. The process that derives the interval tables of a sequence writes their rows to Parquet files, one per table of the
-   graph. This is called staging.
-2. One process copies the staged rows of all sequences into the graph with COPY statements. It then counts the rows of
-   each table.
+1. Staging: the process that derives the interval tables of a sequence also writes the rows of these tables to Parquet
+   files, in the form of the graph's tables.
+2. Copying: one process copies the staged rows of all sequences into the graph with COPY statements. It then counts the
+   rows of each table.
 
 A table of edges is copied with as few statements as possible, because every further COPY statement
 rewrites the table. For example, four statements for 950,000 sightings took twice as long as one statement. The rows of
@@ -60,10 +60,11 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
         sequences: names of sequences. If a sequence is not staged yet, the function stages it.
 
     Returns:
-        The number of rows by table of the graph. The key `storage_version` holds the version of the storage format.
+        The number of rows of each table of the graph, by name of the table. The additional key `storage_version` holds
+        the version of the storage format.
 
     Raises:
-        StoreError: If the number of rows of a table of the graph differs from the number of copied rows.
+        StoreError: If the number of rows of a table differs from the number of rows that were copied into it.
     """
     stage = store.path / STAGE
     try:
@@ -85,7 +86,7 @@ def build_scene(graph: Graph, store: Store, sequences: Sequence[str]) -> dict[st
 
 
 def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) -> None:
-    """Stage the rows of one sequence for every table of the graph except `Action`.
+    """Write the rows of one sequence to staged files, for every table of the graph except `Action`.
 
     Args:
         store: store that has the folder of staged rows.
@@ -101,12 +102,15 @@ def stage_scene(store: Store, sequence: str, intervals: Mapping[str, pa.Table]) 
 
 
 def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
-    """Write the rows of one sequence to a file in the folder of staged rows. Write no file if there are no rows.
+    """Write the rows of one sequence for one table to a file in the folder of staged rows.
+
+    If there are no rows, no file is written.
 
     Args:
         stage: folder of the staged rows.
-        source: text that names a table of the graph. For nodes it is the name of the table, such as "Person". For
-            edges it is the table of nodes from which the edges start, and then the table: "Person SeenIn".
+        source: text that names a table of the graph. For a table of nodes, it is the name of the table, such as
+            "Person". For a table of edges, it is the name of the table of nodes from which the edges start, a space,
+            and the name of the table of edges, such as "Person SeenIn".
         sequence: name of the sequence.
         rows: rows with the columns of the table.
 
@@ -125,7 +129,7 @@ def stage_rows(stage: Path, source: str, sequence: str, rows: pa.Table) -> None:
 
 
 def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Sequence[str]) -> dict[str, int]:
-    """Copy staged rows into the graph. Check afterwards that each table has as many rows as were copied.
+    """Copy staged rows into the graph. Then compare the number of rows of each table with the number of copied rows.
 
     Args:
         graph: graph with empty tables.
@@ -134,10 +138,10 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
         sequences: names of the sequences to copy.
 
     Returns:
-        The number of copied rows by table of the graph.
+        The number of copied rows for each table of the graph, by name of the table.
 
     Raises:
-        StoreError: If the number of rows of a table of the graph differs from the number of copied rows.
+        StoreError: If the number of rows of a table differs from the number of rows that were copied into it.
     """
     copied: Counter[str] = Counter()
     for source in sources:
@@ -161,7 +165,9 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
 
 
 def write_graph(store: Store, write: Callable[[], R]) -> R:
-    """Run a function that writes a graph. Use a separate process, because a fault of the engine may end the process.
+    """Run, in a separate process, a function that writes a graph.
+
+    A fault of the graph engine may end the process that writes. The calling process then goes on.
 
     Args:
         store: store of the graph. If the separate process dies, its unfinished graph files are deleted.
@@ -185,14 +191,14 @@ def write_graph(store: Store, write: Callable[[], R]) -> R:
 
 
 def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[str], int]]:
-    """Split named files into batches.
+    """Divide files into batches of a limited number of rows.
 
     Args:
         sizes: name and number of rows of each file.
-        most: maximum rows of a batch. A file with more rows is a batch of its own.
+        most: maximum number of rows of a batch. A file with more rows forms a batch alone.
 
     Yields:
-        The names of the files of a batch, and the total number of rows of these files.
+        For each batch, the names of its files, and the total number of rows of these files.
     """
     batch: list[str] = []
     rows = 0
@@ -207,7 +213,10 @@ def batches(sizes: Iterable[tuple[str, int]], most: int) -> Iterator[tuple[list[
 
 
 def column_names(table: str) -> list[str]:
-    """Return the column names of a table. The key comes first for nodes, and `from` and `to` come first for edges."""
+    """Return the column names of a table of the graph.
+
+    In a table of nodes, the first column is the key. In a table of edges, the first two columns are `from` and `to`.
+    """
     if table in RELS:
         return ["from", "to", *(column.split()[0] for column in RELS[table][2])]
     return [column.split()[0] for column in NODES[table].split(", ")]
@@ -226,17 +235,20 @@ Column = Callable[[pa.Table], pa.ChunkedArray | pa.Array]
 
 
 def _number_key(name: str) -> Column:
-    """Return a function that makes keys `<sequence>/<id>` of people or groups from the column `name`."""
+    """Return a function that makes a key `<sequence>/<id>` for each row.
+
+    The argument `name` is the name of the column that has the ids.
+    """
     return lambda rows: pc.binary_join_element_wise(rows["sequence"], rows[name].cast(pa.string()), "/")
 
 
 def _frame_key(rows: pa.Table) -> pa.ChunkedArray:
-    """Return the key of each row's frame: `<sequence>/<frame as six digits>`."""
+    """Return, for each row, the key of the row's frame: `<sequence>/<frame as six digits>`."""
     return pc.binary_join_element_wise(rows["sequence"], pc.utf8_lpad(rows["frame"].cast(pa.string()), 6, "0"), "/")
 
 
 def _object_key(rows: pa.Table) -> pa.ChunkedArray:
-    """Return the key of each row's thing: `<sequence>/<category id>:<track>`."""
+    """Return, for each row, the key of the thing that the row is about: `<sequence>/<category id>:<track>`."""
     thing = pc.binary_join_element_wise(rows["category_id"].cast(pa.string()), rows["object"].cast(pa.string()), ":")
     return pc.binary_join_element_wise(rows["sequence"], thing, "/")
 
@@ -284,7 +296,11 @@ rows are collected from all sequences.
 
 
 def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
-    """Return the rows of a source for one sequence. In sightings of things, the columns about people are null."""
+    """Return the rows of one sequence for a table of the graph, with the columns of this table.
+
+    The argument `source` names the table, and is a key of `_SOURCES`. In sightings of things, the columns that
+    describe people are null.
+    """
     kind, made = _SOURCES[source]
     rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if source == "SocialGroup" else intervals[kind]
     if source == "Object SeenIn":
@@ -294,13 +310,19 @@ def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
 
 
 def _actions(names: set[str]) -> pa.Table:
-    """Return the rows of the table `Action`: all actions of the vocabulary and all actions in `names`."""
+    """Return the rows of the table `Action`.
+
+    The table has one row per action of the vocabulary, and one per action in `names` that is not in the vocabulary.
+    """
     actions = sorted(names | set(ACTIONS))
     return pa.table({"name": actions, "pose": [name in POSES for name in actions]})
 
 
 def _groups(memberships: pa.Table, group_info: pa.Table) -> pa.Table:
-    """Return one row per group that has a member. An attribute is null if no value was chosen for the group."""
+    """Return one row for each group that has a member.
+
+    A group's row is null in the column of an attribute if no value of this attribute was chosen for the group.
+    """
     clusters = memberships.group_by(["sequence", "cluster"]).aggregate([]).sort_by("cluster")
     chosen = group_info.filter(group_info["chosen"]).sort_by([("cluster", "ascending"), ("value", "ascending")])
     for name in ("venue", "aim", "bpc", "ssc", "location", "inter"):

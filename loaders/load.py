@@ -26,11 +26,12 @@ import pyarrow as pa
 
 from jrdb_avr.loaders.graph import build_scene, stage_scene, write_graph
 from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.loaders.intervals.neighbors import beside_warnings
 from jrdb_avr.loaders.intervals.persons import disagreements
 from jrdb_avr.loaders.intervals.spans import absent_partners
 from jrdb_avr.loaders.intervals.timeline import step_of
 from jrdb_avr.loaders.layers.calibration import cameras_check
-from jrdb_avr.loaders.problems import Problems, shorten
+from jrdb_avr.loaders.problems import shorten
 from jrdb_avr.loaders.report import SequenceReport, frame_range, sequence_warnings
 from jrdb_avr.loaders.result import LoadResult
 from jrdb_avr.loaders.root import Root, SequenceFiles, find_root
@@ -69,7 +70,7 @@ class Shard:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """Result of `load_shard`: the report, and the entry of the manifest (None if the sequence could not be loaded)."""
+    """Result of `load_shard`: the report of a sequence, and its entry in the manifest (None if it was not loaded)."""
 
     report: SequenceReport
     entry: SequenceEntry | None
@@ -141,8 +142,9 @@ def rebuild(
 ) -> dict[str, SequenceEntry]:
     """Derive the intervals and the graph of a store again from its annotation tables.
 
-    If the world model of a run cannot be put into the new graph, an AvrWarning names the run. If a load was killed
-    while it moved its tables, call `resume` first.
+    If the world model of a run cannot be put into the new graph, an AvrWarning names the run. If a sequence has too
+    many facts of relative places, an AvrWarning names the facts that are left out. If a load was killed while it moved
+    its tables, call `resume` first.
 
     Args:
         store: store to rebuild.
@@ -151,7 +153,7 @@ def rebuild(
         progress: display of the progress.
 
     Returns:
-        The new entries of the manifest by sequence.
+        The new entry of each sequence in the manifest, by name of the sequence.
 
     Raises:
         StoreError: If an annotation file is missing, unreadable or changed since the load, if the store is public,
@@ -171,7 +173,9 @@ def rebuild(
             entries[shards[i].sequence] = entry
             advance(1)
         left_out = _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
-    for line in left_out:
+    sightings = {name: store.interval("sightings", name) for name in entries}
+    views = [f"{name}: {line}" for name, table in sightings.items() for line in beside_warnings(table)]
+    for line in [*left_out, *views]:
         warnings.warn(line, AvrWarning, stacklevel=2)
     return entries
 
@@ -204,12 +208,7 @@ def load_shard(shard: Shard) -> ShardResult:
         }
         if not read.frames:
             return ShardResult(SequenceReport(sequence, read.problems, files=files), None)
-        try:
-            intervals = derive(sequence, read.tables, shard.rules)
-        except InputError as error:
-            refused = Problems(sequence)
-            refused.add("sequence", str(error))
-            return ShardResult(SequenceReport(sequence, [*read.problems, *refused.listed()], files=files), None)
+        intervals = derive(sequence, read.tables, shard.rules)
         entry = _write(Store(shard.staging), sequence, read.tables, intervals)
         tables, cameras = read.tables, cameras_check(read.tables["calibration"])
         labels, images = frame_range(read.label_frames), frame_range(read.frames["images"][0])
@@ -233,14 +232,17 @@ def load_shard(shard: Shard) -> ShardResult:
             cameras=cameras,
             disagreements=disagreements(tables),
             absent_partners=absent_partners(tables["interactions"], tables["boxes_2d"]),
-            warnings=sequence_warnings(labels, images, read.heading, cameras),
+            warnings=[
+                *sequence_warnings(labels, images, read.heading, cameras),
+                *beside_warnings(intervals["sightings"]),
+            ],
         )
         return ShardResult(report, entry)
 
 
 @contextlib.contextmanager
 def _one_heap() -> Iterator[None]:
-    """Let Arrow and numpy share a heap while the block runs, so that each reuses memory that the other has freed."""
+    """Let Arrow and numpy share a heap inside a `with` block, so that each reuses memory that the other has freed."""
     before = pa.default_memory_pool()
     pa.set_memory_pool(pa.system_memory_pool())
     try:
@@ -261,7 +263,7 @@ class RebuildShard:
 
     @property
     def weight(self) -> int:
-        """Return the size of the file of 2D boxes in bytes. Sequences with a larger weight are processed first."""
+        """Return the number of bytes of the file of 2D boxes. Sequences with a larger weight are processed first."""
         path = Store(self.store).annotation_path("boxes_2d", self.sequence)
         return path.stat().st_size if path.exists() else 0
 
@@ -277,7 +279,7 @@ def rebuild_shard(shard: RebuildShard) -> SequenceEntry:
 
 
 def _loaded_table(store: Store, layer: str, shard: RebuildShard) -> pa.Table:
-    """Return an annotation table. Raise StoreError if its file has changed since the load."""
+    """Return the annotation table of a layer. Raise StoreError if the file of the table has changed since the load."""
     path = store.annotation_path(layer, shard.sequence)
     table = store.annotation(layer, shard.sequence)
     if file_hash(path) != shard.entry.tables.get(path.relative_to(store.path).as_posix()):
@@ -304,9 +306,10 @@ def _write(
 
 @contextlib.contextmanager
 def _staging(store: Store) -> Iterator[Store]:
-    """Yield an empty staging folder. Delete the folder afterwards, unless it holds tables that must still be moved.
+    """Yield an empty staging folder, and delete it when the `with` block ends.
 
-    The caller must hold the writer's lock.
+    The folder is not deleted if it then holds tables that must still be moved into the store. The caller must
+    hold the writer's lock.
     """
     staging = Store(store.path / STAGING)
     try:
@@ -330,7 +333,7 @@ def _finish(
     entries: dict[str, SequenceEntry],
     parts: Sequence[str],
 ) -> list[str]:
-    """Build the graph, then move the staged folders `parts` and the manifest into the store.
+    """Build the graph, then move the staged folders named in `parts`, and the staged manifest, into the store.
 
     Return one line for each run that the graph leaves out.
     """
@@ -347,7 +350,7 @@ def _move(store: Store, staging: Store, parts: Sequence[str]) -> None:
 
 
 def _half_moved(store: Store) -> bool:
-    """Return whether a load was killed after it deleted the old manifest and before it moved the new one."""
+    """Return whether a load was killed between the deletion of the old manifest and the move of the new manifest."""
     return (store.path / STAGING / "store.json").exists() and not (store.path / "store.json").exists()
 
 
@@ -360,7 +363,10 @@ def _finish_moves(store: Store) -> None:
 
 
 def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
-    """Build the graph, stage the new manifest, and delete the old one. Return a line for each run that is left out."""
+    """Build the graph, stage the new manifest, and delete the old manifest.
+
+    Return one line for each run that the graph leaves out.
+    """
     with build_graph(store.graph_path) as graph:
         rows, left_out = _fill(graph, store, staging, manifest)
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
@@ -370,7 +376,10 @@ def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
 
 
 def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
-    """Fill a new graph. Return the number of rows by table of the graph, and a line for each run that is left out."""
+    """Fill a new graph with the scene and with the world models of runs.
+
+    Return the entry `graph` of the manifest, and one line for each run that the graph leaves out.
+    """
     rows = build_scene(graph, tables, list(manifest.sequences))
     make_world_tables(graph)
     return rows, copy_all(graph, store, run_ids(store))
@@ -394,7 +403,7 @@ def _reports(root: Root, results: dict[str, ShardResult]) -> list[SequenceReport
 
 
 def _nothing(root: Root, reports: list[SequenceReport]) -> str:
-    """Return the message that no sequence of a root could be loaded. The message states the first problem."""
+    """Return the error message for a root if no sequence could be loaded. The message states the first problem."""
     first = next((problem for report in reports for problem in report.problems), None)
     why = f"; first: {first.reason}" if first else ""
     return f"{root.path}: no sequence could be loaded ({len(reports)} tried){why}"

@@ -10,10 +10,10 @@ import msgspec
 
 
 class Problem(msgspec.Struct):
-    """Number of parts that were refused or skipped for one reason, with the first part as an example."""
+    """Reason why parts of the input were refused or skipped, with their number and the first part as an example."""
 
     kind: str
-    """What each counted part is: "sequence", "file", "frame", "record" or "field"."""
+    """What each counted part is: "file", "frame", "record" or "field"."""
     reason: str
     count: int
     file: str
@@ -41,9 +41,10 @@ class Problems:
         """Count refused or skipped parts. Parts of the same kind, reason and field are counted together.
 
         Args:
-            kind: "sequence", "file", "frame", "record" or "field".
+            kind: "file", "frame", "record" or "field".
             reason: reason of the refusal.
-            frame: frame key or name of the first part. Only the first call for a reason sets the example.
+            frame: frame key or name of the first part. If the parts of several calls are counted together, the `frame`
+                and the `value` of the first call are kept as the example.
             field: name of the offending field.
             value: offending value of the first part.
             count: number of parts.
@@ -56,7 +57,10 @@ class Problems:
         self._problems[kind, reason, field] = example
 
     def without(self, reported: Problems) -> None:
-        """Remove each problem that another reader of the same file has put into `reported` with the same count."""
+        """Remove each problem that is also in `reported` with an equal reason, field and count.
+
+        `reported` is the counter of another reader of the same file.
+        """
         counted = {(problem.reason, problem.field, problem.count) for problem in reported.listed()}
         for key, problem in list(self._problems.items()):
             if (problem.reason, problem.field, problem.count) in counted:

@@ -17,7 +17,10 @@ MAX_TURN_DEG: Final = 90.0
 
 
 class UnknownLabel(msgspec.Struct):
-    """Label outside the vocabulary, in the spelling of the tables, with the number of its occurrences."""
+    """Label that is outside the vocabulary, and the number of its occurrences.
+
+    The label is spelled as in the tables.
+    """
 
     field: str
     label: str
@@ -25,7 +28,7 @@ class UnknownLabel(msgspec.Struct):
 
 
 class Heading(msgspec.Struct):
-    """Check of the heading convention: people faster than 0.5 m/s should face their direction of motion."""
+    """Result of the check that people faster than 0.5 m/s face their direction of motion."""
 
     moves: int
     """Number of compared displacements. Each displacement is over one second."""
@@ -36,7 +39,10 @@ class Heading(msgspec.Struct):
 
 
 class FrameRange(msgspec.Struct):
-    """Range of the frames that have labels, or that have images. Frames in between may be missing."""
+    """Range of the frames that have labels, or of the frames that have images.
+
+    Frames inside the range may be missing.
+    """
 
     first: int
     last: int
@@ -84,13 +90,16 @@ class Cameras(msgspec.Struct):
 
 
 class Disagreement(msgspec.Struct):
-    """Attribute with different values in the frames of one person, or in the records of the members of one group."""
+    """Attribute of a person or of a group that does not have the same value everywhere.
+
+    The values differ between the frames of the person, or between the records of the group's members.
+    """
 
     subject: str
     """Person or group, such as `person 12` or `group 7`."""
     attribute: str
     votes: dict[str, int]
-    """Number of frames or records by value."""
+    """Number of frames or records with each value. The keys are the values."""
     stated: int
     """Number of frames or records that state a value of the attribute."""
 
@@ -146,7 +155,7 @@ def frame_range(frames: npt.NDArray[np.int64]) -> FrameRange | None:
 def sequence_warnings(
     labels: FrameRange | None, images: FrameRange | None, heading: Heading | None, cameras: Cameras | None
 ) -> list[str]:
-    """Return the warnings that follow from the checks of a sequence. The user should look at these warnings."""
+    """Return one line of warning for each check of a sequence that has found a fault."""
     lines = []
     if labels and images and (labels.first, labels.last) != (images.first, images.last):
         lines.append(
@@ -168,7 +177,7 @@ def sequence_warnings(
 
 
 def totals(reports: list[SequenceReport]) -> str:
-    """Return one line with the sums over all loaded sequences."""
+    """Return one line with the numbers of loaded sequences, frames, people, boxes, unknown labels and refused parts."""
     loaded = [report for report in reports if report.layers]
     sums = {name: sum(getattr(report, name) for report in loaded) for name in ("frames", "people", "boxes", "boxes_3d")}
     unknown = len({(label.field, label.label) for report in loaded for label in report.unknown_labels})

@@ -33,7 +33,10 @@ class LoadResult(Displayed):
         return rows
 
     def parts(self) -> Iterator[str | tuple[str, list[_Row]]]:
-        """Yield the parts of the displayed report in order. A part is a line of text, or a title and a table's rows."""
+        """Yield the parts of the report in the order of display.
+
+        A part is a line of text, or a pair: the title and the rows of a table.
+        """
         loaded = [report for report in self.reports if report.sequence]
         yield "Loaded", [_summary(report) for report in loaded]
         for layers, names in _shared((_layers(report), report.sequence) for report in loaded):
@@ -68,7 +71,7 @@ class LoadResult(Displayed):
 
 
 def _shared(lines: Iterable[tuple[str, str]]) -> list[tuple[str, list[str]]]:
-    """Return each distinct text with the sequences that share the text. `lines` holds pairs of text and sequence."""
+    """Return each distinct text with the sequences that have the text. `lines` holds pairs (text, sequence)."""
     sequences: dict[str, list[str]] = {}
     for text, sequence in lines:
         sequences.setdefault(text, []).append(sequence)
@@ -85,7 +88,7 @@ def _summary(report: SequenceReport) -> _Row:
 
 
 def _layers(report: SequenceReport) -> str:
-    """Return a text that lists the layers, grouped by the distance between their annotated frames."""
+    """Return a text that lists the layers of a sequence, grouped by the distance between the frames of a layer."""
     steps: dict[str, list[str]] = {}
     for layer in report.layers:
         step = report.steps.get(layer)
@@ -134,6 +137,6 @@ def _problems(reports: list[SequenceReport]) -> list[_Row]:
 
 
 def _place(sequence: str, problem: Problem) -> str:
-    """Return file, frame, field and value of a problem as one text. The sequence is added if the file name lacks it."""
+    """Return one text with the file, frame, field and value of a problem. The text always names the sequence."""
     file = problem.file if sequence in problem.file else f"{sequence}/{problem.file}"
     return " ".join(part for part in (file, problem.frame, problem.field, problem.detail) if part)

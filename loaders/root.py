@@ -134,7 +134,7 @@ def find_root(path: str | Path, layer_dirs: Mapping[str, Sequence[str]] | None =
 
 
 class _Search:
-    """Search through the folders of a root. It collects problems and notes for the load report."""
+    """Search through the folders of a root. The search collects problems and notes for the load report."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -143,7 +143,10 @@ class _Search:
         self._names = {base: self._listing(base) or frozenset() for base in (root / "labels", root)}
 
     def chosen(self, layer: str, names: Sequence[str]) -> list[Path]:
-        """Return the given folders of a layer. Raise InputError if the layer is unknown or a folder is missing."""
+        """Return the paths of the folders that the user gave for a layer.
+
+        Raise InputError if the layer is unknown or a folder is missing.
+        """
         if layer not in LAYER_FILES:
             raise InputError(f"there is no layer {layer}: choose from {', '.join(LAYER_FILES)}")
         folders = [self.root / name for name in names]
@@ -176,7 +179,10 @@ class _Search:
         return [folder / name for name in names.values()]
 
     def sequence(self, file: Path) -> str | None:
-        """Return the sequence of a label file. Refuse a file with an impossible sequence name, and return None."""
+        """Return the name of a label file's sequence.
+
+        If the file name cannot be a sequence name, refuse the file and return None.
+        """
         try:
             return safe_sequence(file.stem)
         except InputError:
@@ -202,7 +208,10 @@ class _Search:
         return True
 
     def _listing(self, folder: Path) -> frozenset[str] | None:
-        """Return the names in a folder. A missing folder has no names. Report an unreadable folder, and return None."""
+        """Return the names in a folder, or None if the folder exists but cannot be read.
+
+        A missing folder has no names. An unreadable folder is reported.
+        """
         try:
             with os.scandir(folder) as entries:
                 return frozenset(entry.name for entry in entries)

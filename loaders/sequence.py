@@ -51,8 +51,9 @@ NOT_LABELS: Final = ("timestamps", "images")
 class Annotated:
     """All annotation tables of a sequence, and the results of its checks for the load report.
 
-    tables: annotation tables by name, one for each name in `ANNOTATIONS`. Tables without a record are empty.
-    frames: by layer, the frames and the number of records in each frame. Empty if no label file was usable.
+    tables: dictionary from each name in `ANNOTATIONS` to the annotation table with this name.
+    frames: dictionary from the name of a layer to two arrays: the layer's frames, and the number of records in each of
+        these frames. The dictionary is empty if no label file was usable.
     """
 
     def __init__(
@@ -131,7 +132,7 @@ def annotate(files: SequenceFiles) -> Annotated:
 
 
 def _read(layer: str, path: Path, readings: dict[str, LayerTables], problems: Problems) -> LayerTables:
-    """Read the file of a layer. `readings` holds the layers that have been read before."""
+    """Read the file of a layer. `readings` maps each layer that has been read before to its tables."""
     if layer != "reasoning":
         return READERS[layer](path, problems)
     social = readings.get("social")
@@ -146,7 +147,11 @@ def _check(layer: str, reading: LayerTables, reference: Tracks | None) -> ShiftC
 
 
 def _once(files: SequenceFiles, problems: list[Problems]) -> list[Problems]:
-    """Return the problems. If a file gives both the 2D layer and another layer, count each problem of the file once."""
+    """Remove problems that are in two counters, and return all counters.
+
+    If a file is read both for the 2D layer and for another layer, both counters hold the problems of the file. The
+    problems then stay only in the counter of the 2D layer.
+    """
     boxes = next((part for part in problems if part.layer == "2d"), None)
     for part in problems:
         if boxes is not None and part is not boxes and files.labels.get(part.layer) == files.labels["2d"]:

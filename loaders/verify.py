@@ -1,9 +1,10 @@
 """Check that the files of a store are the files that `load` wrote.
 
 The manifest holds the hash of each Parquet file. The fingerprint, a file beside the graph file, holds the hash of the
-graph file. A run writes its world models into the graph file, so the hash of the graph file changes. After a run, only
-the size of the graph file and the row counts of the graph's tables can be compared. Rows are counted in a separate
-process, because a damaged graph can crash the engine.
+graph file. A run writes its world models into the graph file, so the hash of the graph file changes. After a run, two
+other checks replace the comparison of hashes: the size of the graph file must be that of a complete file, and the
+tables that the load has filled must have the row counts in the fingerprint. Rows are counted in a separate process,
+because a damaged graph can crash the engine.
 """
 
 from __future__ import annotations
@@ -76,7 +77,10 @@ def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None)
 
 
 def _check_files(store: Store, manifest: Manifest, part: str) -> Check:
-    """Compare the files of a part with their hashes. A file without a hash is a fault, because views would read it."""
+    """Compare the files of a part with the hashes in the manifest.
+
+    A file for which the manifest has no hash is a fault too, because views would read the file.
+    """
     digests = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
     expected = {path: digest for path, digest in digests.items() if path.startswith(f"{part}/")}
     results = ((path, _file_fault(store.path / path, digest)) for path, digest in sorted(expected.items()))

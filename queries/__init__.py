@@ -1,1 +1,1 @@
-"""The store of a benchmark and its graph, SQL and Cypher queries on them, and the compiler from plans to Cypher."""
+"""The store and the graph of a benchmark, queries in SQL and Cypher, and the compiler from plans to Cypher."""

@@ -82,7 +82,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
     If the block raises an exception, the temporary folder is removed, and `folder` does not change.
 
     Args:
-        folder: Folder to create, which must not exist or must be empty.
+        folder: Folder to create. If it exists already, it must be empty.
 
     Yields:
         The temporary folder, which is in the same parent folder as `folder`.
@@ -104,7 +104,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _beside(path: Path, *, folder: bool) -> Iterator[Path]:
-    """Yield a locked temporary file or folder beside `path`, and remove it in the end. Turn OSError into StoreError."""
+    """Yield a locked temporary file or folder beside `path`, and remove it afterwards. Turn OSError into StoreError."""
     with contextlib.ExitStack() as cleanup:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Parameters of statements about the keyframe layer of a graph, and the sequences and rules of the layer."""
+"""Sequences and rules of the keyframe layer of a graph. Also parameters for statements that query the layer."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def layer_stamp(graph: Graph) -> tuple[dict[str, int], Rules | None]:
         graph: Session on the graph.
 
     Returns:
-        The first node id of each sequence by name, and the rules. If the graph lacks a complete layer, the
-        result is an empty dictionary and None.
+        A dictionary with the first node id of each sequence, by the name of the sequence. Also the rules of the
+        layer. If the graph lacks a complete layer, the result is an empty dictionary and None.
     """
     if not KEYFRAME_NODES.keys() <= graph.tables():
         return {}, None

@@ -37,8 +37,8 @@ class Manifest(msgspec.Struct, frozen=True):
         load_rules: Rules that `load` applied.
         load_rules_hash: Hash of `load_rules`.
         sequences: Entry of each sequence, by name.
-        graph: Number of rows of each scene table at the time when the graph was built, by the name of the table. One
-            more entry is the storage version of the graph.
+        graph: Number of rows of each scene table at the time when the graph was built, by the name of the table. The
+            additional entry `storage_version` is the version of the graph's tables.
         version: Version of the tables and the manifest, as in `MANIFEST_VERSION`.
     """
 
@@ -80,14 +80,20 @@ def read_manifest(store: Path) -> Manifest:
 
 
 def is_public(store: Path) -> bool:
-    """Return whether the store is public: `export --public` wrote it with questions, but without labels and answers."""
+    """Return whether a store is public. A public store has questions, but lacks labels and answers.
+
+    The command `export --public` writes such a store.
+    """
     with contextlib.suppress(StoreError):
         return (store / "questions" / "questions.parquet").exists() and not read_manifest(store).sequences
     return False
 
 
 def refuse_public(store: Path, missing: str) -> None:
-    """Raise StoreError if the store is public. `missing` ends the message: the thing that is missing, and a remedy."""
+    """Raise StoreError if the store is public.
+
+    The message of the error ends in `missing`, a text that names the missing data and a remedy.
+    """
     if is_public(store):
         raise StoreError(f"{store}: a public store has no {missing}")
 

@@ -3,7 +3,8 @@
 SQL queries are in `queries/results`, and Cypher queries are in `queries/explore`, `generators`, `necessity` and
 `search`. The first comment line of a file says what the query returns. A comment line `param NAME: TYPE` declares a
 parameter of the type text, integer or number. `param NAME: TYPE = VALUE` declares a parameter with a default. If a
-query has the parameter `frame`, the caller may give `seconds` instead. As in questions, `seconds` is the frame / 15.
+query has the parameter `frame`, the caller may give `seconds` instead. The number of seconds is the frame divided by
+15, as in the texts of questions.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class NamedQuery:
         return ", ".join(parts)
 
     def values(self, params: dict[str, Any]) -> dict[str, Any]:
-        """Return a value for every parameter: the given value or, if none is given, the default.
+        """Return the value of every parameter. A parameter without a given value has its default.
 
         Args:
             params: Given values, by the name of the parameter.
@@ -85,7 +86,10 @@ _EXAMPLES: Final = {"text": "TEXT", "integer": "INTEGER", "number": "NUMBER"}
 
 
 def _checked(name: str, kind: str, value: Any) -> Any:
-    """Return a parameter's value in the type `kind`, or raise QueryError. For `kind` "text", a number becomes text."""
+    """Return a parameter's value if it has the type `kind`, otherwise raise QueryError.
+
+    If `kind` is "text", a number is converted to text.
+    """
     if kind == "text" and isinstance(value, int | float) and not isinstance(value, bool):
         return str(value)
     value = unwrap_scalar(value)
@@ -97,7 +101,10 @@ def _checked(name: str, kind: str, value: Any) -> Any:
 
 
 def named_queries(language: str) -> dict[str, NamedQuery]:
-    """Return the named queries of a language ("cypher" or "sql") by name, in alphabetical order."""
+    """Return a dictionary from the name of each query in a language to the query, in alphabetical order.
+
+    The language is "cypher" or "sql".
+    """
     folders = [files("jrdb_avr.queries").joinpath(folder) for folder in FOLDERS[language]]
     entries = [entry for folder in folders for entry in folder.iterdir() if entry.name.endswith(f".{language}")]
     queries = [_parse(entry.name.removesuffix(f".{language}"), entry.read_text("utf-8")) for entry in entries]
@@ -113,7 +120,8 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
         params: Values of parameters, by name.
 
     Returns:
-        The statement, and the value of each of its parameters. If `text` is a statement, it and `params` are unchanged.
+        The statement, and the value of each parameter of the statement. If `text` is a statement, the function returns
+        `text` and `params` unchanged.
 
     Raises:
         QueryError: If `text` is a single word but not the name of a query, or if `params` do not fit the query.
@@ -129,7 +137,7 @@ def find_query(language: str, text: str, params: dict[str, Any]) -> tuple[str, d
 
 
 def parse_value(text: str) -> Any:
-    """Return the value of a parameter that a user typed: the decoded value if the text is JSON, otherwise the text.
+    """Decode the text that a user typed as the value of a parameter. Return the text itself if it is not JSON.
 
     The id of a question stays a text, even if it looks like a number with an exponent.
 

@@ -1,4 +1,7 @@
-"""Readers of the public tables of a store: the questions, and the sequences with the frames that can be observed."""
+"""Readers of the public tables of a store.
+
+One table has the questions. The other table has the sequences, with the frames that can be observed.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +66,7 @@ def read_sequences(store: Store) -> dict[str, SequenceInfo]:
         store: Store with questions.
 
     Returns:
-        Each sequence with the frames that can be observed, by name.
+        A mapping from the name of each sequence to the sequence, with the frames that can be observed.
 
     Raises:
         StoreError: If the file is missing or broken.
@@ -85,7 +88,10 @@ def _public_rows(store: Store, name: str, optional: Sequence[str] = ()) -> list[
 
 
 def sequences_of_questions(store: Store) -> dict[str, str]:
-    """Return the name of each question's sequence by question id. Raises StoreError if the store has no questions."""
+    """Return a dictionary from the id of each question to the name of the question's sequence.
+
+    Raises StoreError if the store has no questions.
+    """
     table = store.questions("questions", ["question_id", "sequence"])
     # Encode the column as a dictionary, so that all questions of a sequence share one string in memory.
     encoded = table["sequence"].combine_chunks().dictionary_encode()
@@ -105,7 +111,8 @@ def fit_schema(table: pa.Table, schema: pa.Schema, path: Path, command: str) -> 
         table: Table that was read from `path`.
         schema: Schema of the result.
         path: File that the error message names.
-        command: Command or advice that the error message puts before "again".
+        command: Command or advice for the error message, such as "generate". The message ends in this text, followed
+            by "again".
 
     Returns:
         The table with the columns and types of the schema.

@@ -1,4 +1,4 @@
-"""The manifest of a run, `runs/<run_id>/run.json`: its questions, method, model and settings."""
+"""The manifest of a run. The file `runs/<run_id>/run.json` names the run's questions, method, model and settings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class RunManifest(msgspec.Struct, frozen=True):
         created: Time at which the run began, in ISO 8601.
         selection: The `QuestionSelection` as plain JSON, empty if the run has all questions.
         world: Number of statements that read the world model (`reads`), and number of statements that wrote it
-            (`writes`). A resumed run adds its statements. The statements of a killed session are not counted.
+            (`writes`). A resumed run adds its statements. If the process of a run is killed, the statements of that
+            process are not counted.
     """
 
     run_id: str
@@ -42,7 +43,9 @@ class RunManifest(msgspec.Struct, frozen=True):
 
 
 def questions_hash(store: Store) -> str:
-    """Return one sha256 of the generation and all ids of a store's questions. A public copy has the same hash.
+    """Return one sha256 over the generation id and all question ids of a store.
+
+    A public copy of the store has the same hash.
 
     Args:
         store: Store with questions.

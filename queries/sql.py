@@ -86,7 +86,7 @@ def query_tables(
         sql: Statement. `$name` stands for the value of the parameter `name`.
         params: Values of the parameters, by name.
         timeout_s: Maximum time in seconds, after which the statement is stopped.
-        tables: Tables in memory that the statement can also read, by name. A table replaces the view of its name.
+        tables: Tables in memory that the statement can also read, by name. A table replaces the view of the same name.
 
     Returns:
         The rows that the statement selects.
@@ -103,12 +103,12 @@ def query_tables(
 def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> Iterator[Callable[..., pa.Table]]:
     """Create the views of a store once, and yield a function that runs several SELECT statements over them.
 
-    This function saves time, because the creation of the views takes longer than most statements.
+    Several calls of `query_tables` would take longer, because each call creates the views again.
 
     Args:
         folder: Folder of the store.
-        tables: Tables in memory that statements can also read, by name. A table replaces the view of its name. If a
-            table is called `scores`, the views of runs contain only those runs that this table contains.
+        tables: Tables in memory that statements can also read, by name. A table replaces the view of the same name. If
+            a table is called `scores`, the views of runs contain only those runs that this table contains.
 
     Yields:
         A function that runs one statement. It takes the arguments `sql`, `params` and `timeout_s` of `query_tables`,
@@ -157,7 +157,7 @@ def open_tables(folder: Path, tables: Mapping[str, pa.Table] | None = None) -> I
 
 
 def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -> dict[str, str]:
-    """Create all views. Return why some views could not be created: the reasons by the name of the view."""
+    """Create all views. Return a dictionary from the name of each view that could not be created to the reason."""
     import duckdb
 
     broken: dict[str, str] = {}
@@ -194,7 +194,10 @@ def _make_views(connection: Any, folder: Path, tables: Mapping[str, pa.Table]) -
 
 
 def _lock_down(connection: Any) -> None:
-    """Forbid statements to read other files or Python objects, to load extensions and to change these settings."""
+    """Restrict the statements on a connection to the files of the views.
+
+    Statements can read no other files and no Python objects. They can load no extensions, and change no settings.
+    """
     for setting in (
         "python_enable_replacements = false",
         "autoinstall_known_extensions = false",

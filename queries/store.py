@@ -73,7 +73,7 @@ class Store(Displayed):
 
     @classmethod
     def of(cls, store: Store | str | Path) -> Store:
-        """Return the store itself, or the store at a path."""
+        """Return the argument if it is a store already. Otherwise return the store at the given path."""
         return store if isinstance(store, Store) else cls(store)
 
     # -- paths ------------------------------------------------------------------------------------------------
@@ -84,11 +84,11 @@ class Store(Displayed):
         return self.path / STORE_GRAPH
 
     def annotation_path(self, layer: str, sequence: str) -> Path:
-        """Return the path of the annotation table of a layer and a sequence."""
+        """Return the path of a sequence's annotation table for one layer."""
         return self.path / "annotations" / layer / f"{safe_sequence(sequence)}.parquet"
 
     def interval_path(self, kind: str, sequence: str) -> Path:
-        """Return the path of the interval table of a kind of facts and a sequence."""
+        """Return the path of a sequence's interval table for one kind of facts."""
         return self.path / "intervals" / kind / f"{safe_sequence(sequence)}.parquet"
 
     def question_path(self, table: str) -> Path:
@@ -106,11 +106,11 @@ class Store(Displayed):
     # -- tables -----------------------------------------------------------------------------------------------
 
     def write_annotation(self, layer: str, sequence: str, table: pa.Table) -> str:
-        """Write the annotation table of a layer and a sequence, and return the sha256 of the file."""
+        """Write a sequence's annotation table for one layer, and return the sha256 of the file."""
         return write_table(self.annotation_path(layer, sequence), table, ANNOTATIONS[layer])
 
     def write_interval(self, kind: str, sequence: str, table: pa.Table) -> str:
-        """Write the interval table of a kind of facts and a sequence, and return the sha256 of the file."""
+        """Write a sequence's interval table for one kind of facts, and return the sha256 of the file."""
         return write_table(self.interval_path(kind, sequence), table, INTERVALS[kind])
 
     def write_questions(self, name: str, table: pa.Table, metadata: dict[str, str]) -> str:
@@ -130,7 +130,7 @@ class Store(Displayed):
         return read_table(self.interval_path(kind, sequence), columns)
 
     def facts(self, kind: str, sequence: str) -> pa.Table:
-        """Return the rows of `intervals_<kind>`, then those of `intervals_possible_<kind>` with `certain` = false."""
+        """Return the rows of `intervals_<kind>`, then the rows of `intervals_possible_<kind>` (as not `certain`)."""
         labels, unwritten = (self.interval(name, sequence) for name in (kind, f"possible_{kind}"))
         unwritten = unwritten.append_column("certain", pa.repeat(pa.scalar(False), unwritten.num_rows))
         return pa.concat_tables([labels, unwritten], promote_options="default")
@@ -164,10 +164,10 @@ class Store(Displayed):
         return tables
 
     def training_set(self) -> dict[str, str]:
-        """Return how the questions were made if they are a training set, or {} if they are a benchmark.
+        """Return a record of how the training set was made, or {} if the questions are a benchmark.
 
-        `profile` is the profile of `generate`. `disjoint_from` is the generation id of the held-out questions that the
-        training set avoids. Raises StoreError if the file of questions is missing or broken.
+        The entry `profile` is the profile of `generate`. The entry `disjoint_from` is the generation id of the held-out
+        questions that the training set avoids. Raises StoreError if the file of questions is missing or broken.
         """
         metadata = self.questions("questions", []).schema.metadata or {}
         keys = (PROFILE_KEY, DISJOINT_KEY)
@@ -192,7 +192,7 @@ class Store(Displayed):
         return read_manifest(self.path)
 
     def relative(self, folder: str) -> str:
-        """Return the path of a folder: relative to the store if the folder is inside the store, otherwise as given."""
+        """Return the path of a folder. The path becomes relative to the store if the folder is inside the store."""
         root = self.path.resolve()
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
@@ -249,9 +249,9 @@ class Store(Displayed):
     def query(
         self, language: Literal["cypher", "sql"], query: str, params: Mapping[str, Any], timeout_s: float = 60.0
     ) -> pa.Table:
-        """Run a statement or a named query, as `cypher` and `sql` do, and return its rows.
+        """Run a statement or a named query in the given language, and return the rows of the result.
 
-        The statement is stopped after `timeout_s` seconds. QueryError is raised if it is stopped, is refused or fails.
+        Raises QueryError if the statement is refused, fails, or is stopped because it takes longer than `timeout_s`.
         """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
@@ -264,7 +264,7 @@ class Store(Displayed):
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
 
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
-        """Return the parameters of a statement about the keyframe layer. A range of node ids replaces `sequence`.
+        """Return the values of the parameters of a statement that queries one sequence of the keyframe layer.
 
         Raises StoreError if the graph lacks the keyframe layer, or if the layer and the questions have different rules.
         """
@@ -374,13 +374,13 @@ def write_groups(
 ) -> str:
     """Write several tables to one Parquet file atomically, and return the sha256 of the file in hexadecimal digits.
 
-    Each table becomes a row group. Only one table is in memory at a time. `write_table` describes other arguments.
+    Each table becomes a row group. Only one table is in memory at a time. `write_table` describes the other arguments.
     """
     return _write(path, groups, schema, schema, metadata)
 
 
 def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
-    """Return the schema. Columns that are dictionary columns in the table get the table's dictionary type."""
+    """Return a copy of the schema, with the table's type for each column that is a dictionary column in the table."""
     kinds = [(field, table.schema.field(field.name).type) for field in schema]
     return pa.schema([field.with_type(kind) if pa.types.is_dictionary(kind) else field for field, kind in kinds])
 
@@ -388,7 +388,7 @@ def with_numbered(schema: pa.Schema, table: pa.Table) -> pa.Schema:
 def _write(
     path: Path, groups: Iterable[pa.Table], schema: pa.Schema, kinds: pa.Schema, metadata: dict[str, str] | None
 ) -> str:
-    """Write row groups with the types of `kinds`, and return the file's sha256. Readers get the types of `schema`."""
+    """Write tables with the types of `kinds`, and return the file's sha256. Readers get the types of `schema`."""
     # Readers take the column types from this entry. Without the entry, readers would return dictionary columns.
     read_as = base64.b64encode(schema.with_metadata(metadata or None).serialize()).decode()
 

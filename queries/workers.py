@@ -58,7 +58,8 @@ def map_sequences(
             three sequences of JRDB have over half of all boxes.
 
     Returns:
-        An iterator over pairs: the index of an item in `sequences`, and the result for this item.
+        An iterator over pairs. A pair has the index of an item in `sequences`, and the result of the function for
+        this item.
 
     Raises:
         StoreError: If a local process died, or if Ray workers died more than `RETRIES` times on one sequence.
@@ -119,7 +120,10 @@ def _call_in_folder(folder: str, function: Callable[[A], R], sequence: A) -> R:
 
 @contextlib.contextmanager
 def _connect(address: str) -> Iterator[Any]:
-    """Connect to a Ray cluster, yield the module `ray`, and disconnect. An older connection is used and left open."""
+    """Connect to a Ray cluster, yield the module `ray`, and disconnect.
+
+    If this process has a connection already, that connection is used and left open.
+    """
     # Disable usage statistics, which Ray by default sends to its developers.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -185,8 +189,8 @@ def without_collector() -> Iterator[None]:
 def end_with_parent() -> None:
     """Mark this process as a worker, and end it when its parent process ends or is killed.
 
-    A worker without a parent would otherwise continue to write into the store. If this process has no parent process of
-    its own program, the function does nothing.
+    A worker without a parent would otherwise continue to write into the store. If the process is not a child that
+    `multiprocessing` started, the function does nothing.
     """
     global is_worker
     parent = multiprocessing.parent_process()

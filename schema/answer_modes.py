@@ -1,9 +1,9 @@
-"""Answer modes, such as a choice or a span of frames: one record per mode with all properties that the program needs.
+"""Answer modes, such as a choice or a span of frames. Each mode is a record with all properties that the program needs.
 
 A record says how answers of its mode are stored, written in a model's reply, scored and shown. It also says how blind
-guessers guess them, and how the selection of questions balances them. The prompt lines about a mode are in
-`agent/prompts/answer_<mode>.md`. The file `agent_reads_<mode>.md` in that folder lists for an agent those reads
-(requested values) of a plan that give an answer of the mode.
+guessers guess answers of the mode, and how the selection of questions balances these answers. The prompt lines about a
+mode are in `agent/prompts/answer_<mode>.md`. The file `agent_reads_<mode>.md` in that folder is for agents that make
+plans. It lists the values that a plan can request to get an answer of the mode.
 """
 
 from __future__ import annotations
@@ -68,11 +68,11 @@ class Mode:
             An answer of another mode is a JSON object with the keys of its parts.
         same: Scoring rule. It is called with the given answer, the true answer and the number of frames per second, and
             returns whether the given answer is right.
-        asks: Name of the requested value, such as "seconds". Tables show it.
+        asks: Name of the requested value, such as "seconds", as tables show it.
         words: Format string that shows an answer to a person. The names of the struct's fields are in braces.
         aim: Maximum share of right answers that a blind guesser should reach, 0 to 1.
         guessers: Names of the blind guessers that can give an answer of this mode.
-        smallest_read: Read (requested value) of the fallback plan, which is used if no other plan could be made.
+        smallest_read: Value that the fallback plan requests. This plan is used if no other plan could be made.
         bin_edges_s: Edges, in seconds, between bins of answers. The selection of questions balances the number of
             questions per bin.
     """
@@ -117,7 +117,7 @@ class Mode:
         return struct(*fields)
 
     def make(self, frames: Sequence[int], angle_deg: float, value: float = 1.0) -> Answer:
-        """Return an answer of this mode. The caller gives values for every mode, and those not needed are ignored.
+        """Return an answer of this mode. Values that an answer of this mode does not contain are ignored.
 
         Args:
             frames: Frames for the frame fields, in the order of the fields. There may be more frames than fields.
@@ -273,7 +273,8 @@ def frames_of_answer(answer: Answer) -> list[int]:
         answer: Answer of any mode.
 
     Returns:
-        The frames in the order of the answer's fields: none, one, or the first and the last frame of a span.
+        A list of frames. It has the first and the last frame of a span, or the frame of another answer. The list is
+        empty if the answer does not name a frame.
     """
     return [getattr(answer, name) for name, kind in mode_of(answer).fields if kind == "frame"]
 

@@ -42,7 +42,7 @@ class Span(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FrameViewpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Answer that names a frame, and the panorama angle of a person in that frame, in degrees."""
+    """Answer that names a frame and an angle. The angle, in degrees, is a person's panorama angle in that frame."""
 
     frame: _Frame
     angle_deg: float
@@ -70,9 +70,10 @@ def encode_answer(answer: Answer) -> str:
 
 
 def frames_iou(a: Span, b: Span) -> float:
-    """Return the number of frames that both spans contain, divided by the number that at least one span contains.
+    """Return the intersection over union of two spans.
 
-    The result is 0 if a span ends before it starts.
+    The result is the number of frames that both spans contain, divided by the number of frames that at least one span
+    contains. The result is 0 if a span ends before it starts.
     """
     if a.end_frame < a.start_frame or b.end_frame < b.start_frame:
         return 0.0

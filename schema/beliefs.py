@@ -16,8 +16,8 @@ has `<episode>/<name>`, with a name that the agent chose. A `Slot` or a `Write` 
 has `<episode>/h<rank>`.
 
 `Observation` and `Entity` also have a hash of the episode's key, and edges of beliefs have the names of the entities at
-both ends. The reads and writes of an agent use the hash and the names to find its own edges. Without them, the engine
-would spend half of its work on edges of other episodes.
+both ends. The reads and writes of an agent use this hash and these names to find the edges of the agent's episode.
+Otherwise, the engine would spend half of its work on edges of other episodes.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Write:
         arguments: Arguments of the tool, as JSON.
         accepted: Whether the world model accepted the write.
         reason: Reason of the refusal, "" if the write was accepted.
-        fact: JSON of a `Fact`: the rows that the write added or changed, "" if there are none.
+        fact: JSON of a `Fact`, which contains the rows that the write added or changed. "" if there are no such rows.
     """
 
     number: int
@@ -93,7 +93,7 @@ class EpisodeRow(_Row, frozen=True):
         question: Id of the question.
         sequence: Name of the sequence.
         plan: Plan as JSON, "" until a plan is accepted.
-        verdict: Support of the world model for the answer, "" until the episode has an answer.
+        verdict: How well the world model supports the answer, "" until the episode has an answer.
     """
 
     id: str
@@ -193,8 +193,8 @@ class _EdgeRow(_Row, frozen=True):
         episode: Key of the episode.
         write: Index, in the episode, of the write that added the edge. Each write adds at most one edge.
         step: Index of the model call that made the write.
-        votes: Number of readings that agreed with the edge at that write.
-        against: Number of readings that disagreed with the edge at that write.
+        votes: Number of readings that agreed with the edge when the write was made.
+        against: Number of readings that disagreed with the edge when the write was made.
         origin: Origin of the belief.
     """
 
@@ -209,7 +209,10 @@ class _EdgeRow(_Row, frozen=True):
 
 
 class SightingRow(_EdgeRow, frozen=True):
-    """Row of `Sighted`. The agent gave `box`. `angle` is the panorama angle of the centre of `box`, in degrees."""
+    """Row of `Sighted`.
+
+    `box` is the box that the agent gave. `angle` is the panorama angle of the centre of `box`, in degrees.
+    """
 
     frame: int
     box: Box
@@ -217,7 +220,7 @@ class SightingRow(_EdgeRow, frozen=True):
 
 
 class AttributeRow(_EdgeRow, frozen=True):
-    """Row of `Has`. `value` is the attribute's value as text. `number` is the value as a number, or 0 if it is none."""
+    """Row of `Has`. `value` is the attribute's value as text. `number` is the value if it is a number, otherwise 0."""
 
     name: str
     value: str
@@ -251,8 +254,8 @@ class Fact(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
         sighted: New sighting.
         has: New attribute.
         related: New relation.
-        replaced: Indexes of writes. The edges that these writes added stop being `current` at this step. This write may
-            be one of the writes.
+        replaced: Indexes of writes. The edges that these writes added stop being `current` at the step of this
+            fact's write. The index of this fact's own write may be in the tuple too.
         hypotheses: Hypotheses at the end of the episode.
     """
 
@@ -273,9 +276,9 @@ _TYPES: Final = {str: "STRING", int: "INT64", float: "DOUBLE", Box: "STRUCT(x DO
 
 
 def _columns(row: type[_Row], *more: str) -> tuple[str, ...]:
-    """Return the columns of a row class, except an edge's `source` and `target`, followed by the columns `more`.
+    """Return the columns of the table for a row class, each as a text such as "step INT64".
 
-    A column is a text of name and type.
+    The fields of the class come first, without the fields `source` and `target` of edges. The columns `more` follow.
     """
     fields = [f"{field.name} {_TYPES[field.type]}" for field in msgspec.structs.fields(row)]
     return (*(column for column in fields if column.split()[0] not in ("source", "target")), *more)
@@ -323,5 +326,5 @@ def episode_hash(episode: str) -> str:
 
 
 def name_of(key: str) -> str:
-    """Return the name of an entity or observation within its episode, which is the last part of its key."""
+    """Return the name of an entity or an observation. The name is the last part of the node's key."""
     return key.rpartition("/")[2]

@@ -27,7 +27,7 @@ class Source(NamedTuple):
     Attributes:
         name: Name of the data set.
         layers: Annotation layers that the data set provides, as in `schema.tables.LAYERS`.
-        licence: Identifier of the licence at Hugging Face and SPDX.
+        licence: Identifier of the licence, as in the lists of Hugging Face and SPDX.
         licence_url: Address of the licence text.
         citation: Short reference to the paper.
     """

@@ -24,9 +24,10 @@ class CatalogTable:
         name: Name of the table.
         part: Group that the table belongs to. The graph has the groups "scene", "keyframes" and "beliefs".
             The store has the groups "annotations", "intervals", "questions" and "runs".
-        columns: Type of each column by name.
-        meanings: Meaning of each column by name. Empty for tables of the graph.
-        ends: For a relationship, the names of the tables at its start and of the tables at its end. Otherwise None.
+        columns: Type of each column, by the name of the column.
+        meanings: Meaning of each column, by the name of the column. Empty for tables of the graph.
+        ends: Names of the node tables at the start of a relationship, and names of the node tables at its end. None
+            if the table is not a relationship.
     """
 
     name: str
@@ -37,7 +38,7 @@ class CatalogTable:
 
 
 def graph_tables() -> list[CatalogTable]:
-    """Return the node and relationship tables of the graph: scene, keyframe layer and beliefs of agents."""
+    """Return the node tables and relationship tables of the scene, the keyframe layer and the beliefs of agents."""
     parts = {
         "scene": (SCENE_NODES, SCENE_RELS),
         "keyframes": (KEYFRAME_NODES, KEYFRAME_RELS),
@@ -90,7 +91,10 @@ def named(tables: Iterable[CatalogTable], names: Iterable[str]) -> list[CatalogT
 
 
 def table_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
-    """Return one row per table: name, part, tables at both ends of a relationship, and names of the columns."""
+    """Return one row for each table, with its name, its part, the tables at both ends, and the names of its columns.
+
+    The tables at the ends are "" if the table is not a relationship.
+    """
     return [
         {
             "table": table.name,
@@ -104,7 +108,10 @@ def table_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
 
 
 def column_rows(tables: Iterable[CatalogTable]) -> list[dict[str, str]]:
-    """Return one row per column of each table: table, column, type and, if it is documented, meaning."""
+    """Return one row for each column of each table, with the names of the table and the column, and the type.
+
+    A row also has the meaning of the column if the columns of the table have documented meanings.
+    """
     return [
         {"table": table.name, "column": name, "type": kind}
         | ({"meaning": table.meanings[name]} if table.meanings else {})
@@ -130,7 +137,10 @@ _KEYS: Final = {"question_id": "questions", "run_id": "runs"}
 
 
 def store_diagram(tables: Iterable[CatalogTable]) -> str:
-    """Return a Mermaid entity diagram: tables with columns, and lines from `questions` and `runs` to other tables."""
+    """Return a Mermaid entity diagram of the tables and their columns.
+
+    Lines lead from the tables `questions` and `runs` to the tables with the key column `question_id` or `run_id`.
+    """
     tables = list(tables)
     names = {table.name for table in tables}
     lines = ["erDiagram"]

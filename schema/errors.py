@@ -46,7 +46,7 @@ class StoreError(AvrError):
 
 
 class LockedError(StoreError):
-    """The store or its graph is in use by another process or by this one. `holder` describes that process."""
+    """The store or its graph is in use by another process or by this process. `holder` describes the process."""
 
     def __init__(self, message: str, *, holder: str = "") -> None:
         super().__init__(message)
@@ -74,7 +74,10 @@ class RefusedError(AvrError):
 
 
 class DecodeError(AvrError):
-    """A model's reply does not have the requested form. The prediction stores the message as its reason."""
+    """A model's reply does not have the requested form.
+
+    The prediction of the question stores the message of this error as the reason for the missing answer.
+    """
 
 
 class EndpointError(AvrError):
@@ -97,8 +100,9 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
         valid: All valid names.
 
     Returns:
-        A text to append to an error message: the most similar valid name if there is one, otherwise up to 12 valid
-        names in alphabetical order. The text is "" if there are no valid names.
+        A text to append to an error message. The text has the most similar valid name. If all valid names differ too
+        much from the unknown name, the text has up to 12 valid names in alphabetical order. The text is "" if there
+        are no valid names.
     """
     import difflib
 

@@ -10,8 +10,9 @@ the box. Every relationship of the scene has the column `sequence`, because a qu
 
 A relationship holds from its frame `first` to its frame `last`, both included. `first_s` and `last_s` are the times of
 these frames in seconds. `Performs`, `MemberOf`, `Interacts` and `Handles` have the labels of annotators. `certain` is
-false if the label leaves the fact unknown, for example a label of the highest difficulty. Tables with names that begin
-with `May` have facts that no label states but that may be true. `schema.tables` explains their column `gap`.
+false if the label leaves the fact unknown, for example because the label has the highest difficulty. Tables with names
+that begin with `May` have facts that may be true, although no label states them. The module `schema.tables` explains
+the column `gap` of these tables.
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ _TYPES: Final = {"string": "STRING", "double": "DOUBLE", "bool": "BOOLEAN", "int
 
 
 def _sighting_columns() -> tuple[str, ...]:
-    """Return the columns of `SeenIn`: those of `intervals_sightings` without track and group, the box as one column."""
+    """Return the columns of `SeenIn`.
+
+    They are the columns of `intervals_sightings` without track and group. One column holds the four numbers of the box.
+    """
     fields = [field for field in INTERVALS["sightings"] if field.name not in ("track", "cluster", *"xywh")]
     columns = [f"{field.name} {_TYPES[str(field.type)]}" for field in fields]
     # The box is a struct, because the engine needs minutes to save a million lists of type DOUBLE[4].
@@ -99,7 +103,7 @@ KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
 }
 
-STORAGE_VERSION: Final = 10
+STORAGE_VERSION: Final = 11
 """Version of the tables of the graph. A graph with another version must be built again."""
 
 

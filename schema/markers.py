@@ -5,7 +5,7 @@ cells with a white margin of one cell. Its first grid (5 x 16 cells, 63 bits and
 gender, age, pose, up to two other actions, group, distance, and the size of the box in half cells; the second (5 x 11,
 38 bits and 17 of checksum that cover the first grid too) holds heading, partner and interaction, object and verb. It
 stands below the first (tall) or right of it (wide), and is left out where it does not fit at `MIN_CELL` pixels
-per cell. A box below `MIN_WIDTH` x `MIN_HEIGHT` carries a frame alone, and cannot be read.
+per cell. A box below 18 x 40 pixels carries a frame alone, and cannot be read.
 
 The plate lies in the middle of the box and says how many cells wide and high the box is, so the whole box follows from
 the plate's place and size in the image, also where another person or the image's edge covers the frame. A plate that is
@@ -42,8 +42,6 @@ MAX_CELL: Final = 4
 MIN_CELL: Final = 2
 MAX_CELLS: Final = 127
 """A box is at most so many cells wide and high: its size in half cells has eight bits."""
-MIN_WIDTH: Final = (GRID_COLUMNS + 2) * MIN_CELL + 4
-MIN_HEIGHT: Final = (FIRST_ROWS + 2) * MIN_CELL + 4
 BRIGHT: Final = 205
 """Grey level above which a pixel can belong to a plate's margin; everything else in a picture stays below 190."""
 

@@ -137,11 +137,11 @@ class Prediction:
     Attributes:
         status: "answered"; "invalid" if the answer or the evidence is missing because the model's output could not be
             read; or "error" if the method raised an exception.
-        answer: Answer, or None if there is none. The answer and the evidence are scored separately.
-        evidence: Box that shows the person in stitched pixels of one frame, or None if there is none.
+        answer: Answer, or None if there is no answer. The answer and the evidence are scored separately.
+        evidence: Box around the person in one frame, in stitched pixels, or None if there is no box.
         raw: Last text that the model wrote.
         reason: Why the model's last output was refused, "" if it was accepted.
-        verdict: Support of the world model for the answer, or None if the method has no world model.
+        verdict: How well the world model supports the answer, or None if the method has no world model.
         n_observations: Number of crops and panoramas that the method looked at.
         n_model_calls: Number of model calls.
         prompt_tokens: Number of tokens sent to the model.
@@ -221,7 +221,7 @@ class RecordWrite(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Question with all data and functions that a method may use to answer it.
+    """Question with all data and functions that a method may use to answer the question.
 
     Attributes:
         question: Public columns of the question.
@@ -261,7 +261,7 @@ class Method(Protocol):
 
 
 class ConfigurableMethod(Method, Protocol):
-    """Method with settings, such as a budget of looks. A run can be resumed only with the same settings."""
+    """Method with settings, such as a budget of looks. A run can be resumed only if its settings are unchanged."""
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that may change the method's answers.

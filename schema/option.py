@@ -31,7 +31,7 @@ def option(
     """Declare an option as a field of a dataclass.
 
     Args:
-        default: Default value. If it is a mapping, it must be empty.
+        default: Default value. A mapping must be empty.
         text: Help text.
         flag: Name of the option on the command line, without dashes. If it is "", the name of the field is used.
         minimum: Smallest allowed number, or None for no limit.

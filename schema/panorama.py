@@ -39,7 +39,14 @@ optical centres.
 
 
 class Box(NamedTuple):
-    """Box in pixels of the stitched panorama: left column, top row, width and height. x may be outside [0, 3760)."""
+    """Box in pixels of the stitched panorama.
+
+    Attributes:
+        x: Left column, which may be outside [0, 3760).
+        y: Top row.
+        w: Width.
+        h: Height.
+    """
 
     x: float
     y: float
@@ -64,7 +71,11 @@ def angle_of_azimuth(azimuth_rad: F) -> F:
 
 
 def row_of_height(z: F, ground_distance: F) -> F:
-    """Return the row of a point that is `z` metres above the camera rig and `ground_distance` metres away from it."""
+    """Return the row of a point in stitched pixels.
+
+    The point is `z` metres above the camera rig. Its distance from the rig, along the ground, is `ground_distance`
+    metres.
+    """
     return HORIZON_ROW - FOCAL_ROWS * z / ground_distance
 
 
@@ -92,7 +103,8 @@ def crop_left(angle_deg: float) -> float:
 def to_crop(box: Box, left: float) -> Box:
     """Convert a box from stitched pixels to pixels of the crop that begins at column `left`.
 
-    The panorama repeats every 3760 columns, and so does the box. The copy nearest to the crop is returned.
+    The panorama repeats every 3760 columns. So the box has a copy every 3760 columns, and the function returns the
+    copy nearest to the crop.
     """
     center = (box.x + box.w / 2 - left - CROP / 2 + WIDTH / 2) % WIDTH - WIDTH / 2 + CROP / 2
     return Box(center - box.w / 2, box.y, box.w, box.h)
@@ -101,17 +113,17 @@ def to_crop(box: Box, left: float) -> Box:
 def from_crop(box: Box, left: float) -> Box:
     """Convert a box from pixels of the crop that begins at column `left` to stitched pixels.
 
-    The x of the result may exceed 3760 if the crop crosses the seam.
+    The x of the result may exceed 3760 if the crop crosses the seam between the columns 3759 and 0.
     """
     return Box(box.x + left, box.y, box.w, box.h)
 
 
 def iou(a: Box, b: Box) -> float:
-    """Return the intersection over union of two boxes in stitched pixels, [0, 1], also across the seam.
+    """Return the intersection over union of two boxes in stitched pixels, [0, 1].
 
-    A box covers the columns [x, x + w) and the rows [y, y + h). One box is first shifted by the multiple of 3760
-    columns that gives the largest overlap. The parts of boxes above and below the image count too. The result is 0 if a
-    box has no area.
+    A box covers the columns [x, x + w) and the rows [y, y + h). Boxes may cross the seam between the columns 3759
+    and 0. So one box is first shifted by the multiple of 3760 columns that gives the largest overlap. The parts of
+    boxes above and below the image count too. The result is 0 if the area of a box is 0.
     """
     if not (a.w > 0 and a.h > 0 and b.w > 0 and b.h > 0):
         return 0.0

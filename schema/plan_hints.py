@@ -84,7 +84,7 @@ def hint(part: PlanPart, word: str) -> str:
     """Suggest the correct term for a wrong word in a plan.
 
     Args:
-        part: Position of the word in the plan.
+        part: Part of the plan that has the wrong word, such as "attribute".
         word: Wrong word. Upper case counts as lower case, and underscores count as blanks.
 
     Returns:

@@ -49,7 +49,8 @@ class NeededBox(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         y: Upper edge in stitched pixels.
         w: Width in pixels.
         h: Height in pixels.
-        decisive: Whether the answer is read from this box. The view straight ahead misses at least one decisive box.
+        decisive: Whether the answer is read from this box. The view straight ahead of the robot misses at least
+            one decisive box of the question.
     """
 
     node: str
@@ -94,7 +95,7 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
 
         Args:
             row: Row of `questions`.
-            private: Row of `answers` with the same id.
+            private: Row of `answers` for the same question.
 
         Returns:
             The record.
@@ -111,15 +112,18 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.convert({**private, **row, **texts}, cls)
 
     def columns(self) -> dict[str, Any]:
-        """Return the values of the columns of both tables, by column name. JSON columns are encoded as text."""
+        """Return the values of the columns of `questions` and `answers`, by the name of the column.
+
+        The JSON columns are encoded as text.
+        """
         texts = {name: msgspec.json.encode(getattr(self, name)).decode() for name in _JSON_COLUMNS}
         return msgspec.structs.asdict(self) | texts
 
     @property
     def answer_text(self) -> str:
-        """Text of the true choice. If the answer is not a choice, the stored JSON of the answer.
+        """Text of the true choice, or the stored JSON of the answer if the answer is not a choice.
 
-        The text is "" if the true choice does not exist.
+        The text is "" if the answer is a choice that does not exist.
         """
         answer = decode_answer(self.answer_mode, self.answer)
         if not isinstance(answer, Choice):

@@ -86,6 +86,8 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "listed": (_B, "true if the whole list of actions was read, so that an action without a label is false"),
     "interactions_listed": (_B, "true if the whole list was read, so that an interaction without a label is false"),
     "handles_listed": (_B, "true if the whole list was read, so that handling a thing without a label is false"),
+    "robot_view_listed": (_B, "true unless `load` left out who is the first person to a side, for too many facts"),
+    "person_view_listed": (_B, "true if the person is located, unless `load` left out all relative places"),
     "group_size": (_I, "number of people of the group in clear view, the person included; null if it is unknown"),
     "group_size_min": (_I, "minimum of `group_size`; null if the group is unknown or the person is covered"),
     "group_size_max": (_I, "maximum of `group_size`; null if the group is unknown or the person is covered"),
@@ -219,7 +221,7 @@ def _schema(view: str, columns: str) -> pa.Schema:
 
 
 def _schemas(prefix: str, tables: dict[str, tuple[str, str]]) -> dict[str, pa.Schema]:
-    """Return the schema of each table by name, and add the sentence about each table to `ABOUT`."""
+    """Return the schemas of tables, by the name of the table. Add the sentence about each table to `ABOUT`."""
     ABOUT.update({prefix + table: about for table, (about, _) in tables.items()})
     return {table: _schema(prefix + table, columns) for table, (_, columns) in tables.items()}
 
@@ -282,7 +284,7 @@ _INTERVALS: Final = {
         "Boxes of people, with direction, distance, visibility, pose and group of the person at that frame.",
         "sequence frame track x y w h angle occlusion? no_eval clear covered face_visible? listed interactions_listed "
         "handles_listed pose? posed cluster? group_size? group_size_min? group_size_max? sector? located distance? "
-        "distance_word? distance_word_other? cx? cy? cz? heading?",
+        "distance_word? distance_word_other? cx? cy? cz? heading? robot_view_listed person_view_listed",
     ),
     "object_sightings": (
         "Boxes of things at the frames of the panoptic layer, with the direction of the box.",

@@ -1,4 +1,4 @@
-"""Shared part of all methods: model calls, looks, the counts of both, and the decoding of replies.
+"""Shared part of all methods: model calls, looks, counts of calls and looks, and the decoding of replies.
 
 A step of the transcript is a call, a look, or the decoding of the final reply. The attempt counts calls, tokens and
 looks, and the prediction states these counts. A method that cannot choose its looks gets whole panoramas.
@@ -32,7 +32,11 @@ DUPLICATE_DEG: Final = 1.0
 
 
 class ImageFrame(NamedTuple):
-    """The pictures to which a box may refer: their frames, size in pixels, and left column in the panorama."""
+    """The pictures to which a box of a reply may refer.
+
+    frames: the frames of the pictures. width, height: the size of each picture in pixels. left: the column of the
+    panorama at the left edge of each picture.
+    """
 
     frames: tuple[int, ...]
     width: int
@@ -41,11 +45,11 @@ class ImageFrame(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height."""
+        """Width and height of each picture in pixels."""
         return self.width, self.height
 
     def evidence(self, frame: int, box: Box) -> Evidence:
-        """Return the evidence that consists of a box in one of these pictures.
+        """Return the evidence that consists of a box in the picture of a frame.
 
         Args:
             frame: The frame.
@@ -99,8 +103,9 @@ def on_crop(observation: Observation) -> ImageFrame:
 class ParsedReply:
     """A parsed final reply. The answer and the evidence are decoded independently.
 
-    faults: why parts could not be read. refusal: why the newest reply was refused, if an older reply counts. verdict:
-    the verdict of the prediction.
+    answer, evidence: the decoded parts, None if a part is missing or could not be read. faults: one reason per part
+    that could not be read. refusal: why no final answer was accepted, or "". The prediction states this reason if there
+    are no faults. verdict: how well the method's world model supports the answer, None without a world model.
     """
 
     answer: Answer | None = None
@@ -110,7 +115,7 @@ class ParsedReply:
     verdict: Verdict | None = None
 
     def over(self, earlier: ParsedReply) -> ParsedReply:
-        """Combine this reply with an earlier one.
+        """Fill in the missing parts of this reply from an earlier reply.
 
         Args:
             earlier: The earlier reply.
@@ -188,10 +193,11 @@ class Attempt:
         """Make a model call. If its reply cannot be read, make a second call that states the error.
 
         Args:
-            messages: Called before each model call to get its chat. The argument has a line about the reply that could
-                not be read. It is empty before the first model call.
+            messages: Function that returns the chat of a model call. Its argument is a list of lines to add to the
+                chat. For the first call, the list is empty. For the second call, the list holds one line: why the first
+                reply could not be read.
             schema: The JSON Schema of the reply.
-            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
+            read: Called with the JSON object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.
@@ -208,13 +214,13 @@ class Attempt:
     def ask_stage(
         self, parts: Sequence[Part], stage: str, schema: Mapping[str, Any], read: Callable[[dict[str, Any]], Read]
     ) -> Read:
-        """Make the call of a stage with panoramas, and a second call if the first reply cannot be read.
+        """Make the model call of one stage. If its reply cannot be read, make a second call that states the error.
 
         Args:
-            parts: The parts of the user message between the question and the instructions.
+            parts: The parts of the user message between the question and the instructions, such as panoramas.
             stage: The instructions of the stage, which come last.
             schema: The JSON Schema of the reply.
-            read: Called with the object of each reply. It returns what it reads, or raises DecodeError.
+            read: Called with the JSON object of each reply. It returns what it reads, or raises DecodeError.
 
         Returns:
             The result of `read`.
@@ -234,7 +240,7 @@ class Attempt:
             The frame, and the angle in degrees.
 
         Raises:
-            DecodeError: If a part cannot be read, or if the frame is not a legal frame.
+            DecodeError: If one of the two values cannot be read, or if the frame is not a legal frame.
         """
         frame, angle = decode.frame_id(part["frame_id"]), decode.angle(part["angle_deg"])
         if frame not in self.task.sequence.frames:
@@ -242,7 +248,7 @@ class Attempt:
         return frame, angle
 
     def duplicate(self, frame: int, angle: float) -> str:
-        """Refuse a look that repeats an earlier one, and record the refusal.
+        """Check whether a look repeats an earlier look. If it does, record that the look is refused.
 
         Args:
             frame: The frame.
@@ -277,7 +283,7 @@ class Attempt:
         return observation
 
     def panoramas(self, n: int) -> tuple[Panorama, ...]:
-        """Return evenly spaced panoramas. Each panorama counts as a look.
+        """Return the panoramas of evenly spaced frames. Each panorama counts as a look.
 
         Args:
             n: The number of panoramas.
@@ -286,7 +292,7 @@ class Attempt:
             The panoramas.
 
         Raises:
-            ObserveError: If the sequence has no panoramas, or one cannot be read.
+            ObserveError: If the sequence has no panoramas, or if a panorama cannot be read.
         """
         frames = uniform_frames(self.task.sequence.frames, n)
         if not frames:
@@ -368,7 +374,8 @@ class Attempt:
             The parsed parts, and the faults of parts that could not be read.
 
         Raises:
-            DecodeError: If the reply has any other key. A missing key counts as a fault of its part.
+            DecodeError: If the reply has a key other than `answer` and `evidence_bboxes`. A missing
+                key counts as a fault of its part.
         """
         unread = {"answer": None, "evidence_bboxes": None}
         parts = decode.only_keys({**unread, **reply}, unread, "the reply")
@@ -381,7 +388,7 @@ class Attempt:
         return ParsedReply(answer, evidence, faults)
 
     def _read_box(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
-        """Decode the box. Return the evidence, and the record of the box for the transcript."""
+        """Decode the evidence box of a reply. Return the evidence, and the record of the box for the transcript."""
         seen = decode.read_evidence(value, image.frames, image.size, self.convention)
         evidence = image.evidence(seen.frame, seen.box)
         return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}

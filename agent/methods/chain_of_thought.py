@@ -1,4 +1,4 @@
-"""Chain of thought: one call lists facts about evenly spaced panoramas, and a second call answers with these facts."""
+"""Chain of thought: one model call lists facts about panoramas, and a second call answers with these facts."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The first move must be a look. A look within 1 degree of an earlier look at the same frame is refused. A malformed move
 counts as a move. The evidence is a box in the newest crop. A refused answer ends the episode only if the player sends
-the same answer again. At the end, the newest readable answer and the newest readable box count.
+the same answer again. The prediction holds the newest readable answer and the newest readable box of the episode.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Episode:
             task: The question, with the functions that return its pictures.
             budget: The maximum number of looks.
             convention: How the player writes boxes.
-            chat: The model, for a method that makes model calls through `attempt`. None if a player makes the moves.
+            chat: The model that a method calls through `attempt`. None if the player calls no model through `attempt`.
         """
         self.attempt = Attempt(task, chat, convention)
         self.question: Question = task.question
@@ -158,8 +158,8 @@ class Episode:
         """Submit the final answer.
 
         Args:
-            answer: The `answer` part, as in `answer_schema`.
-            evidence: The `evidence_bboxes` part, as in `answer_schema`.
+            answer: The answer, in the form that `answer_schema` requires of the key `answer`.
+            evidence: The evidence, in the form that `answer_schema` requires of the key `evidence_bboxes`.
 
         Raises:
             RefusedError: If the answer is refused. Its readable parts are kept.
@@ -181,7 +181,7 @@ class Episode:
         return self._carry_out(lambda: dict(move))
 
     def reply(self, reply: Reply) -> Observation | None:
-        """Make the move of a model's reply.
+        """Decode a model's reply as a move, and make the move.
 
         Args:
             reply: The reply.
@@ -201,7 +201,7 @@ class Episode:
             reason: Why the reply is malformed.
 
         Raises:
-            RefusedError: In every case. The message is the reason.
+            RefusedError: Always. The message is the reason.
         """
 
         def read() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Monolithic: a single call gets evenly spaced panoramas and answers."""
+"""Monolithic: the model gets the panoramas of evenly spaced frames, and answers in a single call."""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ from jrdb_avr.schema.method import Observation, Prediction, Question, Task
 class ReAct:
     """The method `react`. With a maximum of N looks, it makes at most 2 N + 2 model calls.
 
-    history: the number of newest crops that a turn sends. None sends all crops. Of older crops only the metadata are
-    sent.
+    history: the number of newest crops that a turn sends. None sends all crops. For older crops, a turn sends the
+    metadata without the picture.
     """
 
     name: ClassVar = "react"

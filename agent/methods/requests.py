@@ -26,8 +26,9 @@ def uniform_frames(frames: Sequence[int], n: int = PANORAMAS) -> tuple[int, ...]
         n: The number of frames to select, from 1.
 
     Returns:
-        For each i from 0 to n - 1, the frame at position i * (m - 1) / (n - 1). Positions are rounded to the nearest,
-        and halves up. If n is 1: the middle frame, or the earlier of two middle frames. If m is at most n: all frames.
+        For each i from 0 to n - 1, the frame at position i * (m - 1) / (n - 1). A position is rounded to the nearest
+        integer, and a position halfway between two integers is rounded up. If n is 1: the middle frame, or the earlier
+        of two middle frames. If m is at most n: all frames.
 
     Raises:
         ValueError: If n is below 1.
@@ -75,7 +76,7 @@ def frame_list(panoramas: Sequence[Panorama]) -> str:
 
 
 def fixed_settings(n: int) -> dict[str, Any]:
-    """Return the settings of a method that gets panoramas, for a run's manifest.
+    """Return the settings that a run's manifest records for a method that gets panoramas.
 
     Args:
         n: The number of panoramas.
@@ -105,13 +106,13 @@ def heading(question: Question) -> str:
 
 
 def final_parts(question: Question) -> dict[str, Any]:
-    """Return the JSON Schemas of a final reply's keys.
+    """Return the JSON Schema of each value of a final reply.
 
     Args:
         question: The question.
 
     Returns:
-        The schema of each key.
+        The schemas by key.
     """
     return {
         "answer": decode.answer_schema(question.answer_mode, question.choices),
@@ -124,8 +125,8 @@ def panorama_messages(task: Task, parts: Sequence[Part]) -> list[Message]:
 
     Args:
         task: The question to answer.
-        parts: The parts of the call. Instructions come last, so that a server can cache the common beginning of two
-            calls.
+        parts: The parts of the user message after the heading. Instructions come last, so that a server can cache the
+            common beginning of two calls.
 
     Returns:
         The system message that all methods share, and the user message.
@@ -148,20 +149,23 @@ def shared_settings(convention: Convention) -> dict[str, Any]:
 
 
 def history_settings(history: int | None) -> dict[str, Any]:
-    """Return the settings of a chat that may send only its newest pictures.
+    """Return the setting that limits the pictures of a request, as a run's manifest records it.
 
     Args:
         history: The number of newest pictures that are sent. None sends all.
 
     Returns:
-        The settings. They are empty if all pictures are sent.
+        The setting by name. The dictionary is empty if all pictures are sent.
     """
     return {} if history is None else {"history": history}
 
 
 @dataclass(frozen=True)
 class FixedContextMethod:
-    """Base class of methods that answer from `n` evenly spaced panoramas. `stages` has the numbers of calls."""
+    """Base class of methods that answer from the panoramas of `n` evenly spaced frames.
+
+    stages: further settings of the method by name, such as the number of its model calls.
+    """
 
     name: ClassVar[str]
     stages: ClassVar[Mapping[str, int]]

@@ -2,7 +2,7 @@
 
 Each of the three stages is one call, or two calls if the first reply cannot be used. The evidence is the refined box,
 or the proposed box if the second stage gives no usable box. If there is no proposed box, the method answers from the
-panoramas, as `monolithic` does.
+panoramas with the prompt of `monolithic`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class SearchRecognize(FixedContextMethod):
 
 
 def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Evidence) -> Answer:
-    """Return the model's answer to the question about the person in the refined box."""
+    """Make the model call that answers the question, and return the answer. The request states the refined box."""
     question, text = attempt.task.question, mode_text(attempt.task)
     box = ", ".join(f"{value:.1f}" for value in refined.box)
     parts: tuple[Part, ...] = (
@@ -72,7 +72,7 @@ def _choose(attempt: Attempt, panorama: Panorama, crop: Observation, refined: Ev
 
 
 def _box(attempt: Attempt, parts: tuple[Part, ...], stage: str, image: ImageFrame) -> Evidence:
-    """Return the box that a stage gives, as evidence in stitched pixels."""
+    """Make the model call of a stage that requests a box. Return the box as evidence in stitched pixels."""
     return attempt.ask_stage(
         parts, stage, _BOX_SCHEMA, lambda reply: attempt.read_evidence(_only(reply, "evidence_bboxes"), image)
     )

@@ -1,9 +1,9 @@
 """Store finished calls on disk under the sha256 of the whole request, so that no call is paid for twice.
 
-A file holds the calls of one run, one per line. Each line is appended by a single write, and readers skip incomplete
-lines. If a process is killed, or if processes append at the same time, only the lines that are being written can be
-lost. All other calls stay readable. The file is not synced to disk. If the machine loses power, the newest calls may be
-lost, and a resumed run makes these calls again. Requests contain no API key, so the file contains no API key.
+A file holds the calls of one run, one call per line. Each line is appended by a single write, and readers skip
+incomplete lines. If a process is killed, or if processes append at the same time, only the lines that are being written
+can be lost. All other calls stay readable. The file is not synced to disk. If the machine loses power, the newest calls
+may be lost, and a resumed run makes these calls again. Requests contain no API key, so the file contains no API key.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ _UNREADABLE: Final = (OSError, msgspec.DecodeError, UnicodeDecodeError, Recursio
 class Calls:
     """A file of finished calls. Many threads may use it at the same time.
 
-    If a request has several lines, the newest line that this process knows counts. The file is opened when
-    it is first read or written. Lines that other processes have written by then are read too.
+    The file is opened when it is first read or written. Lines that other processes wrote before the opening are read
+    too. Lines that other processes write later may be missed. If several lines of a request have been read, the newest
+    of these lines is used.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,7 +84,7 @@ class Calls:
             return None
 
     def tokens(self) -> tuple[int, int]:
-        """Return the number of prompt tokens and of reply tokens of all calls that the file held when it was opened.
+        """Return two sums over all calls that the file held when it was opened: prompt tokens, and reply tokens.
 
         Raises:
             StoreError: If the file cannot be read.

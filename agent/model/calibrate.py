@@ -1,9 +1,10 @@
 """Find out how a model writes boxes, by asking for the boxes of drawn rectangles.
 
-The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as
-the prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
-model writes boxes, every reading is compared with the known boxes. A reading is chosen only if it explains the replies
-and no other reading does nearly as well. No question of a store is used.
+The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as the
+prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
+model writes boxes, the boxes that result from every reading are compared with the known boxes. A reading is chosen only
+if it explains the replies well, and no other reading explains the replies nearly as well. No question of a store is
+used.
 """
 
 from __future__ import annotations
@@ -50,9 +51,11 @@ _READINGS: Final = tuple(Reading(order, scale) for scale in get_args(Scale) for 
 
 
 class Score(msgspec.Struct, frozen=True):
-    """Measure of how well a reading explains the `n` replies that write their box under one key.
+    """Measure of how well a reading explains the replies that write their box under one JSON key.
 
-    median_iou: the median IoU with the known boxes. share: the share of boxes with an IoU of at least 0.5.
+    key: the JSON key. order, scale: the reading. n: the number of replies with this key. median_iou: the median IoU
+    of the boxes in these replies with the known boxes. share: the share of these replies with an IoU of at least 0.5.
+    chosen: whether the reading is chosen for the key.
     """
 
     key: str
@@ -65,11 +68,14 @@ class Score(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """The content of `STORE/conventions/<model>.json`: a model's readings under one way of requesting boxes.
+    """The result of a calibration, which is stored as `STORE/conventions/<model>.json`.
 
-    asked: the number of requests. asked_sha256: the hash of the requests. boxes, scales: the order and the scale of the
-    numbers for each key with a chosen reading. Both are empty if no reading was clearly the best. reason: why no
-    reading was chosen.
+    model: the model id that the requests named. served_model: the model id that the first reply named. response_format,
+    thinking: the request settings for which the readings hold. asked: the number of requests. asked_sha256: the hash of
+    the requests. readable: the number of replies with a box. scores: one score for each reading of each JSON key that
+    the replies use. boxes: the order of the numbers, for each JSON key with a chosen reading. scales: the scale of the
+    numbers, for each JSON key with a chosen reading. `boxes` and `scales` are empty if no reading was chosen. reason:
+    why no reading was chosen, or "".
     """
 
     model: str
@@ -99,7 +105,7 @@ class Calibration(msgspec.Struct, frozen=True):
 
 
 class _Written(NamedTuple):
-    """The four numbers that a model wrote under a key for a drawn rectangle."""
+    """The box of one reply: its JSON key, its four numbers, and the drawn rectangle that the request showed."""
 
     key: str
     numbers: list[float]
@@ -107,7 +113,7 @@ class _Written(NamedTuple):
 
 
 def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] = lambda steps: None) -> Calibration:
-    """Request boxes of drawn rectangles, and find the reading that explains these boxes.
+    """Request boxes of drawn rectangles, and find for each JSON key the reading that explains the replies.
 
     Args:
         client: The client of the model's server.
@@ -167,7 +173,7 @@ def request(drawn: DrawnPicture) -> list[Message]:
 
 
 def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Written | None:
-    """Return the numbers of a reply's box, or None unless the reply has exactly one box of four finite numbers."""
+    """Return the box of a reply. Return None if the reply does not have exactly one box of four finite numbers."""
     try:
         boxes = reply_object(reply, convention).get("evidence_bboxes")
     except DecodeError:
@@ -181,19 +187,25 @@ def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Writ
 
 
 class _Tried(NamedTuple):
-    """A reading applied to the replies under one key: the boxes (None for a refused box), and the score."""
+    """The result of applying one reading to the replies that write their box under one JSON key.
+
+    boxes: one box per reply, None if the box is invalid under this reading. score: the score of the reading.
+    """
 
     boxes: tuple[Box | None, ...]
     score: Score
 
     def is_same(self, other: _Tried) -> bool:
-        """Return whether both readings give nearly the same boxes."""
+        """Return whether this reading and another reading give nearly the same boxes."""
         overlaps = [iou(a, b) if a and b else float(a is b) for a, b in zip(self.boxes, other.boxes, strict=True)]
         return statistics.median(overlaps) >= _SAME
 
 
 def _judge(written: Sequence[_Written], n: int, convention: Convention) -> tuple[list[Score], str]:
-    """Return a score per reading, which says whether the reading is chosen, and why none may be chosen, or ""."""
+    """Return the scores, and the reason why no reading may be chosen, or "".
+
+    There is one score for each reading of each JSON key that the replies use.
+    """
     scores: list[Score] = []
     reasons = []
     for key in KEYS:

@@ -1,9 +1,9 @@
 """Client of OpenAI-compatible chat servers.
 
 A call that finishes cleanly is stored under the sha256 of the whole request, so that it is never paid for twice. The
-client repeats a call if the transport or the server breaks the call (timeout, unreadable reply, 5xx). If the server is
-busy (429, 503, 529) or cannot be reached, the client repeats the call for a longer time. Any other refusal raises an
-EndpointError immediately. API keys come from the environment and are sent only in the headers of requests.
+client repeats a call for about two minutes if the server is busy (429, 503, 529) or cannot be reached. The client
+repeats a call a few times if the call breaks (timeout, unreadable reply, any other 5xx). Any other refusal raises an
+exception immediately. API keys come from the environment and are sent only in the headers of requests.
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ class Chat(Protocol):
 
 @dataclass
 class _BrokenError(Exception):
-    """A failed attempt at a call that may be repeated. `pause` is the server's Retry-After in seconds."""
+    """A failed attempt at a call. The call may be repeated.
+
+    pause: the server's Retry-After in seconds, None if the server sends none.
+    """
 
     reason: str
     remedy: str = "look into the server's log, then run again"
@@ -80,7 +83,7 @@ class _BrokenError(Exception):
 
 
 class _PassingError(_BrokenError):
-    """A failure of a server that may recover soon. The call waits and is repeated."""
+    """A failure of a server that may recover soon. The client waits, and then repeats the call."""
 
 
 class Client:
@@ -105,8 +108,8 @@ class Client:
             model: The model id that requests name.
             options: The request settings.
             convention: How thinking is turned on and off, and which part of a reply is the answer.
-            cache: The file of finished calls. None stores no calls.
-            bounds: Maxima of each exchange with the server.
+            cache: The file of finished calls. If it is None, no calls are stored.
+            bounds: Maximum durations of an exchange with the server, and the maximum size of a reply.
             pause: Called with a number of seconds in order to wait that long.
             clock: Called in order to get the time in seconds.
 
@@ -154,7 +157,7 @@ class Client:
         Raises:
             EndpointError: If the server refuses the request, or if all retries fail.
             RunStoppedError: If the server was busy or could not be reached for two minutes, and no other call succeeded
-                in this time. Also if the server refuses the key, or if the calls have cost all credit or `max_cost`.
+                in this time. Also if the server refuses the key, if no credit is left, or if `max_cost` is spent.
         """
         request = self.options.request(self.model, self.convention, schema)
         if self._calls is None:
@@ -169,7 +172,7 @@ class Client:
         return reply
 
     def _cacheable(self, reply: Reply) -> bool:
-        """Return whether a reply finished cleanly, has an answer, and names the same model as the first reply."""
+        """Return whether a reply finished cleanly, has an answer, and names the model of the client's first reply."""
         of_model = reply.model == next(iter(self.served), reply.model)
         return of_model and reply.finished and bool(answer_text(reply, self.convention))
 
@@ -190,7 +193,7 @@ class Client:
         return self._send(request, probe=True)
 
     def server_version(self) -> str:
-        """Return the version that the server reports at `/version`, as vLLM does. Return "" if it reports none."""
+        """Return the version that the server reports at `/version`, or "" if the server reports none."""
         import httpx2
 
         timeout_s = min(self.options.timeout_s, _VERSION_TIMEOUT_S)
@@ -202,7 +205,10 @@ class Client:
         return self._one_line(version)[:80] if response.status_code == 200 and isinstance(version, str) else ""
 
     def _send(self, request: Mapping[str, Any], *, probe: bool = False) -> Reply:
-        """Send a request, and again with the newer name of the token limit if the server refuses the older name."""
+        """Send a request and return the reply.
+
+        If the server refuses the older name of the token limit, the request is sent again with the newer name.
+        """
         longer = self._longer_name
         if longer:
             request = {_LONGER_NAME if name == "max_tokens" else name: value for name, value in request.items()}
@@ -301,7 +307,7 @@ class Client:
 
 
 def _pause_s(state: RetryCallState) -> float:
-    """Return the pause in seconds: the one that the server names, or else one that doubles with each attempt."""
+    """Return the pause in seconds: the server's Retry-After, or a pause that doubles with each attempt."""
     broken = state.outcome and state.outcome.exception()
     assert isinstance(broken, _BrokenError), "only these are repeated"
     least, most = _PAUSE_S

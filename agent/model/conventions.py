@@ -1,6 +1,6 @@
-"""Conventions: how each family of models writes boxes and thinking. The model's name selects one before a run.
+"""Conventions: how each family of models writes boxes and thinking. A model's name selects its convention.
 
-The prompts request the same form of all models: the key `bbox` with x1, y1, x2, y2 in thousandths of the image. This
+The prompts request the same form from all models: the key `bbox` with x1, y1, x2, y2 in thousandths of the image. This
 form is called the contract. Some models write boxes under other keys out of habit. A convention lists these keys, with
 the order and the scale of the numbers under each key. A convention is declared here, or `calibrate` finds it with drawn
 rectangles. It never depends on the true boxes of questions.
@@ -40,12 +40,13 @@ class Reading:
 class Convention:
     """Convention of a family of models.
 
-    boxes: the order of the numbers for each accepted key. `bbox` is the contract's key. scales: the scale for each key
-    that has numbers in another unit than thousandths. thinking: the opening and the closing delimiter of thinking, in
-    pairs. thinks: whether the chat template makes the model think by default, None if unknown. switches: whether
-    `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple, image_pixels: how the model resizes
-    images. Both sides become multiples of `multiple` pixels, and the image gets at most `image_pixels` pixels in total
-    (0 if unknown). calibrated: whether `calibrate` found the orders and scales.
+    boxes: the keys under which a reply may hold a box, each with the order of its four numbers. The contract's key
+    `bbox` is always one of these keys. scales: the scale of the numbers under a key of `boxes`. If a key is missing in
+    `scales`, its numbers are in thousandths of the image. thinking: pairs of delimiters that open and close the
+    thinking in a reply. thinks: whether the chat template makes the model think by default, None if unknown. switches:
+    whether `enable_thinking` in `chat_template_kwargs` turns thinking on and off. multiple: the model resizes images so
+    that both sides are multiples of this number of pixels. image_pixels: the maximum number of pixels of a resized
+    image, 0 if unknown. calibrated: whether `calibrate` found the orders and scales.
     """
 
     name: str

@@ -1,10 +1,10 @@
 """Decode a model's reply. The rules are strict, and the same for every method.
 
-A reply must be one JSON object. The object may be in a code fence. Thinking may come before the object if it is in the
-declared delimiters. A box is four numbers under a key. The model's convention, which is fixed before the first reply,
-says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are not swapped.
-An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded independently, so one of
-them can be valid if the other is not. No function here gets a true answer or a true box.
+A reply must be one JSON object. The object may be in a code fence. Thinking may come before the object if declared
+delimiters enclose the thinking. A box is four numbers under a key. The model's convention, which is fixed before the
+first reply, says how to read the four numbers. Decoding repairs and guesses nothing. For example, reversed corners are
+not swapped. An invalid part raises a DecodeError with the reason. The answer and the evidence are decoded
+independently, so one of them can be valid even if the other is not. No function here gets a true answer or a true box.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def box_key(entry: object, convention: Convention = CONTRACT, requested: str = C
 
     Args:
         entry: An object of a reply.
-        convention: The convention of the model. The keys of the convention are accepted too.
+        convention: The convention of the model, which lists further accepted keys.
         requested: The key that the prompt requests.
 
     Returns:
-        The key of the box. If the object has none or several of these keys, it is the requested key, so that
-        `only_keys` refuses the object.
+        The only accepted key in the object. If the object has no accepted key or several accepted keys, the requested
+        key, so that `only_keys` refuses the object.
     """
     keys = [key for key in {requested: "", **convention.boxes} if isinstance(entry, dict) and key in entry]
     return keys[0] if len(keys) == 1 else requested
@@ -102,7 +102,7 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
 
 
 def _numbers(value: object, reading: Reading, what: str) -> list[float]:
-    """Return four checked numbers. They must be integers, or finite numbers if the scale is "unit"."""
+    """Check four numbers and return them. They must be finite. If the scale is not "unit", they must be integers."""
     whole = reading.scale != "unit"
     kinds = (int,) if whole else (int, float)
     numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
@@ -167,7 +167,7 @@ def reply_object(reply: Reply, convention: Convention = CONTRACT) -> dict[str, A
 
 
 def _instead(reply: Reply) -> str:
-    """Return a note for the error message on what an empty reply holds instead of an answer."""
+    """Return what an empty reply holds instead of an answer, as the end of an error message."""
     if reply.content.strip():
         return " after its thinking"
     if reply.reasoning.strip():
@@ -352,7 +352,10 @@ def _answer_part(key: str, kind: Kind, value: object, frame_count: int) -> Any:
 
 @dataclass(frozen=True)
 class ImageBox:
-    """A box in an image that the model got: the frame, the box in pixels of the image, and its key in the reply."""
+    """A box of a reply, in an image that the model got.
+
+    frame: the frame of the image. box: the box in pixels of the image. key: the key of the box in the reply.
+    """
 
     frame: int
     box: Box
@@ -372,7 +375,7 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
         The box.
 
     Raises:
-        DecodeError: If the part is not a list of one box, its frame is not one of `frames`, or the box is invalid.
+        DecodeError: If the part is not a list of one box, or if the box is invalid or its frame is not one of `frames`.
     """
     if not isinstance(value, list) or len(value) != 1:
         raise DecodeError("evidence_bboxes must be a list of exactly one box")
@@ -389,7 +392,7 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
 
 
 def closed_object(properties: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of an object with exactly these keys.
+    """Return the JSON Schema of an object with exactly the given keys.
 
     Args:
         properties: The schema of each key.

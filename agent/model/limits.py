@@ -20,10 +20,10 @@ class Sent:
 
 
 class RateLimit:
-    """Limit of `rpm` requests and `tpm` tokens in any minute. None sets no limit.
+    """Limit of `rpm` requests and `tpm` tokens in any minute. If `rpm` or `tpm` is None, that number is not limited.
 
-    Until the reply arrives, the tokens of a request are estimated by the mean of all earlier requests. If requests in
-    progress need more tokens than the mean, a minute may therefore hold more than `tpm` tokens.
+    Until the reply arrives, the tokens of a request are estimated by the mean of all earlier requests. A minute
+    may therefore hold more than `tpm` tokens if its requests need more tokens than the mean.
     """
 
     def __init__(

@@ -87,14 +87,14 @@ def jpeg_picture(name: str, image: Image) -> Picture:
 
 
 def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Message]:
-    """Leave out all pictures except the newest.
+    """Return a chat without its older pictures.
 
     Args:
         messages: A chat.
-        most: Maximum number of pictures. None keeps all pictures.
+        most: Number of newest pictures to keep. None keeps all pictures.
 
     Returns:
-        The chat. The text lines before the omitted pictures stay.
+        The chat. The text before an omitted picture stays.
     """
     pictures = sum(isinstance(part, Picture) for message in messages for part in message.parts)
     left_out = 0 if most is None else pictures - most
@@ -149,7 +149,7 @@ def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:
 
 
 def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
-    """Return messages in the chat-completions form, for a hash.
+    """Return messages in the chat-completions form, ready to be hashed.
 
     Args:
         messages: A chat.
@@ -161,14 +161,14 @@ def fingerprint(messages: Sequence[Message]) -> list[dict[str, Any]]:
 
 
 def transcript(messages: Sequence[Message]) -> list[dict[str, str]]:
-    """Return messages for a transcript.
+    """Return messages in the form that a transcript stores.
 
     Args:
         messages: A chat.
 
     Returns:
-        The role and the text of each message. A text has the name of each picture, so that the picture can be made
-            again.
+        The role and the text of each message. The text contains the name of each picture, so that the picture can be
+            made again.
     """
     return [{"role": message.role, "content": message.text} for message in messages]
 

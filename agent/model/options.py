@@ -74,8 +74,9 @@ class EndpointOptions(Options):
     )
     max_cost: float | None = option(
         None,
-        "Stop the run when its calls have cost this much by --prices. Requests in progress may add to the cost. To go "
-        "on, raise it and use --resume. Earlier costs then count too, except for replies that were cut off or refused.",
+        "Stop the run when its calls have cost this much by --prices. Requests in progress may add to the cost. To "
+        "go on, use --resume with a higher maximum. Earlier costs then count too, except for replies that were cut off "
+        "or refused.",
         minimum=0,
         metavar="DOLLARS",
     )
@@ -113,7 +114,7 @@ class EndpointOptions(Options):
             schema: The JSON schema of the reply. None if the reply is free text.
 
         Returns:
-            The values by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.
+            The values of the body by key. If `token_parameter` is "auto", the token limit has the key `max_tokens`.
         """
         name = "max_tokens" if self.token_parameter == AUTO else self.token_parameter
         request: dict[str, Any] = {"model": model}

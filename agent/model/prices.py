@@ -20,7 +20,10 @@ Dollars = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 @dataclass(frozen=True)
 class Price:
-    """The price in dollars of a million tokens that a model reads (`input`) or writes (`output`)."""
+    """The prices of a model.
+
+    input: dollars per million tokens that the model reads. output: dollars per million tokens that the model writes.
+    """
 
     input: Dollars
     output: Dollars

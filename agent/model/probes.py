@@ -1,9 +1,9 @@
 """Drawn pictures that test a server. Their contents are known, and no picture belongs to a question.
 
 Each picture shows one *marked* rectangle on a plain background. The rectangle has a colour that a prompt can name.
-Inside it is a mark of `schema.markers`. The black and white grid of the mark distinguishes the rectangle from the plain
-shapes around it. People, models and the simulated model can see the mark. The pictures depend only on a seed. The
-simulated model recognizes the prompt of such a picture by the last line of the prompt.
+Inside the rectangle is a mark of `schema.markers`. The black and white grid of the mark distinguishes the rectangle
+from the plain shapes around it. People, models and the simulated model can see the mark. The pictures depend only on a
+seed. The simulated model recognizes the prompt of such a picture by the last line of the prompt.
 """
 
 from __future__ import annotations
@@ -53,7 +53,10 @@ _TRIES: Final = 200
 
 @dataclass(frozen=True)
 class DrawnPicture:
-    """A picture, its size in pixels, and its marked rectangle: the box in pixels and the colour."""
+    """A picture with one marked rectangle.
+
+    size: width and height of the picture in pixels. box: the rectangle in pixels. color: the colour of the rectangle.
+    """
 
     picture: Picture
     size: tuple[int, int]
@@ -63,11 +66,12 @@ class DrawnPicture:
 
 @functools.cache
 def drawn_picture(size: tuple[int, int], box: Box | None = None) -> Picture:
-    """Draw a picture with a marked rectangle, or without any shape.
+    """Draw a picture with one marked rectangle, or with no shape.
 
     Args:
-        size: Width and height in pixels. A panorama gets noise, so that its file is as large as a real one (650 kB).
-        box: The rectangle in pixels, or None.
+        size: Width and height in pixels. If they are the size of a panorama, the picture gets noise. Its file is then
+            as large as the file of a real panorama (650 kB).
+        box: The rectangle in pixels. None draws no rectangle.
 
     Returns:
         The picture.

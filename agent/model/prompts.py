@@ -32,7 +32,10 @@ def _template(name: str) -> Template:
 
 
 class ModeText(NamedTuple):
-    """Prompt lines of an answer mode: an example of the answer's form, the rule for it in words, and advice."""
+    """Prompt lines of an answer mode.
+
+    form: an example of an answer. rule: the rule for the form of an answer. advice: advice for finding the answer.
+    """
 
     form: str
     rule: str

@@ -13,9 +13,11 @@ _LONGEST_NAME: Final = 200
 
 
 class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A reply: its text fields as sent, its finish reason, its token counts, and the model id that it names.
+    """A reply of a chat server.
 
-    refusal: the text with which the model declines to answer.
+    content, reasoning: the texts as sent. finish_reason: why the reply ended. model: the model id that the reply names.
+    prompt_tokens, completion_tokens: the numbers of tokens that the server counted, 0 if unknown. refusal: the text
+    with which the model declines to answer.
     """
 
     content: str = ""
@@ -28,12 +30,15 @@ class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def finished(self) -> bool:
-        """Whether the reply ended by itself, and was not refused."""
+        """Whether the reply ended by itself and is not a refusal by the model."""
         return self.finish_reason == "stop" and not self.refusal
 
 
 class ErrorReply(ValueError):  # noqa: N818 - it is a reply
-    """A reply that reports an error instead of a completion: the HTTP status, the reason, and the error's code."""
+    """A reply that reports an error instead of a completion.
+
+    status: the HTTP status. reason: the server's text for the error. code: the server's code for the error, or None.
+    """
 
     def __init__(self, status: int, reason: str, code: object = None) -> None:
         super().__init__(reason)
@@ -172,7 +177,8 @@ def answer_text(reply: Reply, convention: Convention) -> str:
     """Return the text of a reply without its thinking.
 
     Args:
-        reply: The reply. If a server sends the whole reply as `reasoning`, the text after the closing delimiter counts.
+        reply: The reply. If a server sends the whole reply as `reasoning`, the text after the closing delimiter is
+            used.
         convention: The convention, for the delimiters of thinking.
 
     Returns:
@@ -213,7 +219,7 @@ def _after_thinking(text: str, convention: Convention) -> str:
 def _without_blocks(text: str, opening: str, closing: str) -> str:
     """Return the text outside of thinking. It is empty if the reply holds only thinking.
 
-    Text before a block of thinking stays, because a reply with an answer before and after a block has two answers. If
+    Text before a block of thinking stays, because a reply with an answer before and after a block must be refused. If
     the opening delimiter is missing, everything before the closing delimiter is thinking. An opening delimiter that
     follows text and is never closed counts as text.
     """

@@ -1,4 +1,4 @@
-"""HTTP exchanges with a model's server: connections, deadlines, addresses, and secrets that messages must not show.
+"""HTTP exchanges with a model's server: connections, deadlines, addresses, and secrets, which are kept out of messages.
 
 Servers are untrusted. No redirect is followed, and no compressed reply is unpacked. Replies have a maximum size, and
 each exchange has a deadline.
@@ -29,8 +29,9 @@ _SECRET: Final = 16
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits of one exchange: seconds to connect, seconds of a whole probe, and bytes of a reply.
+    """Limits of one exchange.
 
+    connect_s: the seconds to connect. probe_s: the seconds of a whole probe. reply_bytes: the bytes of a reply.
     For comparison, a reply of a few thousand tokens has some kilobytes.
     """
 
@@ -85,8 +86,8 @@ class Connections:
             The response and the bytes of its body.
 
         Raises:
-            EndpointError: If the server redirects, because the key must not be sent elsewhere. Also if the reply is too
-                long, or if it is compressed, because it could unpack to a huge size.
+            EndpointError: If the server redirects, or if the reply is too long or compressed. A redirect is not
+                followed, so that the key is not sent elsewhere. A compressed reply could unpack to a huge size.
             httpx2.HTTPError: If the server cannot be reached, or if the reply breaks off or does not end in time.
         """
         import httpx2
@@ -108,7 +109,7 @@ class Connections:
             return response, bytes(data)
 
     def _bound_reads(self, event: str, details: Mapping[str, Any]) -> None:
-        """End the reads of a new connection at the deadline of the exchange.
+        """Make each read of a new connection fail after the deadline of the exchange.
 
         httpx2 limits only each single wait for bytes. Without this function, a server could hold a call for ever by
         sending one byte at a time, or endless interim responses (102 Processing).
@@ -135,7 +136,7 @@ def _certificates(environment: bool) -> ssl.SSLContext:
 
 
 class Credentials:
-    """Headers of requests. Their values come from the environment and must not appear in messages or replies."""
+    """Headers of requests, with secrets from the environment. `hide` and `hide_in_json` remove these secrets."""
 
     def __init__(self, key_variable: str, header_variables: Mapping[str, str]) -> None:
         """Read the key and the headers from the environment.
@@ -145,7 +146,8 @@ class Credentials:
             header_variables: For each further header, the environment variable that holds the header's value.
 
         Raises:
-            EndpointError: If a variable has no value that a header can hold. The message does not contain the value.
+            EndpointError: If a header variable is unset, or if a value has characters that a header cannot hold. The
+                message does not contain the value.
         """
         key = _read_variable(key_variable, "[!-~]*")
         values = {name: _read_variable(variable, "[ -~]+") for name, variable in header_variables.items()}
@@ -181,7 +183,7 @@ def _read_variable(variable: str, form: str) -> str:
 
 
 def _forms(character: str) -> str:
-    """Return a regular expression that matches all forms in which a server may write a character in JSON."""
+    """Return a regular expression for a given character: the character itself, or its JSON escape."""
     return rf"(?:\\?{re.escape(character)}|\\u00(?i:{ord(character):02x}))"
 
 

@@ -1,7 +1,7 @@
 """Shell completion for the names of runs, sequences and saved queries.
 
-The runs and sequences belong to the store that `--store` or the environment variable names. In bash, the line
-`eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"` switches completion on. In zsh or fish, replace bash_source by
+The runs and sequences belong to the store that `--store` or the environment variable JRDB_AVR_STORE names. In bash, the
+line `eval "$(_JRDB_AVR_COMPLETE=bash_source jrdb-avr)"` switches completion on. In zsh or fish, replace bash_source by
 zsh_source or fish_source.
 """
 
@@ -21,7 +21,7 @@ Complete = Callable[[click.Context, click.Parameter, str], list[str]]
 
 
 def _of_store(names: Callable[[Store], Iterable[str]]) -> Complete:
-    """Return a function that completes a name of `names(store)`. If no store is given, it suggests nothing."""
+    """Return a function that completes the names in a store. It suggests nothing if the command line names no store."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
         store = ctx.params.get("store")
@@ -44,7 +44,7 @@ complete_sequence = _of_store(lambda store: sorted(store.manifest().sequences))
 
 
 def complete_query(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Return the names of saved queries of the command (`cypher` or `sql`) that begin with the typed text."""
+    """Return the saved queries of the command `cypher` or `sql` with names that begin with the typed text."""
     from jrdb_avr.queries.named import named_queries
 
     return [name for name in named_queries(str(ctx.info_name)) if name.startswith(incomplete)]

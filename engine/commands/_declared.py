@@ -21,7 +21,7 @@ _C = TypeVar("_C", bound=Callable[..., Any])
 
 
 class _Number(click.ParamType[float | None]):
-    """A number. The word 'none' stands for None."""
+    """Option type for a number. The word 'none' stands for None."""
 
     name = "X|none"
 
@@ -35,7 +35,7 @@ class _Number(click.ParamType[float | None]):
 
 
 class _Object(click.ParamType[dict[str, Any]]):
-    """A JSON object."""
+    """Option type for a JSON object."""
 
     name = "JSON"
 
@@ -50,7 +50,7 @@ class _Object(click.ParamType[dict[str, Any]]):
 
 
 class _Header(click.ParamType[tuple[str, str]]):
-    """The name of a header, and the name of the environment variable that holds the header's value."""
+    """Option type for the name of a header and the name of the environment variable that holds the header's value."""
 
     name = "NAME=ENV"
 
@@ -62,7 +62,7 @@ class _Header(click.ParamType[tuple[str, str]]):
 
 
 class _Shard(click.ParamType[tuple[int, int]]):
-    """The index of a shard, which begins at 1, and the number of shards."""
+    """Option type for the index of a shard, which begins at 1, and the number of shards."""
 
     name = "I/N"
 
@@ -76,7 +76,7 @@ class _Shard(click.ParamType[tuple[int, int]]):
 
 
 class _Ids(click.ParamType[tuple[str, ...]]):
-    """Ids that are separated by commas, or the path of a file with one id per line."""
+    """Option type for ids that are separated by commas, or for the path of a file with one id per line."""
 
     name = "TEXT"
 
@@ -206,7 +206,7 @@ def model_option(text: str = "", required: bool = True) -> Callable[[_C], _C]:
 
 
 def endpoint_options(function: _C) -> Callable[..., Any]:
-    """Add `--model` and the options of the model's server. The command gets `model` and the options as `endpoint`."""
+    """Add `--model` and the options of the model's server. The command gets the arguments `model` and `endpoint`."""
 
     @functools.wraps(function)
     def command(*, model: str, **values: Any) -> Any:

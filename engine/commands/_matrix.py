@@ -12,8 +12,8 @@
     temperature = "none"
 
 A key is the long name of an option. Its value replaces the value of the command line. If a value is a list, the table
-describes one run per element. If several values are lists, it describes one run per combination of elements. An option
-that may be repeated is an exception, because its list is a single value.
+describes one run per element. If several values are lists, it describes one run per combination of elements. For an
+option that may be repeated, the whole list is a single value.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _run(ctx: click.Context, shared: Mapping[str, Any], values: Mapping[str, Any
 
 
 def _parameter(ctx: click.Context, key: str) -> click.Option:
-    """Return the option with a long name. The key is the name without dashes. Raise UsageError if it is unknown."""
+    """Return the option `--KEY` of the command. Raise UsageError if the command has no such option."""
     options = {
         flag.removeprefix("--"): parameter
         for parameter in ctx.command.params

@@ -35,7 +35,7 @@ def next_steps(folder: Path) -> list[str]:
 
 
 def scoring_steps(store: Path, *runs: str) -> str:
-    """Return the command that scores runs. A public store has no answers, so return the commands to export them."""
+    """Return the command that scores runs, or the commands that export runs of a public store for scoring."""
     if is_public(store):
         return " && ".join(f"jrdb-avr export {run} --jsonl {run}.jsonl --store {store}" for run in runs)
     return f"jrdb-avr score --store {store} {' '.join(runs)}"

@@ -24,7 +24,7 @@ FOLDER: Final = click.Path(file_okay=False, path_type=Path)
 
 
 def open_store(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> Any:
-    """Return the store at a path. Return None for None. Raise StoreError if a newer program version wrote the store."""
+    """Return the store at a path, or None if the path is None. Raise StoreError if a newer program wrote the store."""
     from jrdb_avr.queries.manifest import refuse_newer
     from jrdb_avr.queries.store import Store
 
@@ -100,7 +100,7 @@ iou_option = click.option(
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=0.5,
     show_default=True,
-    help="Minimum IoU of the predicted box with the true box for the evidence to be correct.",
+    help="Evidence is right if the IoU of the predicted box and the true box is at least this value.",
 )
 
 port_option = click.option(
@@ -114,7 +114,7 @@ def page_option(default: str) -> Callable[[_C], _C]:
 
 
 def pairs_option(flag: str, parameter: str, help_text: str, metavar: str = "NAME=VALUE") -> Callable[[_C], _C]:
-    """Add an option NAME=VALUE that may be repeated. The command gets a list of pairs (name, value)."""
+    """Add a repeatable option with values of the form NAME=VALUE. The command gets a list of pairs (name, value)."""
 
     def split(ctx: click.Context, parameter: click.Parameter, texts: tuple[str, ...]) -> list[tuple[str, str]]:
         for text in texts:

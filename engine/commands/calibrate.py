@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
     """Find out how a model writes the four coordinates of a box: their order and their unit.
 
-    The command asks the model for the boxes of 50 drawn rectangles. It reads the replies in each combination of order
-    and unit, and compares the resulting boxes with the rectangles. It stores the best combination. Later runs of the
-    model on this store use it if they have the same --response-format and --thinking. If no combination is clearly the
-    best, the command stores nothing, and the exit code is 1.
+    The command asks the model for the boxes of 50 drawn rectangles. It interprets the replies in each combination of
+    order and unit, and compares the resulting boxes with the rectangles. It stores the best combination. Later runs of
+    the model on this store use this combination if they have the same --response-format and --thinking. If no
+    combination is clearly the best, the command stores nothing, and the exit code is 1.
 
     Example:
       jrdb-avr calibrate --store S --model M --base-url http://localhost:8000/v1

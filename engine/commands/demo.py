@@ -23,7 +23,11 @@ _SEQUENCE: Final = "sample-plaza-01_0"
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Size of the synthetic data of the demo, and the number of questions that are evaluated."""
+    """Size of the demo: the synthetic data and the questions.
+
+    sequences: the number of sequences. frames: the number of frames per sequence. people: the number of people in
+    view. questions: the number of questions that are evaluated.
+    """
 
     sequences: int = 1
     frames: int = 450

@@ -135,7 +135,7 @@ def _note_reasons(run: RunResult, row: Mapping[str, Any], prefix: str) -> None:
 
 
 def _check_names(store: Store, evaluations: Sequence[_Evaluation]) -> None:
-    """Raise UsageError if two runs have the same name. Otherwise the second run would fail after the first."""
+    """Raise UsageError if two runs have the same name, because the second run would fail after the first."""
     from jrdb_avr.engine.run.evaluate import name_run
 
     names = [name_run(store, *evaluation) for evaluation in evaluations]
@@ -173,7 +173,7 @@ def _evaluation(values: Mapping[str, Any]) -> _Evaluation:
 
 
 def _epochs(evaluation: _Evaluation, count: int | None) -> list[_Evaluation]:
-    """Return one evaluation per epoch, or the evaluation itself if `--epochs` is not given."""
+    """Return a copy of the evaluation for each epoch, or only the evaluation if `--epochs` is not given."""
     options = evaluation.options
     if count is None:
         return [evaluation]

@@ -20,7 +20,7 @@ _blind_option = click.option(
     type=click.Choice(["simple", "learned"]),
     default="simple",
     show_default=True,
-    help="Guessers that see no image. 'learned' adds one that learns from texts (pip install 'jrdb-avr[learned]').",
+    help="Guessers that see no image. 'learned' adds a guesser trained on texts (pip install 'jrdb-avr[learned]').",
 )
 
 
@@ -138,7 +138,7 @@ _REASONS: Final = ("why", "skipped", "reason")
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print rows as a table with at most three decimals. Print the explanations of the rows below the table."""
+    """Print rows as a table with at most three decimals. Print the reasons in the rows as lines below the table."""
     rounded = [
         {name: round(cell, 3) if isinstance(cell, float) else cell for name, cell in row.items()} for row in rows
     ]
@@ -149,7 +149,7 @@ def _print_table(rows: Sequence[Mapping[str, Any]], title: str) -> None:
 
 
 def _print_reasons(rows: Iterable[Mapping[str, Any]]) -> None:
-    """Print why templates have few questions, and why guessers that see no image score more than allowed."""
+    """Print why templates have few questions, and why guessers score more than allowed although they see no image."""
     for row in rows:
         if row.get("why"):
             click.echo(f"{row['template']}: {row['why']}")

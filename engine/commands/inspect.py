@@ -28,9 +28,10 @@ def command(
 ) -> None:
     """Write a page on which a reviewer accepts or rejects questions, or store the decisions of a reviewer.
 
-    The page shows the answer, plan, proofs and pictures of each QUESTION (an id). On the page, the key a accepts a
-    question, r rejects it, and u undoes the decision. The keys j and k go to the next and the previous question. The
-    keys comma and dot go one second back and forward in time. The page saves the decisions as a file for --import.
+    The page shows the answer, plan, proofs and pictures of each QUESTION (an id). On the page, the key 'a' accepts a
+    question, the key 'r' rejects the question, and the key 'u' undoes the decision. The keys 'j' and 'k' go to the next
+    and the previous question. The keys ',' and '.' go one second back and forward in time. The page saves the decisions
+    as a file for --import.
 
     With --import, the command prints how well each pair of reviewers agrees (Cohen's kappa).
 

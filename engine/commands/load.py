@@ -111,6 +111,6 @@ def _verify(store: Store, form: RowFormat) -> None:
 
 
 def _rules(overrides: list[tuple[str, str]], start: LoadRules) -> LoadRules:
-    """Return the rules `start` with overridden values. The name of a rule may leave out the prefix `load.`."""
+    """Return a copy of `start` with the values of `overrides`. Names in `overrides` may lack the prefix `load.`."""
     changes = {f"load.{name.removeprefix('load.')}": value for name, value in overrides}
     return override(Rules(load=start), changes).load

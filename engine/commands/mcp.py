@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @field_options(QuestionSelection, "limit")
 @field_options(MethodOptions, "opaque")
 def command(store: Store, port: int | None, trusted: bool, model: str, **options: Any) -> None:
-    """Serve the questions of a store to an agent over MCP, and record its answers as a run.
+    """Serve the questions of a store to an agent over MCP, and record the agent's answers as a run.
 
     With --http, the command prints the address and the token of the server. Without --http, the server uses standard
     input and output (stdio). Over stdio, the command refuses a store with answers, because an agent on the same machine

@@ -80,7 +80,10 @@ def _signature(name: str, value: Any) -> str:
 
 
 def _short(parameter: inspect.Parameter) -> inspect.Parameter:
-    """Return the parameter. A default that is an options object with default values is printed as `Class()`."""
+    """Return a parameter for a printed signature.
+
+    If the default of the parameter is an options object with default values only, the default prints as `Class()`.
+    """
     kind = type(parameter.default)
     if not kind.__name__.endswith("Options") or parameter.default != kind():
         return parameter
@@ -96,7 +99,10 @@ class _Text(str):
 
 
 def _doc(value: Any) -> str:
-    """Return the docstring as Markdown. Google sections become lists, other indented lines become code blocks."""
+    """Return the docstring of an object as Markdown.
+
+    Google sections become lists. Other indented lines become code blocks.
+    """
     blocks = re.split(
         r"(?m)^((?:Args|Attributes|Returns|Raises|Yields):\n(?:(?: {4}.*)?\n?)+)", inspect.getdoc(value) or ""
     )

@@ -1,4 +1,4 @@
-"""`jrdb-avr cypher` and `jrdb-avr sql`: run a statement or a saved query, and print its rows."""
+"""`jrdb-avr cypher` and `jrdb-avr sql`: run a statement or a saved query, and print the resulting rows."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def cypher(**options: Any) -> None:
     """Query the graph of a store with Cypher.
 
-    QUERY is a statement that only reads, the name of a saved query (see --list), the path of a file FILE.cypher that
-    holds a statement, or - to read a statement from standard input.
+    QUERY is one of these: a read-only statement, the name of a saved query (see --list), the path of a file FILE.cypher
+    that holds a statement, or - to read a statement from standard input.
 
     Examples:
       jrdb-avr cypher --list
@@ -69,8 +69,8 @@ def cypher(**options: Any) -> None:
 def sql(**options: Any) -> None:
     """Query the tables of a store with SQL.
 
-    QUERY is a statement that only reads, the name of a saved query (see --list), the path of a file FILE.sql that holds
-    a statement, or - to read a statement from standard input. 'jrdb-avr schema tables' lists the tables.
+    QUERY is one of these: a read-only statement, the name of a saved query (see --list), the path of a file FILE.sql
+    that holds a statement, or - to read a statement from standard input. 'jrdb-avr schema tables' lists the tables.
 
     Examples:
       jrdb-avr sql 'SHOW TABLES' --store S
@@ -118,9 +118,9 @@ def _run(
 
 
 def _statement(language: Language, query: str) -> str:
-    """Return the query. If it names a file or standard input, return the text read from there.
+    """Return QUERY. If QUERY is the path of a file or "-", return the content of the file or of standard input instead.
 
-    Raise InputError if the text cannot be read.
+    Raise InputError if the content cannot be read.
     """
     if query != "-" and not re.fullmatch(rf"\S+\.{language}", query):
         return query

@@ -27,7 +27,7 @@ _runs_argument = run_argument("runs", nargs=-1, metavar="[RUN]...")
 @_runs_argument
 @store_option()
 @click.option(
-    "--jsonl", type=FILE, help="Import predictions as the run RUN (default: the name of the file), and score the run."
+    "--jsonl", type=FILE, help="Import predictions from FILE as the run RUN (default: the name of FILE), and score RUN."
 )
 @click.option("--bundle", type=FOLDER, help="Score a bundle that 'submit' wrote. The scores are not stored.")
 @iou_option
@@ -86,13 +86,13 @@ def score(
 @click.option("--html", type=FILE, help="HTML file to write, with all tables.")
 @click.option("--leaderboard", is_flag=True, help="Rank bundles. Give folders of bundles instead of runs.")
 def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html: Path | None, **options: Any) -> None:
-    """Compare the scores of runs in tables: of each RUN, or of all runs if no RUN is given.
+    """Compare the scores of the given RUNs in tables. If no RUN is given, compare all runs.
 
     The columns show percentages of a run's n questions. answer: questions with a right answer. evidence: questions with
     a right box. combined: questions with a right answer and a right box. invalid: questions with a reply that could not
     be read. The column hallucination has another base: of the questions with a right answer, it is the percentage
-    without a right box. Each 95 % interval comes from a bootstrap over sequences with 10,000 seeded draws. A macro
-    average is the mean of a score over the seven families, or over the paper's five groups.
+    without a right box. Each 95 % interval comes from a bootstrap, which draws the sequences at random 10,000 times
+    with a fixed seed. A macro average is the mean of a score over the seven families, or over the paper's five groups.
 
     Examples:
       jrdb-avr report --store S

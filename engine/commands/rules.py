@@ -1,4 +1,4 @@
-"""`jrdb-avr rules`: list the rules of the benchmark. The option `--rule` of other commands changes them."""
+"""`jrdb-avr rules`: list the rules of the benchmark. The option `--rule` of other commands changes a rule."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def command() -> None:
 def rules_list(form: RowFormat) -> None:
     """List the rules with their values and meanings.
 
-    'load --rule NAME=VALUE' changes a rule with a name that begins with "load.". 'generate --rule NAME=VALUE' changes
-    any other rule.
+    To change a rule with a name that begins with "load.", use 'load --rule NAME=VALUE'. To change any other rule, use
+    'generate --rule NAME=VALUE'.
     """
     from jrdb_avr.schema.rules import rule_rows
 

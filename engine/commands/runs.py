@@ -34,7 +34,7 @@ def command() -> None:
 @store_option()
 @form_option
 def runs_list(store: Store, form: RowFormat) -> None:
-    """List the runs with their method, model, state, and number of questions per status.
+    """List the runs with their method, model, state, and numbers of answered, invalid and failed questions.
 
     The state of a run is "complete", "unfinished", "damaged" or "other questions". The state "other questions" means
     that the questions of the store have changed since the run began.
@@ -55,7 +55,7 @@ def runs_list(store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def show(run: str, store: Store, form: RowFormat) -> None:
-    """Show how a run's questions were selected, its settings, and the most frequent reasons for missing answers."""
+    """Show a run: the selection of its questions, its settings, and the most frequent reasons for missing answers."""
     from jrdb_avr.engine.run.overview import show_run
 
     facts = show_run(store, run)
@@ -70,7 +70,11 @@ def show(run: str, store: Store, form: RowFormat) -> None:
 
 
 def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
-    """Return a name and its value as lines. Each entry of a mapping, and each reason, is a line of its own."""
+    """Return the printed lines of a value. Each line is a pair of a name and a text.
+
+    A mapping has the lines of all its entries. A list of the most frequent reasons has one line per reason. Any other
+    value has one line.
+    """
     if isinstance(value, dict):
         return [line for key, item in value.items() for line in _lines(f"{name}.{key}", item)]
     if isinstance(value, list) and name.startswith("commonest"):
@@ -89,9 +93,9 @@ def _lines(name: str, value: Any) -> list[tuple[str, Any]]:
 def runs_merge(run_ids: tuple[str, ...], store: Store, run_id: str) -> None:
     """Merge all shards of a run into one run. 'evaluate --shard' writes the shards.
 
-    If shards were written on other machines, first copy the folders of these runs into the folder runs of the store.
-    The shards must have the same method, model and settings. Their selections of questions must be equal except for the
-    shard. Merging leaves the shards unchanged.
+    If shards were written on other machines, first copy their run folders into the store's folder 'runs'. The shards
+    must have the same method, model and settings. All options that select questions must be the same, except --shard.
+    Merging leaves the shards unchanged.
     """
     from jrdb_avr.engine.run.merging import merge_runs
 
@@ -142,8 +146,9 @@ def diff(first: str, second: str, store: Store, score: str, iou: float, form: Ro
 
     The table shows the scores of both runs in percent, and the difference in points: the second score minus the first.
     It also shows a 95 % interval of the difference, the number of questions that only one run has right, and the
-    p-value of the exact McNemar test. Below the table, the command lists the questions that only one run has right by
-    --score. With --json or --csv, it prints only this list.
+    p-value of the exact McNemar test. Below the table, the command lists the questions that only one run has right. The
+    option --score names the score by which a question counts as right. With --json or --csv, the command prints only
+    this list.
     """
     from jrdb_avr.engine.report.comparison import diff
     from jrdb_avr.engine.report.formats import with_intervals

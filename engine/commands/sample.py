@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--sequences", type=click.IntRange(1, 200), default=5, show_default=True, help="Number of sequences.")
+@click.option("--sequences", type=click.IntRange(1, 200), help="Number of sequences (default: 5; 27 at --full-scale).")
 @click.option(
     "--frames", type=click.IntRange(60, 100_000), default=1050, show_default=True, help="Number of frames per sequence."
 )
@@ -28,7 +29,7 @@ from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
     help="Frames that get a panorama. 'changes': keyframes, and the frames just before and just after a label changes.",
 )
 @click.option(
-    "--full-scale", is_flag=True, help="Write 27 sequences as large as the JRDB test split, without panoramas."
+    "--full-scale", is_flag=True, help="Write sequences as large as those of the JRDB test split, without panoramas."
 )
 @workers_option
 @form_option
@@ -41,13 +42,13 @@ def command(folder: Path, seed: int, images: str, workers: int, form: RowFormat,
     Examples:
       jrdb-avr sample ./sample
       jrdb-avr sample ./big --full-scale
+      jrdb-avr sample ./two --full-scale --sequences 2
     """
     from jrdb_avr.loaders.synthetic.write import FULL_SCALE, plan, rows, write
     from jrdb_avr.queries.files import new_folder
 
-    sizes = (
-        list(FULL_SCALE) if options["full_scale"] else [(options["frames"], options["people"])] * options["sequences"]
-    )
+    sizes = FULL_SCALE if options["full_scale"] else [(options["frames"], options["people"])] * 5
+    sizes = list(islice(cycle(sizes), options["sequences"] or len(sizes)))
     images = "none" if options["no_images"] or options["full_scale"] else images
     done = []
     with new_folder(folder) as made, progress_bar() as progress:

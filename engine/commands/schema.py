@@ -1,4 +1,4 @@
-"""`jrdb-avr schema`: print the tables of the graph and of the store, or draw them."""
+"""`jrdb-avr schema`: print or draw the definitions of the tables of the graph and of the store."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def command(run: str, question: str, store: Store, out: Path) -> None:
     """Write a page with the steps of RUN for QUESTION (an id), and with the true answer.
 
     The page marks the angle of each look on the panorama. For a method with a world model, the page also shows the
-    world model after each step, and which writes to the world model were refused.
+    world model after each step, and the changes of the world model that were refused.
     """
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @store_option()
 @click.option("--replay", is_flag=True, help="Also repeat all proofs, and run each plan as a Cypher query.")
 @executor_option
-@pairs_option("--rule", "overrides", "Change a rule to the value that 'generate' used. May be repeated.")
+@pairs_option("--rule", "overrides", "Use this value of a rule, not its default. Repeat each --rule of 'generate'.")
 @form_option
 def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple[str, str]], form: RowFormat) -> None:
     """Check the questions of a store, and derive all answers and proofs again with a second program.

@@ -1,4 +1,4 @@
-"""`jrdb-avr world`: add the world models of runs to the graph of the store, or drop them."""
+"""`jrdb-avr world`: add the world models of runs to the graph of the store, or drop world models."""
 
 from __future__ import annotations
 
@@ -63,7 +63,10 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
 @store_option()
 @form_option
 def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
-    """Drop the world models of runs from the graph. The folders of the runs keep them for the next 'load'."""
+    """Drop the world models of runs from the graph.
+
+    The recorded world models stay in the folders of the runs. The next 'load' adds them to the graph again.
+    """
     from jrdb_avr.queries.beliefs.graph import open_graph
     from jrdb_avr.queries.beliefs.record import drop_world
     from jrdb_avr.schema.errors import StoreError
@@ -105,7 +108,7 @@ def _record(store: Store, run_id: str) -> pa.Table:
 
 
 def _graph_path(store: Store) -> Path:
-    """Return the path of the store's graph. Raise StoreError if it is missing: `open_graph` would make a new graph."""
+    """Return the path of the store's graph. Raise StoreError if the graph file is missing."""
     from jrdb_avr.schema.errors import StoreError
 
     if not store.graph_path.exists():
@@ -114,7 +117,7 @@ def _graph_path(store: Store) -> Path:
 
 
 def _row(graph: Graph, run_id: str) -> dict[str, Any]:
-    """Return a row with a run's number of episodes in a graph, and its number of writes."""
+    """Return a row that counts the episodes and the writes of one run in a graph."""
     from jrdb_avr.queries.beliefs.record import writes_held
 
     held = writes_held(graph, run_id)

@@ -1,8 +1,8 @@
 """Relations between people at keyframes, as facts of three values.
 
 A *fact* joins two moments of one keyframe: certain, or possible (a hard label, a closed gap, an edge of a sector).
-Where a person's list was not read, or a 3D box has no lidar points, every relation of that kind with anybody is
-possible.
+Where a person's list was not read, a 3D box has no lidar points, or `load` left a kind out of the sequence, every
+relation of that kind with anybody is possible.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def _known(scene: Scene) -> Bools:
     known = np.ones((len(RELATION_LAYERS), scene.moment_count), bool)
     there, rows = scene.seen_moments, scene.moment_rows[scene.seen_moments]
     known[SOCIAL, there] = scene.flag("interactions_listed")[rows]
-    known[PERSON_VIEW, there] = scene.flag("located")[rows]
+    known[ROBOT_VIEW, there] = scene.flag("robot_view_listed")[rows]
+    known[PERSON_VIEW, there] = scene.flag("person_view_listed")[rows]
     known[GROUP] = False
     known[GROUP, scene.covered(scene.memberships, "track")[1]] = True
     return known

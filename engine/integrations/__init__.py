@@ -1,1 +1,1 @@
-"""Adapters that offer the benchmark to other frameworks. Some need additional packages, which the extras install."""
+"""Adapters that offer the benchmark to other frameworks. Some adapters need packages that only extras install."""

@@ -56,7 +56,7 @@ def croissant(folder: Path, files: Mapping[str, str], sources: Sequence[Source],
 
     Args:
         folder: The folder.
-        files: Path of each table's file, relative to the folder.
+        files: Path of each table's file, relative to the folder, by the name of the table.
         sources: The data sets that the questions come from.
         release: Version, day, publisher and address.
 

@@ -8,9 +8,9 @@ one of the legal frames and `angle` a direction (1 is 360 degrees). For an answe
 picture, and the meaning of `numbers` depends on the answer mode: a choice, one or two frames of the sequence, a frame
 and an angle, or a value (1 is `LARGEST`).
 
-A refused action costs a move, and `info` has the reason. The reward is always 0, unless the environment was made with
-the argument `reward`, which names a score. The reward of the last step is then this score of the prediction. This
-module needs the extra `gym`.
+A refused action costs a move, and `info` has the reason. If the environment was made with the argument `reward`, which
+names a score, the reward of the last step is this score of the prediction. All other rewards are 0. This module needs
+the extra `gym`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class QuestionEnv(gymnasium.Env):
         reward: Reward | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """Open questions of a store, as `Bench.open` does.
+        """Open questions of a store.
 
         Args:
             store: The store, or its folder.
@@ -76,8 +76,8 @@ class QuestionEnv(gymnasium.Env):
             images: The folder of panoramas. Default: the folder that the store names.
             opaque: Whether to replace the names of sequences by opaque names.
             budget: Maximum number of looks per question.
-            reward: Name of the score that becomes the reward of the last step. The store must then have answers. If it
-                is None, every reward is 0.
+            reward: Name of the score that becomes the reward of the last step. A score needs a store with answers. If
+                `reward` is None, every reward is 0.
             render_mode: The render mode, as in Gymnasium.
 
         Raises:
@@ -102,11 +102,11 @@ class QuestionEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin a new question.
+        """Begin an episode with a question.
 
         Args:
             seed: Seed of the random generator that draws questions, as in Gymnasium.
-            options: A dict that may have the key `question_id`. Without the key, a question is drawn at random.
+            options: A dict that may have the key `question_id`. Without this key, a question is drawn at random.
 
         Returns:
             The first observation, and `info`.
@@ -173,7 +173,7 @@ class QuestionEnv(gymnasium.Env):
         return self._episode
 
     def _answer(self, numbers: Any) -> object:
-        """Return the answer that numbers in [0, 1] represent under the question's answer mode."""
+        """Convert the argument `numbers` (each in [0, 1]) to an answer. The answer mode of the question decides how."""
         episode = self._playing()
         last = self.bench.sequences[episode.question.sequence].frame_count
         mode = MODES[episode.question.answer_mode]

@@ -1,7 +1,7 @@
 """Export of a question set as two folders that Hugging Face's `datasets` can load.
 
     DIR/public/README.md                      the dataset card, which names the files for `load_dataset`
-    DIR/public/croissant.json                 the same description in the format Croissant
+    DIR/public/croissant.json                 the description of the tables in the format Croissant
     DIR/public/data/questions.parquet, sequences.parquet
     DIR/private/README.md
     DIR/private/data/answers.parquet, evidence.parquet, names.parquet
@@ -54,7 +54,7 @@ def export_folders(
 
     Args:
         store: The store, or its folder.
-        folder: The folder to make both folders in. It must be missing or empty.
+        folder: The parent folder of the public and the private folder. It must be missing or empty.
         creator: Name of the publisher of the questions.
         url: Address of the publication.
         published: Day of the publication. None means today (UTC).
@@ -125,7 +125,7 @@ def _path(table: str) -> str:
 
 
 def sources_of(layers: Collection[str]) -> list[card.Source]:
-    """Return the sources that provide at least one of the given layers."""
+    """Return the published data sets that provide at least one of the given layers."""
     return [source for source in card.SOURCES if set(source.layers) & set(layers)]
 
 

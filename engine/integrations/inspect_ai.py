@@ -245,7 +245,7 @@ def _keep(state: TaskState, question: Question, prediction: Prediction) -> None:
 
 
 class _InspectChat:
-    """A `Chat` client that sends requests through Inspect's model. It is called from the thread of a method."""
+    """A `Chat` client that sends requests through Inspect's model. The client is called from the thread of a method."""
 
     def __init__(self, model: Model) -> None:
         self._model = model

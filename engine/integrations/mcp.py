@@ -1,8 +1,9 @@
 """Server of questions for any agent that speaks MCP. Its tools are `next_question`, `observe` and `submit_answer`.
 
-The moves of the agent are recorded as a run of the store. There are no sessions. Instead, each call carries the opaque
-token of its question. Only the public files of the store are read. The tools return a question's text, its legal
-frames, crops with their frame and angle, and the reasons for refused moves. This module needs the extra `mcp`.
+The moves of the agent are recorded as a run of the store. There are no sessions. Instead, each look and each
+answer carries the opaque token of its question. Only the public files of the store are read. The tools return a
+question's text, its legal frames, crops with their frame and angle, and the reasons for refused moves. This module
+needs the extra `mcp`.
 """
 
 from __future__ import annotations
@@ -54,14 +55,14 @@ _Boxes = Annotated[Any, WithJsonSchema(EVIDENCE_SCHEMA)]
 
 @dataclass
 class _Open:
-    """A question that the agent has begun, with a lock that lets only one call move in it at a time."""
+    """A question that the agent has begun. The lock lets only one call at a time make a move."""
 
     play: Play
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Desk:
-    """The MCP tools and their state: the questions that are due, and the questions that the agent has begun."""
+    """The MCP tools and their state: the questions that wait, and the questions that the agent has begun."""
 
     def __init__(self, bench: Bench, run: Run) -> None:
         self._bench, self._run = bench, run
@@ -70,7 +71,7 @@ class Desk:
         self._lock = threading.Lock()
 
     def server(self) -> MCPServer:
-        """Return an MCP server that has these tools."""
+        """Return an MCP server with the tools of this desk."""
         server = MCPServer("jrdb-avr", instructions=_HOW, log_level="WARNING")
         server.add_tool(self.next_question)
         # The output is not structured, because MCP has no structured form for a list that has a picture.
@@ -166,7 +167,8 @@ def serve(
         resume: Whether to continue the run if it exists.
         images: The folder of panoramas. Default: the folder that the store names.
         opaque: Whether to replace the names of sequences by opaque names.
-        ready: Called when the HTTP server listens, with its address and the token that requests need.
+        ready: Function that is called as soon as the HTTP server listens. Its arguments are the address of the server
+            and the token that requests need.
 
     Returns:
         The id of the run.
@@ -223,7 +225,7 @@ def _serve_http(server: MCPServer, port: int, ready: Callable[[str, str], None])
 
 
 def _with_token(app: Any, token: str) -> Any:
-    """Return an ASGI application that forwards requests with the token to `app`, and answers all others with 401."""
+    """Return an ASGI application that passes requests with the token on to `app`, and replies to others with 401."""
     expected = f"Bearer {token}".encode()
 
     async def checked(scope: Any, receive: Any, send: Any) -> None:

@@ -1,1 +1,1 @@
-"""Observation of panoramas: crops, and drawings of annotations on them."""
+"""Observation of panoramas: crops of panoramas, and annotations that are drawn on panoramas or crops."""

@@ -42,9 +42,8 @@ class Observer:
     """Source of crops and panoramas. Several threads may use the same observer.
 
     Panoramas are read from `image_root/<sequence>/<six digits>.jpg`. Memory holds at most `cached` decoded panoramas
-    and `CACHED_FILES` undecoded files. The least recently used panoramas and files are dropped first. `folders` gives
-    the folder name of each sequence that has a folder with another name. Messages about such a sequence do not show
-    the path.
+    and `CACHED_FILES` undecoded files. The least recently used panoramas and files are dropped first. For a sequence
+    with an opaque name, `folders` gives the name of its folder. Messages about such a sequence do not show the path.
     """
 
     def __init__(
@@ -186,8 +185,8 @@ class Observer:
 class _Strip:
     """A panorama that is decoded on first use. Crops are copies, so that no crop keeps a panorama in memory.
 
-    The first crop is cut from the whole panorama. At the second use, the panorama is copied into contiguous tiles.
-    Crops from tiles are faster (10,000 per second instead of 6,000), because in a whole panorama the rows of a crop are
+    At the first use, the panorama stays in one piece. At the second use, it is copied into contiguous tiles. Crops
+    from tiles are faster (10,000 per second instead of 6,000), because in a whole panorama the rows of a crop are
     11 kB apart.
     """
 
@@ -221,7 +220,7 @@ class _Strip:
         return image
 
     def _laid_out(self) -> Image:
-        """Return the tiles from left to right (count, 480, width, 3).
+        """Return the tiles from left to right. Shape: (count, 480, width, 3).
 
         At the first use, the whole panorama is the only tile. If decoding fails, nothing is cached, because the file
         may exist at the next use.
@@ -267,7 +266,7 @@ def decode_panorama(data: bytes, name: str) -> Image:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    """Return the width and height in the frame header of a JPEG, or None if there is no such header."""
+    """Return the width and height in the frame header of a JPEG, or None if the JPEG has no frame header."""
     at = 2
     while at + 9 <= len(data):
         if data[at] != 0xFF:

@@ -20,7 +20,8 @@ def draw_people(
 
     Args:
         image: A panorama or a crop (height, width, 3).
-        sightings: Rows of the people in the frame, with boxes in stitched pixels, pose and group.
+        sightings: One row per person in the frame, with the box (in stitched pixels), the pose and the group of the
+            person.
         poses: Rows of the table `poses` for the frame.
         left: Left column of the crop in stitched pixels, or 0 for a panorama.
 

@@ -107,13 +107,16 @@ class Inspected:
         plan: The plan of the question.
         fps: Frames per second of the sequence.
         frame_count: Number of frames of the sequence.
-        people: Track id of each node of the plan.
-        counted: Track id of each further person that the answer counts.
-        moments: Frame of each time that the plan names.
-        annotated: Annotated frame that represents each of these times.
-        decisive: The needed box that shows the answer.
-        boxes: For each frame to show, the boxes of the people as (role, box).
-        around: For each frame to show, the frames one second before and after as (-1 or 1, frame, boxes).
+        people: Track id of each person of the plan, by role. The role of a person is the id of the person's node.
+        counted: Track id of each person that the answer counts and that the plan does not name, by role.
+        moments: Frame of each time that the plan names, by the name of the time.
+        annotated: Frame at which the page shows a time (see `nearest_annotated`), by the name of the time.
+        decisive: The box that shows the answer. If the answer is a count, the first of the boxes that the answer needs.
+        boxes: Boxes of people in each frame that the page shows, by frame. Each frame has a list of pairs. A pair is
+            the role and the box of a person.
+        around: Boxes one second before and after each frame that the page shows, by frame. For each frame, there are
+            two tuples of three members. The first member is -1 (before) or 1 (after). The second member is the frame
+            at that time. The third member is a list of boxes, like the lists in `boxes`.
         timeline: Rows of the timeline.
         visibility: Evidence for clear views in the sequence: "attributes", "geometry" or "nothing".
     """
@@ -162,15 +165,15 @@ def _box(row: Record) -> Box:
 
 
 def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
-    """Return the annotated frame that represents a frame on the page.
+    """Return the frame at which the page shows an event. If possible, this frame is annotated.
 
     Args:
-        frame: Index of the frame.
+        frame: Index of the frame of the event.
         frames: Indexes of the annotated frames.
-        step: Distance between annotated frames. An event may be up to half a step away from the nearest label.
+        step: Number of frames from one annotated frame to the next.
 
     Returns:
-        The nearest annotated frame if it is within half a step, otherwise the frame itself.
+        The nearest annotated frame if its distance is at most half of `step`, otherwise `frame`.
     """
     near = min(frames, key=lambda annotated: abs(annotated - frame), default=frame)
     return near if abs(near - frame) <= step // 2 else frame
@@ -201,7 +204,7 @@ class View(NamedTuple):
         missing: Reason why there is no picture, or an empty text.
         plate: Height of the plates that show the names of people.
         near: Close-ups of the people in a panorama.
-        around: The panoramas one second earlier and later, as (-1 or 1, picture).
+        around: Pairs of a number and a picture. The picture is the panorama one second before (-1) or after (1).
     """
 
     title: str
@@ -267,7 +270,7 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
 
 
 def _times(plan: Plan) -> list[str]:
-    """Return one text per time of a plan, which describes the time in words."""
+    """Return one text per time of a plan. The text describes the time in words."""
     texts = []
     for name, time in plan.times.items():
         if time.frame is not None:
@@ -279,13 +282,13 @@ def _times(plan: Plan) -> list[str]:
 
 
 def _reads(plan: Plan) -> str:
-    """Describe the answer of a plan in words: the property, the person and the times."""
+    """Return in words which property of which person answers the question of a plan, and at which times."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 
 
 def _perturbation(question: Inspected, name: str | None) -> str:
-    """Return the name of the perturbation under which a wrong choice is true.
+    """Return the name of the perturbation of the plan that makes a wrong choice right.
 
     If the perturbation concerns a person, the person's role comes before the name.
     """
@@ -323,7 +326,7 @@ def _panorama(title: str, image: Image, size: tuple[int, int], boxes: Iterable[t
 
 
 def _moment(question: Inspected, name: str) -> str:
-    """Return the name of a time, followed by its frame if that frame is not annotated."""
+    """Return the name of a time. If the frame of the time is not annotated, the text also has this frame."""
     frame = question.moments[name]
     return name if frame == question.annotated[name] else f"{name} (frame {frame}, between two annotated)"
 

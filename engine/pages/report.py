@@ -84,7 +84,8 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
         across: Name of the column that gives the inner keys.
 
     Returns:
-        The row for each outer key and inner key. Keys are in the order of their first appearance.
+        A dictionary from each outer key to an inner dictionary. An inner dictionary maps each inner key to a row. All
+        keys are in the order of their first appearance in the rows.
     """
     groups: dict[str, dict[str, Row]] = {}
     for row in rows:
@@ -93,20 +94,22 @@ def pivot(rows: Sequence[Row], down: str, across: str) -> dict[str, dict[str, Ro
 
 
 class Crossed:
-    """A breakdown as a table with a cell for each run and each value of a dimension.
+    """Table of the scores of runs, broken down by a dimension.
 
-    If there are fewer values than runs, the columns are the values. Otherwise the columns are the runs.
+    There is one cell for each pair of a run and a value of the dimension. If there are fewer values than runs, the
+    columns are the values. Otherwise the columns are the runs.
 
     Attributes:
-        counts: For each value, the number of questions that most runs have. A cell shows its own number only if that
-            number differs.
+        counts: For each value, the most frequent number of questions (`n`) among the runs. The page shows the `n` of a
+            cell only if it differs from this most frequent `n`.
         values_across: True if the columns are the values, False if the columns are the runs.
         across: Names of the columns.
-        rows: Name and cells of each row. A cell is a row of the breakdown, or None if the breakdown has no such row.
+        rows: Name and cells of each row of this table. The cell of a run and a value is the row of `breakdown_rows`
+            for this pair, or None if this pair has no row.
     """
 
     def __init__(self, rows: Sequence[Row], dimension: str, runs: Sequence[str]) -> None:
-        """Arrange the rows of a breakdown. The paper's rows count as a run with the name "paper"."""
+        """Arrange rows of `breakdown_rows`. Rows of the paper count as rows of a run with the name "paper"."""
         cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
         questions = {
             value: Counter(r["n"] for run, r in rows_of_value.items() if run in runs)

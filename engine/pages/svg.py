@@ -1,4 +1,4 @@
-"""Layout of diagrams: a plan as a graph, and a scatter plot with labels that do not overlap.
+"""Layout of two diagrams: the plan of a question, drawn as a graph, and a scatter plot of the scores of runs.
 
 Positions and sizes are in units of the SVG view box. The width of a text is estimated from its number of characters.
 """
@@ -60,7 +60,7 @@ def shortened(text: str, characters: int) -> str:
 
 
 class PlanNode(NamedTuple):
-    """A drawn person of a plan: role, position of the upper left corner, and the conditions as lines of text."""
+    """A drawn node of a plan: the person's role, the node's upper left corner, and the conditions as lines of text."""
 
     role: str
     x: float
@@ -69,7 +69,10 @@ class PlanNode(NamedTuple):
 
 
 class PlanEdge(NamedTuple):
-    """A drawn relation: a line from the side of one node to the side of another, and its words as lines of text."""
+    """A drawn relation of a plan: the two ends of its line, and its words as lines of text.
+
+    The line begins at the right side of one node and ends at the left side of another node.
+    """
 
     x1: float
     y1: float
@@ -79,13 +82,15 @@ class PlanEdge(NamedTuple):
 
 
 class PlanGraph:
-    """Layout of a plan from left to right. The column of a node is its distance from the root. Nodes have equal sizes.
+    """Layout of a plan from left to right. Nodes have equal sizes.
+
+    The column of a node is the number of relations between the root and the node.
 
     Attributes:
-        nodes: The people of the plan.
-        edges: The relations of the plan.
+        nodes: The drawn people of the plan.
+        edges: The drawn relations of the plan.
         node_height: Height of each node.
-        top: Height of the words that reach above the nodes.
+        top: Additional height above the nodes for the words of relations. 0 if no words reach above the nodes.
         width: Width of the drawing.
         height: Height of the drawing without `top`.
     """
@@ -122,14 +127,14 @@ class PlanGraph:
 
 
 def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:
-    """Return all conditions as lines of text. No condition is shortened, because reviewers need the full text."""
+    """Return all conditions of a node as lines of text. They are not shortened: reviewers need the full text."""
     # Spaces allow a line break at the slashes between the names of objects.
     texts = [_timed(_condition(condition).replace("/", " / "), condition.at, several) for condition in conditions]
     return tuple(line for text in texts for line in wrapped(text, _NODE_CHARACTERS)) or ("anybody",)
 
 
 def _timed(text: str, at: str | None, several: bool) -> str:
-    """Return the text of a condition. If the plan has several times, add the time of the condition."""
+    """Return `text`. If `at` is the name of a time and the plan has several times, append this name to the text."""
     return f"{text}, {at}" if several and at else text
 
 
@@ -153,9 +158,9 @@ class Dot(NamedTuple):
         y: Vertical position of the dot.
         number: Number of the run in the legend.
         row: The run's row of the table `main`.
-        label_x: Horizontal position of the middle of the number.
-        label_y: Vertical position of the middle of the number.
-        leads: Whether the number is so far away that a line must connect it with the dot.
+        label_x: Horizontal position of the centre of the printed number.
+        label_y: Vertical position of the centre of the printed number.
+        leads: Whether the printed number is so far from the dot that a line must connect the number with the dot.
     """
 
     x: float
@@ -171,10 +176,11 @@ def scatter(rows: Sequence[Mapping[str, Any]]) -> list[Dot]:
     """Lay out a scatter plot of two scores: answer on the horizontal axis, and evidence on the vertical axis.
 
     Args:
-        rows: Rows of the table `main`. A row is left out if its answer or evidence is None.
+        rows: Rows of the table `main`. A row is left out if its answer score or its evidence score is None.
 
     Returns:
-        One dot per row, with the position of its number. Numbers cover no dot and no other number, if there is room.
+        One dot per row, with the position of the printed number. If there is room, no number covers a dot or another
+        number.
     """
     scale = (SQUARE - 2 * _MARGIN) / 100
     points = [
@@ -200,12 +206,16 @@ class _Area(NamedTuple):
     bottom: float
 
     def meets(self, area: _Area) -> bool:
-        """Return whether two rectangles overlap."""
+        """Return whether this rectangle and the rectangle `area` overlap."""
         return self.left < area.right and area.left < self.right and self.top < area.bottom and area.top < self.bottom
 
 
 def _free_area(x: float, y: float, width: float, taken: Sequence[_Area]) -> tuple[_Area, bool]:
-    """Return the nearest free area for a text beside a dot, and whether a line must connect the text with the dot."""
+    """Return the area for a text beside a dot, and whether a line must connect the text with the dot.
+
+    The area is the nearest one that overlaps no area in `taken`. If there is no such area, the area on the right side
+    of the dot is returned.
+    """
     for ring in range(_RINGS):
         far = _DOT + 1 + _STEP * ring
         for direction in range(_DIRECTIONS):

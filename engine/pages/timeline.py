@@ -25,7 +25,14 @@ _POSE_READS: Final = ("action", "next_action")
 
 
 class Stretch(NamedTuple):
-    """A bar of a timeline row: first and last frame, drawing style (`kind`), and whether the shown fact is certain."""
+    """A bar of a timeline row.
+
+    Attributes:
+        first: First frame of the bar.
+        last: Last frame of the bar.
+        kind: Drawing style of the bar.
+        certain: Whether the shown fact is certain.
+    """
 
     first: int
     last: int
@@ -43,7 +50,7 @@ class TimelineRow(NamedTuple):
 
 
 class SequenceTables:
-    """The tables of one sequence that its timelines need."""
+    """The tables of one sequence that are needed for timelines of people in this sequence."""
 
     def __init__(self, store: Store, name: str) -> None:
         self.name = name
@@ -72,8 +79,8 @@ def timeline_rows(
     Args:
         role: The person's node in the plan.
         plan: The plan of the question.
-        people: Track id of each node's person.
-        moments: Frame of each time that the plan names.
+        people: Track id of each person of the plan, by node.
+        moments: Mapping from the name of a time in the plan to its frame.
         sightings: The person's rows of the table `sightings`.
         sequence: The tables of the sequence.
 
@@ -112,7 +119,10 @@ def timeline_rows(
 
 
 def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
-    """Return a person's actions that the plan mentions. If the answer is the person's pose, return all poses too."""
+    """Return the actions that the plan mentions for a person.
+
+    If the question asks for a pose of this person, all poses are returned too.
+    """
     actions = {c.action for node in plan.nodes if node.id == role for c in node.conditions if c.action}
     actions |= {time.action for time in plan.times.values() if time.of == role and time.action}
     if plan.answer.of == role and plan.answer.read in _POSE_READS:
@@ -123,7 +133,10 @@ def _plan_actions(role: str, plan: Plan) -> frozenset[str]:
 def _labelled(
     role: str, kind: str, intervals: Iterable[tuple[str, Record]], in_plan: frozenset[str] | None = None
 ) -> list[TimelineRow]:
-    """Return one timeline row per label, first the labels `in_plan`. None means that the plan mentions all labels."""
+    """Return one timeline row per label. The rows of labels that the plan mentions come first.
+
+    The argument `in_plan` has the labels that the plan mentions. If it is None, the plan mentions all labels.
+    """
     spans: dict[str, list[Stretch]] = {}
     for label, row in intervals:
         spans.setdefault(label, []).append(Stretch(row["first"], row["last"], kind, row["certain"]))

@@ -108,7 +108,11 @@ def _choice(answer: Answer | None) -> int | None:
 
 
 def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
-    """Return the map: range of frames, ticks, frames of the true answer and of the run's answer, and target's path."""
+    """Return the content of the map, which shows frames and columns of the panoramas.
+
+    `low` and `high` are the first and the last frame of the map. `ticks` are the frames with a label. `answers` has the
+    frames that the true answer states and the frames that the run's answer states. `way` is the path of the target.
+    """
     mode = trace.question["answer_mode"]
     true, predicted = (_frames(mode, row["answer"]) for row in (trace.answer, trace.prediction))
     frames = [look.frame for look in trace.looks] + ([] if evidence is None else [evidence[0]]) + true
@@ -128,13 +132,16 @@ def _map(trace: Trace, evidence: tuple[int, Box] | None) -> dict[str, Any]:
 
 
 def _frames(mode: str, text: str | None) -> list[int]:
-    """Return the frames that an answer states. The list is empty if there are none or the answer cannot be read."""
+    """Return the frames that an answer states. The list is empty if the answer states no frame or cannot be read."""
     answer = read_answer(mode, text)
     return [] if answer is None else frames_of_answer(answer)
 
 
 def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
-    """Return the target's positions as (column, frame). A new segment begins after a gap or at the seam."""
+    """Return the path of the target as segments. A segment is a list of points, and a point is a pair (column, frame).
+
+    A new segment begins after a gap in the frames, and after the target has crossed the seam of the panorama.
+    """
     path: list[list[tuple[float, int]]] = []
     for frame, (x, _, w, _) in sorted(trace.target.items()):
         if not low <= frame <= high:
@@ -147,10 +154,11 @@ def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
 
 
 def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
-    """Return the marks on the map: sightings of entities, and relations between entities in one frame.
+    """Return the marks on the map. A mark shows a sighting of an entity, or a relation between entities in one frame.
 
-    Each mark has a step, a colour (`role`), a frame, a column and a text. A sighting may have a name (`label`) that is
-    drawn `label_y` below it. A relation has the column of its other end (`end`).
+    Each mark has a step, a colour (`role`), a frame, a column and a text. The mark of a sighting also has a name
+    (`label`, which may be empty). `label_y` is the distance from the mark down to the name. The mark of a relation also
+    has the column of the relation's other end (`end`).
     """
     marks: list[dict[str, Any]] = []
     columns: dict[tuple[str, int], float] = {}
@@ -180,7 +188,10 @@ def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
 
 
 class Statement(NamedTuple):
-    """A statement of the world model: the step that wrote it, the step that replaced it (`until`), and its text."""
+    """A statement of the world model: the step that wrote it, the step that replaced it (`until`), and its text.
+
+    `until` is `ALWAYS` if no step replaced the statement.
+    """
 
     step: int
     until: int
@@ -189,7 +200,10 @@ class Statement(NamedTuple):
 
 @dataclass
 class Card:
-    """An entity of the world model, with its statements: those that hold at all times, and those about one frame."""
+    """An entity of the world model, with the statements about it.
+
+    `always` has the statements that do not belong to a frame. `frames` has the other statements, by frame.
+    """
 
     name: str
     role: int
@@ -200,11 +214,14 @@ class Card:
 
 
 def add_statement(statements: list[Statement], new: Statement) -> None:
-    """Add a statement. If an equal statement still holds, extend the time of that statement instead.
+    """Add a statement to a list, or extend an old statement that has the same text.
+
+    If an old statement with the same text still holds at the step of the new one, no statement is added. Instead, the
+    field `until` of the old statement becomes the later of the two values of `until`.
 
     Args:
         statements: Statements about one entity. The list is changed in place.
-        new: The statement.
+        new: The statement to add.
     """
     for index, old in enumerate(statements):
         if old.text == new.text and new.step <= old.until:
@@ -250,9 +267,11 @@ _MOST_NODES: Final = 40
 
 
 def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
-    """Return the drawing of relations: entities in a row (`knots`), and relations as arcs above the row (`ties`).
+    """Return the drawing of the relations between entities.
 
-    `left` and `size` give the view box. Return None if there are no relations, or too many entities for a drawing.
+    `knots` are the entities, which stand in a row. `ties` are the relations, which are arcs above the row. `left` and
+    `size` give the view box. The result is None if there are no relations, or if there are too many entities
+    for a drawing.
     """
     made = {write.fact.entity.id: write.step for write in trace.writes if write.fact.entity is not None}
     related = [(write, tie) for write in trace.writes if (tie := write.fact.related) is not None]
@@ -284,7 +303,7 @@ def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
 
 
 def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
-    """Reserve a horizontal extent on the lowest level with free space for it, and return the index of the level."""
+    """Reserve a horizontal extent on the lowest level that has space for this extent, and return the level's index."""
     for index, taken in enumerate(levels):
         if all(extent[1] < low or high < extent[0] for low, high in taken):
             taken.append(extent)
@@ -308,7 +327,7 @@ class _Reply(msgspec.Struct):
 
 
 def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> list[dict[str, Any]]:
-    """Return the steps, each with its refused writes and its look."""
+    """Return the steps of the run. Each step has its look, if any, and the refused changes of the world model."""
     views = {look.step: _view(trace, look, observer, strip) for look in trace.looks[:_PICTURES]}
     for look in trace.looks[_PICTURES:]:
         views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks have pictures"}
@@ -331,7 +350,10 @@ def _step(step: StoredRow) -> dict[str, Any]:
 
 
 def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """Return a look with its panorama and its crop as pictures. `missing` is the reason if a picture is missing."""
+    """Return a look with two pictures: its panorama and its crop.
+
+    If a picture is missing, the value of `missing` is the reason. Otherwise the value is an empty text.
+    """
     view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
     try:
         if look.angle is not None:
@@ -343,7 +365,10 @@ def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], s
 
 
 def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """Return the evidence box and the target's box in the same frame, with the panorama and a crop of the evidence."""
+    """Return the evidence box, the target's box in the same frame (if there is one), and two pictures.
+
+    The pictures are the panorama of the frame, and a crop around the evidence box.
+    """
     target = Box(*trace.target[frame]) if frame in trace.target else None
     angle = float(center_angle(box.x, box.w))
     view: dict[str, Any] = {
@@ -386,7 +411,10 @@ def _reply(text: str) -> str:
 
 
 def _plain(text: str | None) -> str:
-    """Indent a long JSON text, including JSON objects inside its strings. Return other texts unchanged."""
+    """Indent a long JSON text, including JSON objects inside its strings.
+
+    Other texts are returned without indents. The middle of a very long text is left out.
+    """
     if not text or len(text) <= 100:
         return text or ""
     value = _decoded(text)
@@ -400,7 +428,7 @@ def _plain(text: str | None) -> str:
 
 
 def _decoded(text: str, kind: Any = Any) -> Any:
-    """Return the value of a JSON text, or the text itself if it is not JSON of this type."""
+    """Return the value of a JSON text. If the text is not JSON of the type `kind`, return the text itself."""
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeError, RecursionError):

@@ -1,7 +1,7 @@
 """The pages of the command `view`: an overview of runs and questions, one question, and a comparison of two runs.
 
 If scores are not shown, only public files are read. The pages then have no true answer, no box of the target, and no
-outcome.
+outcome of a run.
 """
 
 from __future__ import annotations
@@ -40,9 +40,10 @@ class ViewedRun:
 
     Attributes:
         manifest: The run's manifest.
-        predictions: Row of the table `predictions` by question id.
+        predictions: For each question id, the row of the table `predictions`.
         scores: By question id, the scores answer, evidence and combined, each 0 or 1. Empty if scores are not shown.
-        causes: Cause of each evidence box with the score 0, by question id. Empty if scores are not shown.
+        causes: By question id, the reason why the evidence score is 0. Questions with the evidence score 1 are missing.
+            Empty if scores are not shown.
     """
 
     manifest: RunManifest
@@ -56,19 +57,19 @@ class ViewedRun:
         return self.manifest.run_id
 
     def outcome(self, question_id: str) -> str:
-        """Return the outcome of a question, one of `SCORE_OUTCOMES`. Return "" if the question has no score."""
+        """Return the run's outcome for a question, one of `SCORE_OUTCOMES`, or "" if the question has no score."""
         if question_id not in self.scores:
             return ""
         answer, evidence, _ = self.scores[question_id]
         return SCORE_OUTCOMES[2 * (not answer) + (not evidence)]
 
     def mean(self, column: str) -> float | None:
-        """Return the mean of a column of `predictions`, or None if there are no predictions."""
+        """Return the mean of a column of `predictions`, or None if there are no predictions. A null counts as 0."""
         values = [row[column] or 0 for row in self.predictions.values()]
         return sum(values) / len(values) if values else None
 
     def count(self, status: str) -> int:
-        """Return the number of predictions that have a status."""
+        """Return the number of predictions that have the given status."""
         return sum(row["status"] == status for row in self.predictions.values())
 
     def share(self, score: int) -> float | None:
@@ -77,7 +78,7 @@ class ViewedRun:
 
 
 class Viewer:
-    """Server of the pages of `view`. If `comparison` is None, scores and answers are not shown."""
+    """Server of the pages of `view`. If `comparison` is None, the pages show no scores and no true answers."""
 
     def __init__(self, store: Store, image_root: str | None, comparison: Comparison | None) -> None:
         """Read the questions and the finished runs of a store.
@@ -256,7 +257,7 @@ def public_runs(store: Store) -> list[ViewedRun]:
 
 
 def scored_runs(comparison: Comparison) -> list[ViewedRun]:
-    """Return the runs of a comparison in the form that the pages show.
+    """Convert the scored runs of a comparison to `ViewedRun` objects.
 
     Args:
         comparison: The comparison.
@@ -284,7 +285,11 @@ def _by_question(rows: Iterable[StoredRow]) -> dict[str, StoredRow]:
 
 
 def _fits(question: QuestionRow, filters: Mapping[str, str], runs: Sequence[ViewedRun]) -> bool:
-    """Return whether a question matches all filters. The outcome and the cause must match in the same run."""
+    """Return whether a question matches all filters.
+
+    The filters of the outcome and of the cause are about runs. If one of them is given, at least one run must match
+    this filter. If both are given, at least one run must match both.
+    """
     if any(getattr(question, name) != filters[name] for name in _PUBLIC if name in filters):
         return False
     private = {name: filters[name] for name in _PRIVATE if name in filters}

@@ -33,8 +33,8 @@ class Belief(NamedTuple):
         step: Number of the step that wrote the statement.
         until: Number of the step that replaced the statement. None if the statement still holds.
         frame: Frame of the evidence, or None if there is no single frame.
-        look: Number of the step of the look that gave the evidence, or None if it is unknown.
-        votes: Number of readings for the statement, and number of readings against it.
+        look: Number of the step that made the look with the evidence, or None if the look is unknown.
+        votes: Number of readings that agree with the statement, and number of readings that contradict it.
     """
 
     person: str
@@ -65,9 +65,10 @@ def question_page(
         info: The sequence of the question.
         runs: The runs (`ViewedRun`) that have the question.
         chosen: The run to show in detail, or None.
-        transcript: Record of the chosen run's work on the question. A `Trace` if scores may be shown.
+        transcript: Record of the chosen run's work on the question. None if there is no transcript. If scores may be
+            shown, the record is a `Trace`.
         missing: Reason why there is no transcript, or an empty text.
-        near: The previous and the next question of the store, or None at the ends.
+        near: The previous and the next question of the store. None stands for a question that does not exist.
         pictured: Whether the panoramas of the store are available.
         address: The function `view.address`, which returns the address of a page.
 
@@ -117,8 +118,8 @@ def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
         transcript: Record of the shown run, or None.
 
     Returns:
-        Facts about the sequence, the frame to start with (`start`), the boxes with their frames in stitched pixels
-        (`boxes`), and the looks with their frames and columns (`looks`).
+        Facts about the sequence, the frame to start with (`start`), the boxes in stitched pixels (`boxes`), and the
+        looks with the columns that they show (`looks`). Each box and each look has its frame.
     """
     scene_data: dict[str, Any] = {"sequence": info.sequence, "fps": info.fps, "frames": info.frames}
     scene_data |= {"width": WIDTH, "height": HEIGHT, "start": info.frames[0] if info.frames else 0}
@@ -142,7 +143,7 @@ def _drawn(box: Box, frame: int, kind: str, name: str) -> dict[str, Any]:
 
 
 def _names(writes: Sequence[Written]) -> dict[str, tuple[str, int]]:
-    """Return the name and the colour number of each entity by its key."""
+    """Return a dict from the key of each entity to the entity's name and the number of its colour."""
     made = [write.fact.entity for write in writes if write.fact.entity is not None]
     return {entity.id: (entity.name, index % ROLES) for index, entity in enumerate(made)}
 
@@ -157,13 +158,13 @@ def _sightings(writes: Sequence[Written]) -> list[dict[str, Any]]:
 
 
 def beliefs(writes: Sequence[Written]) -> list[Belief]:
-    """Return the statements that writes made in a world model.
+    """Return the statements that a run has written to a world model.
 
     Args:
-        writes: Writes to the world model, in order.
+        writes: The changes that the run made to the world model, in order.
 
     Returns:
-        The statements in the order of the writes, each with its evidence.
+        The statements in the order of the changes. Each statement has its evidence.
     """
     names = _names(writes)
     taken = {write.fact.observation.id: write.fact.observation for write in writes if write.fact.observation}

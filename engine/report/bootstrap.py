@@ -35,8 +35,8 @@ class Interval:
 
     Attributes:
         value: The value, or None if it is undefined, for example because there are no questions.
-        low: Lower bound, or None if there are fewer than two sequences.
-        high: Upper bound, or None if there are fewer than two sequences.
+        low: Lower bound, or None if `value` is None or if there are fewer than two sequences.
+        high: Upper bound, or None if `value` is None or if there are fewer than two sequences.
     """
 
     value: float | None
@@ -56,12 +56,12 @@ def draws(clusters: int, n: int = DRAWS, seed: int = SEED) -> Floats:
     """Draw clusters with replacement.
 
     Args:
-        clusters: Number of clusters. Each draw takes as many clusters.
+        clusters: Number of clusters. Each draw has this number of clusters, with repetitions.
         n: Number of draws.
         seed: Seed of the random generator.
 
     Returns:
-        How many times each draw contains each cluster, as a read-only array (n, clusters).
+        A read-only array that says how many times each draw contains each cluster. Shape: (n, clusters).
     """
     generator = np.random.default_rng(seed)
     counts = generator.multinomial(clusters, np.full(clusters, 1 / clusters), size=n).astype(np.float64)
@@ -78,13 +78,14 @@ def intervals(sums: Floats, statistics: Sequence[Statistic], n: int = DRAWS, see
     """Compute statistics with their intervals.
 
     Args:
-        sums: For each cluster, the sum of each column over the questions of the cluster (clusters, columns).
-        statistics: The statistics to compute.
+        sums: For each cluster, the sums over the questions of the cluster. Each column of the array sums one property
+            of questions, such as a score. Shape: (clusters, columns).
+        statistics: The statistics to compute from the columns.
         n: Number of draws.
         seed: Seed of the draws.
 
     Returns:
-        One interval per statistic. If a statistic is undefined in a draw, its interval ignores the draw.
+        One `Interval` per statistic. If a statistic is undefined in a draw, its bounds ignore this draw.
     """
     total = sums.sum(axis=0, keepdims=True)
     values = [float(statistic(total)[0]) if len(sums) else math.nan for statistic in statistics]
@@ -107,23 +108,24 @@ def numbered_sums(numbers: Ints, count: int, columns: Floats) -> Floats:
     """Sum the rows of each group.
 
     Args:
-        numbers: Index of each row's group, in [0, count) (n).
+        numbers: Index of each row's group, from 0 to `count` - 1. Shape: (n,).
         count: Number of groups.
-        columns: Values to sum (n, columns).
+        columns: Values to sum. Shape: (n, columns).
 
     Returns:
-        The sum of each column in each group (count, columns).
+        The sum of each column in each group. Shape: (count, columns).
     """
     return np.stack([np.bincount(numbers, weights=column, minlength=count) for column in columns.T], axis=1)
 
 
 def mean_ratio(*pairs: tuple[int, int]) -> Statistic:
-    """Make the statistic that is the mean of several ratios. A ratio divides the sum of one column by another sum.
+    """Make the statistic that is the mean of several ratios.
 
-    One pair gives a plain ratio, such as a share. Several pairs give a macro average.
+    Each ratio divides the sum of one column by the sum of another column. A single ratio is, for example, a share. The
+    mean of several ratios is a macro average.
 
     Args:
-        *pairs: Indexes of the columns of each ratio: numerator and denominator.
+        *pairs: For each ratio, the index of the numerator's column and the index of the denominator's column.
 
     Returns:
         The statistic. Ratios with a denominator of 0 are left out. If all denominators are 0, the value is NaN.
@@ -149,7 +151,9 @@ def mcnemar(only_first: int, only_second: int) -> float:
         only_second: Number of questions that only the second run has right.
 
     Returns:
-        The p-value: the probability of an equally or more uneven split if both runs are equally good.
+        The p-value. It is a probability under one assumption: each question that exactly one run has right is equally
+        likely to belong to the first run or to the second run. The p-value is then the probability that the numbers of
+        questions of the two runs differ at least as much as `only_first` and `only_second` do.
     """
     n, least = only_first + only_second, min(only_first, only_second)
     # The sum is computed in integers, because 2 ** n overflows a float if the benchmark is large.
@@ -166,14 +170,15 @@ def compare(
     """Compare pairs of runs that answered the same questions.
 
     Args:
-        clusters: Index of each question's cluster (questions).
-        scores: For each run, an array of 0 and 1 (questions, scores). The questions are in the order of `clusters`.
+        clusters: Index of each question's cluster. Shape: (questions,).
+        scores: For each run, an array of 0 and 1 with one row per question, in the order of `clusters`, and one column
+            per kind of score. Shape: (questions, kinds).
         pairs: The pairs to compare, each as two indexes in `scores`.
         n: Number of draws.
         seed: Seed of the draws.
 
     Returns:
-        For each pair of runs, one `Pair` per score.
+        For each pair of runs, one `Pair` per kind of score (column).
     """
     names, numbers = np.unique(clusters, return_inverse=True)
     sums = numbered_sums(numbers, len(names), np.concatenate([*scores, np.ones((len(clusters), 1))], axis=1))

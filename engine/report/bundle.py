@@ -1,11 +1,12 @@
-"""Bundles: folders with the predictions of a run, which can be scored on another machine that has the answers.
+"""Bundles. A bundle is a folder with the predictions of a run. Another machine that has the answers can score a bundle.
 
     DIR/run.json            the run's manifest: questions, method, model and settings
     DIR/predictions.jsonl   the predictions, as `prediction_lines` writes them
     DIR/SHA256SUMS          the hashes of both files, in the format of `sha256sum -c`
 
 Bundles are untrusted. Only these three files are read, as JSON and text, and their sizes are limited. A file that does
-not match its hash is refused. The hashes prove that a bundle is unaltered since it was written, not who made it.
+not match its hash is refused. The hashes show that a bundle has not changed since it was written. They do not show
+who made it.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ class Bundle:
 
     @property
     def question_set(self) -> str:
-        """Id of the set of questions, 16 hex digits. Runs on the same questions of the same file have the same id."""
+        """Id of the set of questions that the run answered, as 16 hex digits.
+
+        Two runs have the same id if they answered the same questions of the same questions file.
+        """
         return _sha256("\n".join([self.run.questions_sha256, *sorted(self.run.question_ids)]).encode())[:16]
 
 
@@ -104,7 +108,7 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 
 def bundle_submission(store: Store, bundle: Bundle) -> Submission:
-    """Return the run of a bundle in the form that `score_run` takes.
+    """Return the run of a bundle for `score_run`, if the run belongs to the questions of the store.
 
     Args:
         store: The store that has the answers.
@@ -114,7 +118,7 @@ def bundle_submission(store: Store, bundle: Bundle) -> Submission:
         The run's manifest and predictions.
 
     Raises:
-        StoreError: If the run answered other questions than the store has.
+        StoreError: If the run belongs to another questions file than the file of the store.
     """
     if bundle.run.questions_sha256 != questions_hash(store):
         raise StoreError(f"{bundle.folder} belongs to another questions file: score it in its own store")

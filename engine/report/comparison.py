@@ -61,7 +61,7 @@ class Comparison(Displayed):
         store: The store of the runs.
         index: The questions of the store, with their labels.
         runs: The scored runs, the best run first.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
         paper: Whether the tables include the figures of the paper.
     """
 
@@ -73,12 +73,15 @@ class Comparison(Displayed):
 
     @property
     def scores(self) -> pa.Table:
-        """Rows of the table `scores` for all runs, as the function `score` would write them."""
+        """Rows of the table `scores` for all runs. The function `score` writes the same rows to files."""
         return pa.concat_tables(map(make_scores_table, self.runs))
 
     @property
     def synthetic(self) -> bool:
-        """Whether any run used the simulated model or the sample world. Scores of such a run do not describe JRDB."""
+        """Whether at least one run used the simulated model or the sample world.
+
+        The scores of such a run do not describe JRDB.
+        """
         return any(run.manifest.synthetic for run in self.runs)
 
     def table(self, name: str = "main") -> list[Row]:
@@ -96,16 +99,16 @@ class Comparison(Displayed):
         return self.tables([name])[name]
 
     def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Row]]:
-        """Compute several tables of the report. Tables that are SQL queries share one connection.
+        """Compute several tables of the report. All tables that SQL queries compute share one connection.
 
         Args:
             names: Names of `TABLES`.
 
         Returns:
-            The rows of each table, by name.
+            A dict from the name of each table to the rows of this table.
 
         Raises:
-            InputError: If no table has one of the names.
+            InputError: If a name is not in `TABLES`.
         """
         for name in names:
             if name not in TABLES:
@@ -129,7 +132,10 @@ class Comparison(Displayed):
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
     def _results(self, names: Sequence[str]) -> dict[str, list[Row]]:
-        """Run queries of `queries/results/` on these runs. Return the rows of each query, in the order of the runs."""
+        """Return the rows that queries of `queries/results/` find for the runs of this comparison.
+
+        The key of each list of rows is the name of the query. The rows of each query are in the order of `self.runs`.
+        """
         if not names:
             return {}
         order = {run.manifest.run_id: index for index, run in enumerate(self.runs)}
@@ -140,10 +146,10 @@ class Comparison(Displayed):
         return {name: sorted(table.to_pylist(), key=lambda row: order[row["run"]]) for name, table in results.items()}
 
     def causes(self) -> dict[tuple[str, str], str]:
-        """Find why evidence boxes score 0. The table `evidence_failures` counts these causes.
+        """Find the cause for each evidence box that scores 0. The table `evidence_failures` counts the boxes per cause.
 
         Returns:
-            The cause of each box that scores 0, by run id and question id.
+            The cause for each box that scores 0, by run id and question id.
         """
         # The last SELECT of the query counts the causes, so it is replaced.
         judged, _, _ = named_queries("sql")["evidence_failures"].text.rpartition("\nSELECT ")
@@ -181,12 +187,12 @@ class Comparison(Displayed):
 
 
 def score(store: Store | str | Path, runs: Sequence[str] = (), iou: float = 0.5) -> Scores:
-    """Score runs, and write `runs/<run_id>/scores.parquet` for each.
+    """Score runs, and write the file `runs/<run_id>/scores.parquet` for each scored run.
 
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The scores of each run, the best run first.
@@ -209,7 +215,7 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
     Args:
         store: The store, or its folder.
         runs: Ids of the runs. If empty, all runs of the store.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
         paper: Whether the tables include the figures of the paper.
 
     Returns:
@@ -225,7 +231,10 @@ def report(store: Store | str | Path, runs: Sequence[str] = (), *, iou: float = 
 
 @dataclass(frozen=True, repr=False)
 class RunDifference(Displayed):
-    """Comparison of two scored runs on their common questions. `rows` are the rows of the table `pairs`."""
+    """Comparison of two scored runs on their common questions.
+
+    `rows` has one row of `rows_of_pairs` for each kind of score.
+    """
 
     index: QuestionIndex
     first: ScoredRun
@@ -241,9 +250,9 @@ class RunDifference(Displayed):
         """Compare the scores of both runs on their common questions.
 
         Returns:
-            One row per score: the score of each run in percent, the difference in points with its interval, the number
-            of questions that only the first run has right, the number that only the second run has right, and the
-            p-value of the McNemar test.
+            One row per kind of score: the score of each run in percent, the difference of these scores in percentage
+            points with its interval, the number of questions that only the first run has right, the number of questions
+            that only the second run has right, and the p-value of the McNemar test.
         """
         _, first, second = self._common()
         first_means, second_means = ((100 * scores.mean(axis=0)).round(2).tolist() for scores in (first, second))
@@ -263,15 +272,15 @@ class RunDifference(Displayed):
         ]
 
     def questions(self, score: str = "combined") -> list[Row]:
-        """Return the questions for which one run scores 1 and the other run scores 0. `score` names the score.
+        """Return the questions for which one run scores 1 and the other run scores 0.
 
         Args:
-            score: A name of `SCORES`.
+            score: The kind of score to compare, a name of `SCORES`.
 
         Returns:
-            One row per question: its id, its template, its sequence, the run that has the question right (`only`), and
-            for each run whether the answer is right and whether the evidence is right. Questions that only the first
-            run has right come first.
+            One row per question. A row has the id, the template and the sequence of the question. The column `only` has
+            the id of the run that scores 1. A column for each run says what is right in this run: "answer", "evidence",
+            "both" or "none". Questions for which the first run scores 1 come first.
 
         Raises:
             InputError: If no score has this name.
@@ -297,7 +306,13 @@ class RunDifference(Displayed):
         return sorted(rows, key=lambda entry: (names.index(entry["only"]), entry["template"], entry["question_id"]))
 
     def _common(self) -> tuple[Ints, Digits, Digits]:
-        """Return the indexes of the common questions in `index`, and both runs' scores for them (questions, scores)."""
+        """Return the questions that both runs have, and the scores of each run for these questions.
+
+        Returns:
+            Three arrays. The first has the row numbers in `index` of the common questions. The second has the scores of
+            the first run, and the third has the scores of the second run. Arrays of scores have one row per common
+            question and one column per kind of score.
+        """
         common, first_rows, second_rows = np.intersect1d(self.first.rows, self.second.rows, return_indices=True)
         return common, self.first.scores[first_rows], self.second.scores[second_rows]
 
@@ -321,7 +336,7 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
         store: The store, or its folder.
         first: Id of the first run.
         second: Id of the second run.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The comparison of the two runs.
@@ -339,7 +354,7 @@ def diff(store: Store | str | Path, first: str, second: str, *, iou: float = 0.5
 
 
 def _scored(store: Store, names: Sequence[str], iou: float) -> list[ScoredRun]:
-    """Score runs, and return them with the best run first."""
+    """Score runs, and return the scored runs. The best run comes first."""
     ids = run_ids(store)
     if not ids:
         raise StoreError(f"{store.path} has no runs yet: run 'jrdb-avr evaluate --store {store.path} ...'")

@@ -1,7 +1,8 @@
-"""Directions of the ablation: whether active observation and the world model change scores as they do in the paper.
+"""Directions of the ablation: whether scores rise and fall between its cells in the same way as in the paper.
 
-The ablation has four cells: active observation on or off, times world model on or off. Two neighbouring cells differ in
-exactly one of the two factors. A direction is the sign of the change of one score between neighbouring cells.
+The ablation has four cells, one for each combination of active observation (on or off) and world model (on or off).
+Two neighbouring cells differ in exactly one of these two factors. A direction says whether one score rises or falls
+between two neighbouring cells.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ _SCORES: Final = ("answer", "evidence", "combined", "hallucination")
 
 
 def direction_lines(rows: Sequence[_Row]) -> list[str]:
-    """Count in words how many directions of an ablation table agree with the paper.
+    """Say how many directions of an ablation table agree with the paper, and list the other directions.
 
     Args:
         rows: Rows of the table `ablation`.
 
     Returns:
-        One line for each combination of model, setting and policy that has all four cells. A passive cell counts for
-        every policy, because a passive method chooses no looks.
+        One line for each combination of model, setting and policy that has all four cells. The cells without active
+        observation count for every policy, because their methods choose no looks.
     """
     measured = [row for row in rows if row["label"] != "paper"]
     lines = []
@@ -63,7 +64,10 @@ def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
 
 
 def _alike(cells: Mapping[_Cell, _Row], before: _Cell, after: _Cell, name: str) -> bool:
-    """Return whether a score changes in the paper's direction. Return False if it stays equal or is undefined."""
+    """Return whether a score and its figure in the paper both rise, or both fall, from one cell to another cell.
+
+    If the score is equal in both cells or is missing in one of them, return False.
+    """
     first, second = cells[before][name], cells[after][name]
     paper = getattr(ABLATION[_METHODS[after]], name) - getattr(ABLATION[_METHODS[before]], name)
     return first is not None and second is not None and (second - first) * paper > 0

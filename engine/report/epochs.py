@@ -18,19 +18,23 @@ def epoch_rows(runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
     """Compute pass@k and the score of the majority answer for runs that have several epochs.
 
     Args:
-        runs: Scored runs. The run id of an epoch ends in the number of the epoch.
+        runs: Scored runs. Runs form a group if their run ids differ only in the number of the epoch, which ends the id.
 
     Returns:
-        One row per run and k, in percent of the questions that all epochs have. `answer`, `evidence` and `combined` are
-        pass@k: the share of questions that at least one of k epochs has right, averaged over all choices of k epochs.
-        `majority` is the share of questions that the most frequent answer of the first k epochs has right. If several
-        answers are equally frequent, the answer that came first counts.
+        One row for each group of several runs and each k, from 1 to the number of epochs. Shares are in percent of the
+        questions that all epochs have. `answer`, `evidence` and `combined` are pass@k: the share of questions that at
+        least one of k epochs has right, averaged over all choices of k epochs. `majority` is the share of questions for
+        which the most frequent answer of the first k epochs is right. If several answers are equally frequent, the
+        answer that came first counts.
     """
     return [row for name, epochs in _groups(runs).items() if len(epochs) > 1 for row in _rows(name, epochs)]
 
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """Group runs by their run ids without the epoch at the end. Each group is sorted by epoch."""
+    """Group runs by the part of the run id that comes before the epoch. Sort the runs of each group by epoch.
+
+    Runs that are not epochs are left out.
+    """
     groups: dict[str, dict[int, ScoredRun]] = {}
     for run in runs:
         epoch, run_id = run.manifest.settings.get("epoch"), run.manifest.run_id
@@ -68,12 +72,15 @@ def _rows(name: str, epochs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
 
 
 def _pass(total: int, correct: int, k: int) -> float:
-    """Return the share of all choices of k out of `total` epochs that contain at least one of the `correct` epochs."""
+    """Return the probability that k epochs, drawn from `total` epochs, include at least one correct epoch.
+
+    The argument `correct` is the number of correct epochs.
+    """
     return 1 - math.comb(total - correct, k) / math.comb(total, k)
 
 
 def _majority(given: Sequence[str | None]) -> int:
-    """Return the index of the first epoch that has the most frequent answer, or 0 if no epoch answered."""
+    """Return the index of the first epoch that gave the most frequent answer, or 0 if no epoch has an answer."""
     counts = Counter(answer for answer in given if answer is not None)
     # Counter keeps equally frequent answers in the order of their first occurrence.
     return given.index(counts.most_common(1)[0][0]) if counts else 0

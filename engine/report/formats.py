@@ -15,7 +15,7 @@ Rows = Sequence[Mapping[str, Any]]
 _MARKDOWN: Final = str.maketrans({letter: f"\\{letter}" for letter in "\\`*[]|"} | {"&": "&amp;", "<": "&lt;"})
 
 MARK: Final = "*"
-"""Mark after the `n` of a run that has another number of questions than most runs."""
+"""Mark that follows the value of `n` if this value differs from the `n` of most runs."""
 
 _PRINTED: Final = ("label", "n", "answer", "evidence", "combined", "hallucination", "invalid")
 """Score columns of the table `main` in a paper, in order. They follow the columns that name the run."""
@@ -32,7 +32,7 @@ def cell(value: object, column: str = "", decimals: int = 2) -> str:
     Args:
         value: The value. None becomes "n/a".
         column: The name of the value's column. Floats in the column `p` get four decimals.
-        decimals: Number of decimals of floats in other columns.
+        decimals: Number of decimals of floats in all columns other than `p`.
 
     Returns:
         The text.
@@ -48,12 +48,13 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
     """Put each share and its interval into one cell, such as `12.50 [8.10, 17.20]`.
 
     Args:
-        rows: Rows with columns `NAME`, `NAME_low` and `NAME_high`.
+        rows: Rows of a table. If the column `NAME` has shares, the columns `NAME_low` and `NAME_high` have the bounds
+            of their intervals.
 
     Returns:
-        The rows with all values as text. Rows with too few sequences have no intervals. If there are such rows, the
-        column `interval` says so. If each run has only one row, a mark follows each `n` that differs from the `n` of
-        most runs.
+        The rows with all values as text. A row with too few sequences has no intervals. If at least one row
+        has too few sequences, all rows keep the column `interval`, which says which rows these are. If each run has
+        only one row, a mark follows each value of `n` that differs from the most frequent value.
     """
     rows = without_rough(rows)
     few = any(row.get("interval") == TOO_FEW for row in rows)
@@ -71,28 +72,28 @@ def with_intervals(rows: Rows) -> list[dict[str, str]]:
 
 
 def other_counts(rows: Rows) -> set[int]:
-    """Find the values of `n` that differ from the `n` of most runs.
+    """Find the values in the column `n` that differ from the most frequent value in this column.
 
     Args:
-        rows: Rows of a table.
+        rows: Rows of a table. Rows without a run are ignored.
 
     Returns:
-        The values. The set is empty if a run has several rows.
+        The values that differ. If at least one run has several rows, the set is empty.
     """
     runs = [row["n"] for row in rows if row.get("run") and "n" in row] if _of_runs(rows) else []
     return set(runs) - set(sorted(runs, key=lambda n: (-runs.count(n), -n))[:1])
 
 
 def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
-    """Format the rows of a table of a report for a paper, with intervals.
+    """Format the rows of a report's table, with intervals, so that the table can be printed in a paper.
 
     Args:
         name: The name of the table.
         rows: The rows of the table.
 
     Returns:
-        The rows with all values as text. The table `main` has no macro averages. Its rows are grouped by model. The
-        model of the first row comes first.
+        The rows with all values as text. If the table is `main`, the macro averages are left out, and the rows are
+        grouped by model. The groups are in the order in which their models first occur.
     """
     printed: list[dict[str, Any]] = with_intervals(rows)
     if name != "main":
@@ -110,7 +111,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
 
 
 def without_rough(rows: Rows) -> list[dict[str, Any]]:
-    """Remove the bounds of intervals from rows that have too few sequences.
+    """Remove the bounds of intervals from each row that has too few sequences for an interval.
 
     Args:
         rows: Rows with a column `interval`.
@@ -128,7 +129,7 @@ def without_rough(rows: Rows) -> list[dict[str, Any]]:
 
 
 def _of_runs(rows: Rows) -> bool:
-    """Return whether each run has at most one row."""
+    """Return whether each run has at most one of the rows."""
     names = [row["run"] for row in rows if row.get("run")]
     return len(set(names)) == len(names)
 
@@ -153,8 +154,8 @@ def markdown(rows: Rows) -> str:
 def latex(rows: Rows) -> str:
     """Return rows as a LaTeX table for the package booktabs.
 
-    If values repeat in the first column, rules separate the groups of equal values. Settings are long, so a cell of
-    the column `setting` has only the number of a note. The notes are below the table.
+    If values repeat in the first column, horizontal lines separate the groups of equal values. Settings are long,
+    so a cell of the column `setting` has only the number of a note. The notes are below the table.
 
     Args:
         rows: The rows. `cell` formats their values.

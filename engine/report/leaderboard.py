@@ -1,4 +1,4 @@
-"""Score bundles by the answers of one store, and rank them. Each set of questions has its own ranking."""
+"""Score bundles with the answers of one store, and rank the bundles. Each set of questions has its own ranking."""
 
 from __future__ import annotations
 
@@ -43,8 +43,9 @@ class Leaderboard(Displayed):
     """Scored bundles.
 
     Attributes:
-        sets: For each question set, its entries. The entry with the best combined score comes first.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        sets: One list of entries for each question set. In each list, the entry with the best combined score comes
+            first.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
     """
 
     sets: list[list[Entry]]
@@ -52,12 +53,15 @@ class Leaderboard(Displayed):
 
     @property
     def rows(self) -> list[Row]:
-        """All entries as rows of plain values, one question set after another."""
+        """All entries as rows of plain values. The entries of a question set are together."""
         return [entry.flat() for entries in self.sets for entry in entries]
 
     @property
     def synthetic(self) -> bool:
-        """Whether any bundle used the simulated model or the sample world. Its scores would not describe JRDB."""
+        """Whether at least one bundle used the simulated model or the sample world.
+
+        The scores of such a bundle do not describe JRDB.
+        """
         return any(entry.bundle.run.synthetic for entries in self.sets for entry in entries)
 
     def _summary(self) -> str:
@@ -68,12 +72,12 @@ class Leaderboard(Displayed):
 
 
 def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Leaderboard:
-    """Score bundles and rank them by their combined score. Equal scores share a rank.
+    """Score bundles and rank them by their combined score. Bundles with equal combined scores have the same rank.
 
     Args:
         store: The store that has the answers, or its folder.
         folders: Folders of bundles. A bundle that cannot be scored is left out with an AvrWarning.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The leaderboard. Each set of questions has its own ranking. The set with the most questions comes first.
@@ -103,19 +107,20 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
 
 
 def score_bundles(store: Store | str | Path, folders: Sequence[str | Path], iou: float = DEFAULT_IOU) -> Scores:
-    """Score bundles by the answers of a store. Nothing is written.
+    """Score bundles with the answers of a store. Nothing is written.
 
     Args:
         store: The store that has the answers, or its folder.
         folders: Folders of bundles.
-        iou: Minimum IoU of the evidence box and the target's box for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The scores of each bundle, in the order of the folders.
 
     Raises:
         InputError: If a bundle is altered or broken.
-        StoreError: If a bundle belongs to another questions file, or if its predictions do not match its questions.
+        StoreError: If a bundle answers the questions of another file than the questions file of the store, or if the
+            predictions of a bundle do not match the questions of the bundle.
     """
     return Scores(
         [

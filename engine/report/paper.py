@@ -1,4 +1,4 @@
-"""Figures that the JRDB-AVR paper reports. Tables show them for reference in rows with the label "paper".
+"""Figures that the JRDB-AVR paper reports. Tables show these figures for reference, in rows with the label "paper".
 
 The figures describe the paper's own 2,098 questions about JRDB, not the questions of a store. The paper has five groups
 of questions, and this project has seven families: `GROUPS` says which families form a group.
@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 
 
 class Group(NamedTuple):
-    """A group of questions in the paper, with the counts of right predictions.
+    """A group of questions in the paper, with counts of the right predictions of the paper's agent.
 
     Attributes:
-        families: This project's families that form the group.
+        families: The question families of this project that correspond to this group of the paper.
         n: Number of questions.
         answer: Number of questions with a right answer.
         evidence: Number of questions with right evidence.

@@ -1,4 +1,4 @@
-"""Agreement between people who answered the same questions."""
+"""Agreement between people that answered the same questions of a store."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ HUMAN: Final = "human"
 
 
 def agreement_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[dict[str, Any]]:
-    """Compute for each pair of people how often they agree.
+    """Compute how often people agree, for each pair of runs of people.
 
     Args:
         index: The questions of the store, with their labels.
         runs: Scored runs. Runs that are not of a person are ignored.
 
     Returns:
-        One row per pair of runs, in percent of their n common questions. `same_answer` is the share of questions with
-        equal answers: each answer would score if the answer of the other person were the true answer. `answer`,
-        `evidence` and `combined` are the shares of questions that both runs have right or both have wrong.
+        One row per pair of runs that have common questions. Shares are in percent of the `n` common questions.
+        `same_answer` is the share of questions to which both people gave equal answers. Two answers are equal
+        if each answer scores 1 when it is compared with the other answer as the true answer. `answer`, `evidence` and
+        `combined` are the shares of questions for which both runs have an equal score of this kind (0 or 1).
     """
     people = sorted((run for run in runs if run.manifest.method == HUMAN), key=lambda run: run.manifest.run_id)
     rows = []

@@ -60,7 +60,7 @@ _SAME: Final = tuple(name for name in PredictionLine.__struct_fields__ if name n
 
 
 def write_lines(predictions: pa.Table) -> Iterator[bytes]:
-    """Write predictions as lines. The lines have no run id, because a run id is chosen when they are imported.
+    """Write predictions as lines. The lines have no run id, because a new run id is chosen when lines are imported.
 
     Args:
         predictions: Rows of the table `predictions`.

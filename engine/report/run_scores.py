@@ -78,7 +78,7 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     Args:
         truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         submission: The run.
-        iou: Minimum IoU for right evidence, in (0, 1].
+        iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
 
     Returns:
         The run with its scores. Its questions are in the order of `truth`.
@@ -115,9 +115,10 @@ def score_runs(
     Args:
         truth: The true answers and evidence of all questions of the store, in the order of `sort_by_sequence`.
         sources: Run ids, or folders of bundles.
-        read: Called with each source. It returns the run of the source.
-        iou: Minimum IoU for right evidence, in (0, 1].
-        refuse: Called with the error when a run cannot be scored. If it returns, the run is left out.
+        read: Function that is called with each source and returns the run of the source.
+        iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
+        refuse: Function that is called with the error if a run cannot be scored. If the function returns, the run is
+            left out. If the function raises the error, no further run is scored.
 
     Returns:
         Each source with its scored run, without the sources that cannot be scored.
@@ -137,7 +138,7 @@ def write_scores(store: Store, run: ScoredRun, iou: float) -> None:
     Args:
         store: The store of the run.
         run: The scored run.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
     """
     path = store.run_path(run.manifest.run_id) / "scores.parquet"
     write_table(path, make_scores_table(run), RUNS["scores"], {"evidence_iou": f"{iou:g}"})

@@ -39,7 +39,7 @@ class Labels(NamedTuple):
 
     Attributes:
         names: The distinct labels, in the order in which tables list the labels.
-        numbers: For each question the index of its label in `names`.
+        numbers: For each question, the index of its label in `names`.
     """
 
     names: tuple[str, ...]
@@ -70,12 +70,12 @@ class ScoredRun:
 
     Attributes:
         manifest: The run's manifest.
-        rows: Index of each question of the run in `ids`, ascending (n).
-        scores: 0 or 1 for answer, evidence and combined (n, 3).
-        invalid: 1 if the output of the model could not be read, else 0 (n).
+        rows: Indexes in `ids` of the run's questions, ascending. Shape: (n,).
+        scores: The three scores of each question, each 0 or 1: answer, evidence, combined. Shape: (n, 3).
+        invalid: 1 for each question for which the output of the model could not be read, else 0. Shape: (n,).
         errors: Number of questions that ended in an error or have no prediction.
         ids: Ids of all questions of the store.
-        answers: The predicted answer to each question as JSON, or None if there is no answer (n).
+        answers: The predicted answer to each of the n questions as JSON, or None without an answer.
     """
 
     manifest: RunManifest
@@ -110,7 +110,7 @@ def read_index(store: Store) -> QuestionIndex:
 
 
 def percent_of(part: float, n: float) -> float | None:
-    """Return a part as a percentage of `n`, rounded to two decimals.
+    """Return `part` as a percentage of `n`, rounded to two decimals.
 
     Args:
         part: The part.
@@ -129,7 +129,10 @@ def _labels(texts: pa.ChunkedArray) -> Labels:
 
 
 def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
-    """Rename labels, and sort the new names. `names` has the new name of each old one. Unused names are removed."""
+    """Rename labels, and sort the new names. New names that no question has are left out.
+
+    The argument `names` has one new name for each old name, in the order of the old names in `labels.names`.
+    """
     used = {names[index] for index in np.unique(labels.numbers).tolist()}
     order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
     indexes = {name: index for index, name in enumerate(order)}
@@ -137,7 +140,10 @@ def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
 
 
 def _first_number(value: str) -> float:
-    """Return the number that a name states. For a bin, return its lower bound. For any other name, return -1."""
+    """Return the number that a name consists of, or the lower bound if the name is a bin such as "[5, 15)".
+
+    For all other names, return -1.
+    """
     try:
         return float(value.lstrip("[").partition(",")[0])
     except ValueError:
@@ -150,7 +156,7 @@ Path = tuple[str, ...]
 
 
 def distinguishing_settings(runs: Sequence[ScoredRun]) -> dict[str, str]:
-    """Summarise the settings that differ between runs of the same method and model.
+    """Summarise, for each run, the settings that differ between runs of the same method and model.
 
     The address of the server and the results of the server's checks are left out, because they change when the server
     restarts.
@@ -181,7 +187,11 @@ def _in_words(leaves: dict[Path, str], others: Sequence[dict[Path, str]]) -> str
 
 
 def _leaves(path: Path, settings: Any) -> Iterator[tuple[Path, str]]:
-    """Yield the path and the value of every setting. A value that is not a text is written as JSON."""
+    """Yield the path and the value of every setting. Values are texts.
+
+    A path consists of the keys that lead to the setting in the nested dicts, the outermost key first. A value that is
+    not a text becomes JSON.
+    """
     if isinstance(settings, dict) and (settings or not path):
         for name, value in settings.items():
             yield from _leaves((*path, str(name)), value)

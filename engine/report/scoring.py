@@ -3,7 +3,7 @@
 Each question of a run has one row with three scores of 0 or 1. The answer score compares the answer with the true
 answer under the question's answer mode (`schema/answer_modes.py`). The evidence score compares the evidence box with
 the target's box. The combined score is the product of the two scores. Missing, unreadable and failed predictions score
-0, so that means are over all questions of the run.
+0. Therefore each mean covers all questions of the run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jrdb_avr.schema.panorama import WIDTH
 from jrdb_avr.schema.tables import RUNS
 
 DEFAULT_IOU: Final = 0.5
-"""Default minimum IoU of the evidence box and the target's box for right evidence."""
+"""Default minimum IoU with the target's box that makes an evidence box right."""
 
 
 def score_predictions(
@@ -33,14 +33,14 @@ def score_predictions(
     """Score the predictions of a run.
 
     Args:
-        truth: The true answers and evidence. All questions of the run must be among its questions.
+        truth: The true answers and evidence. It must have all questions of the run.
         run_id: The id of the run, for the table and for messages.
-        question_ids: The ids of the run's questions (n).
+        question_ids: The ids of the run's n questions.
         predictions: Rows of the table `predictions`, in any order.
-        iou: Minimum IoU for right evidence, in (0, 1].
+        iou: Minimum IoU of the evidence box and the target's box, in (0, 1]. Evidence with a smaller IoU is wrong.
 
     Returns:
-        The table `scores` with one row per question of the run, in the order of `question_ids` (n).
+        The table `scores` with one row per question of the run, in the order of `question_ids`.
 
     Raises:
         StoreError: If `truth` lacks a question of the run, if a prediction is not about a question of the run, or if a
@@ -95,10 +95,10 @@ def find_questions(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> I
     Args:
         ids: The ids of the store's questions.
         run_id: The id of the run, for messages.
-        question_ids: The ids of the run's questions (n).
+        question_ids: The ids of the run's n questions.
 
     Returns:
-        The index of each question in `ids` (n).
+        The row numbers of the run's questions in `ids`, in the order of `question_ids`. Shape: (n,).
 
     Raises:
         StoreError: If the store lacks a question of the run, or if the run lists a question twice.
@@ -113,7 +113,10 @@ def find_questions(ids: pa.Array, run_id: str, question_ids: Sequence[str]) -> I
 
 
 def is_judged(status: pa.ChunkedArray) -> Bools:
-    """Return whether each prediction can score (n). A missing prediction or one that ended in an error cannot score."""
+    """Return whether each prediction can get a score above 0. Shape: (n,).
+
+    Missing predictions, and predictions that ended in an error, always score 0.
+    """
     return _flags(pc.is_in(status, value_set=pa.array(["answered", "invalid"])))
 
 
@@ -121,11 +124,12 @@ def read_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
     """Read the evidence of predictions.
 
     Args:
-        predictions: Rows of the table `predictions` (n).
+        predictions: n rows of the table `predictions`.
 
     Returns:
-        Frame indexes (n), boxes as x, y, w, h in stitched pixels (n, 4), and whether each frame and box can be scored:
-        the box is complete and finite, and the frame is in [0, FRAME_LIMIT) (n).
+        Three arrays. The first has the indexes of the frames. Shape: (n,). The second has the boxes as x, y, w, h in
+        stitched pixels. Shape: (n, 4). The third says whether each evidence can be scored: its box is complete and
+        finite, and its frame is at least 0 and less than `FRAME_LIMIT`. Shape: (n,).
     """
     box = np.stack([predictions[f"evidence_{side}"].to_numpy().astype(np.float64) for side in "xywh"], axis=1)
     frame = pc.fill_null(predictions["evidence_frame"], -1).to_numpy().astype(np.int64)
@@ -133,16 +137,16 @@ def read_boxes(predictions: pa.Table) -> tuple[Ints, Floats, Bools]:
 
 
 def find_target_boxes(truth: Truth, rows: Ints, frame: Ints) -> tuple[Bools, Floats]:
-    """Find the box of each question's target at one frame per question.
+    """Find, for each question, the box of the question's target in a given frame.
 
     Args:
         truth: The true answers and evidence.
-        rows: Index of each question in `truth` (n).
-        frame: Index of the frame for each question (n).
+        rows: For each question, its row number in `truth`. Shape: (n,).
+        frame: Index of the frame in which the target's box is sought, for each question. Shape: (n,).
 
     Returns:
-        Whether the target has a box in the frame (n), and the box as x, y, w, h in stitched pixels (n, 4). If the
-        target has no box, the four values have no meaning.
+        Two arrays. The first says whether the target has a box in the frame. Shape: (n,). The second has the box as x,
+        y, w, h in stitched pixels. Shape: (n, 4). If the target has no box, these four values have no meaning.
     """
     if not len(truth.keys):
         return np.zeros(len(rows), dtype=bool), np.zeros((len(rows), 4))
@@ -152,16 +156,17 @@ def find_target_boxes(truth: Truth, rows: Ints, frame: Ints) -> tuple[Bools, Flo
 
 
 def box_ious(first: Floats, second: Floats) -> Floats:
-    """Compute the IoU of boxes row by row. Boxes may cross the seam of the panorama.
+    """Compute the IoU of each box in `first` with the box in the same row of `second`.
 
-    The function gives the same values as `iou` of `schema/panorama.py`, but for arrays.
+    Boxes may cross the seam of the panorama. The values are the same as those of `iou` in `schema/panorama.py`, which
+    compares one pair of boxes per call.
 
     Args:
-        first: Boxes as x, y, w, h in stitched pixels (n, 4).
-        second: Boxes in the same form (n, 4).
+        first: Boxes as x, y, w, h in stitched pixels. Shape: (n, 4).
+        second: Boxes as x, y, w, h in stitched pixels. Shape: (n, 4).
 
     Returns:
-        The IoU of each row's two boxes. It is 0 if a box has no area (n).
+        The IoU for each row, 0 if one of the row's boxes has no area. Shape: (n,).
     """
     ax, ay, aw, ah = first.T
     bx, by, bw, bh = second.T

@@ -46,7 +46,7 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
     Args:
         index: The questions of the store, with their labels.
         runs: Scored runs.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         One row per run: the scores with 95 % intervals (bootstrap over sequences), and macro averages of the scores
@@ -96,8 +96,8 @@ def interval_label(sequences: int) -> str:
         sequences: Number of sequences that the row's questions are about.
 
     Returns:
-        `INTERVALS`, or `TOO_FEW` if there are fewer than `LEAST_CLUSTERS` sequences. Printed tables omit the bounds of
-        rows with `TOO_FEW`.
+        `TOO_FEW` if there are fewer than `LEAST_CLUSTERS` sequences, otherwise `INTERVALS`. In printed tables, rows
+        with `TOO_FEW` have no bounds of intervals.
     """
     return INTERVALS if sequences >= LEAST_CLUSTERS else TOO_FEW
 
@@ -121,7 +121,7 @@ def _with_bounds(name: str, interval: Interval) -> Row:
 
 
 def published_rows() -> list[Row]:
-    """Return the rows of the paper's main table. They have those columns of `main_rows` that the paper reports."""
+    """Return the rows of the paper's main table, with the columns of `main_rows` that the paper reports."""
     return [_published(row) for row in MAIN]
 
 
@@ -134,7 +134,7 @@ def _published(row: Published) -> Row:
 
 
 def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: str) -> list[Row]:
-    """Compute the scores of each run separately for each value of a dimension, such as each family.
+    """Compute the scores of each run for each value of a dimension, such as for each family.
 
     Args:
         index: The questions of the store, with their labels.
@@ -142,7 +142,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
         dimension: A name of `DIMENSIONS`.
 
     Returns:
-        One row for each value and each run that has questions with this value, grouped by value.
+        For each value, one row per run that has questions with this value.
     """
     labels = index.labels[dimension]
     columns = [np.concatenate([np.ones((run.n, 1)), run.scores, run.invalid[:, None]], axis=1) for run in runs]
@@ -159,7 +159,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
 
 
 def published_groups() -> list[Row]:
-    """Return the scores of the paper's agent in each of the paper's groups, in the columns of `breakdown_rows`."""
+    """Return one row per group of the paper: the scores of the paper's agent, in the columns of `breakdown_rows`."""
     return [
         {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
         | {name: percent_of(getattr(counts, name), counts.n) for name in SCORES}
@@ -173,7 +173,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
 
     Args:
         run: The scored run.
-        iou: Minimum IoU for right evidence.
+        iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
 
     Returns:
         The scores of the run in percent of the run's questions.
@@ -183,7 +183,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
 
 
 def _totals(run: ScoredRun) -> list[int]:
-    """Return the counts of a whole run, in the order of the arguments of `_shares`."""
+    """Return the arguments of `_shares` for a run: numbers of questions, in the order of the arguments."""
     return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
 
 
@@ -202,14 +202,14 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 
 
 def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Row]:
-    """Compute the table `ablation`: scores with and without active observation and the world model, by policy.
+    """Compute the table `ablation`: scores for each combination of active observation and world model (on or off).
 
     Args:
         runs: Scored runs. Runs of methods that are not in `CELLS` are ignored.
         published: Whether to add the rows of the paper's ablation.
 
     Returns:
-        One row per run, grouped by model and setting.
+        One row per run, with the run's policy. Rows are grouped by model and setting.
     """
     methods = list(CELLS)
     among = [run for run in runs if run.manifest.method in methods]
@@ -233,7 +233,7 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
 
 
 def _policy(run: ScoredRun) -> str:
-    """Return the policy of an agent's run, which says who chose the looks."""
+    """Return the policy of a run of an agent. The policy says whether the program or the model chose the looks."""
     return str(run.manifest.settings.get("method", {}).get("policy", "model"))
 
 
@@ -248,7 +248,8 @@ def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
         runs: Scored runs.
 
     Returns:
-        The rows of `rows_of_pairs`. The runs of a pair are in alphabetical order of method, model and run id.
+        The rows of `rows_of_pairs` for all pairs. The first run of a pair is the one that comes first in alphabetical
+        order of method, model and run id.
     """
     # The order of a pair does not depend on scores, so that a difference keeps its sign when scores change.
     return rows_of_pairs(index, list(combinations(sorted(runs, key=_name), 2)))
@@ -262,9 +263,10 @@ def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredR
         pairs: The pairs of scored runs.
 
     Returns:
-        One row for each pair and score: the number of questions that only the first run has right, the number that only
-        the second run has right, the p-value of the exact McNemar test, and the difference of the runs in points with
-        its interval. A pair without a common question has no row.
+        One row for each pair and each kind of score: the number of questions that only the first run has right, the
+        number of questions that only the second run has right, the p-value of the exact McNemar test, and the score of
+        the second run minus the score of the first run, in percentage points with an interval. A pair without a common
+        question has no row.
     """
     groups: dict[bytes, tuple[Ints, list[int]]] = {}
     for index_of_pair, (first, second) in enumerate(pairs):

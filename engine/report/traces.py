@@ -28,13 +28,13 @@ _DIGITS: Final = 8
 
 @dataclass(frozen=True)
 class Look:
-    """A look of a run: a crop or a whole panorama.
+    """A look of a run. It shows a crop of a frame, or the whole panorama of a frame.
 
     Attributes:
         step: Index of the look's step.
         frame: Index of the frame.
         angle: Panorama angle of the crop's centre in degrees, or None for a whole panorama.
-        left: Left column of the crop in stitched pixels.
+        left: Left column of the crop in stitched pixels. 0 for a whole panorama.
     """
 
     step: int
@@ -44,7 +44,7 @@ class Look:
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """Columns of the panorama that the look shows, as (start, width). A crop across the seam has two spans."""
+        """Spans of panorama columns that the look shows, as (start, width). A crop across the seam has two spans."""
         if self.angle is None:
             return [(0, WIDTH)]
         over = self.left + CROP - WIDTH
@@ -58,7 +58,7 @@ class Written:
     Attributes:
         row: The write's row of the table `world`.
         step: Index of the step that made the write.
-        until: Index of the step whose write replaced this write, or `ALWAYS` if no write replaced it.
+        until: Index of the step that replaced this write by a later write. `ALWAYS` if this write was never replaced.
         fact: The written fact.
     """
 
@@ -75,11 +75,11 @@ class Transcript:
         manifest: The run's manifest.
         question: The question's row of the table `questions`.
         prediction: The question's row of the table `predictions`.
-        fps: Frames per second of the sequence.
+        fps: Frames per second of the question's sequence.
         steps: The question's rows of the table `steps`, sorted by step.
-        looks: The looks among the steps, in order.
-        writes: All writes to the world model, in order.
-        refused: The writes that the world model refused. The list `writes` has them too.
+        looks: The looks that the steps record, in the order of the steps.
+        writes: All writes to the world model, in the order in which they were made.
+        refused: The writes that the world model refused. These are also in `writes`.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:

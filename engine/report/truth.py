@@ -1,4 +1,4 @@
-"""True answers and evidence of a store's questions, as arrays that are compared with predictions."""
+"""True answers and evidence of a store's questions, as arrays, so that they can be compared with predictions."""
 
 from __future__ import annotations
 
@@ -34,17 +34,18 @@ class Truth:
     """True answers of n questions, and the boxes of the questions' targets.
 
     Attributes:
-        ids: Id of each question (n).
-        modes: Answer mode of each question (n).
-        answers: True answer to each question (n).
-        seconds: Number of frames per second in the sequence of each question (n).
-        targets: Index of each question's target among all people who have boxes, or -1 if the target has no box (n).
-        keys: `frame_key` of the person and the frame of each box, ascending (boxes).
-        boxes: Boxes as x, y, w, h in stitched pixels, in the order of `keys` (boxes, 4).
+        ids: Id of each of the n questions.
+        modes: Answer mode of each of the n questions.
+        answers: True answer to each of the n questions.
+        seconds: Number of frames per second in the sequence of each of the n questions.
+        targets: Index of each question's target among the people that have boxes. -1 for a target without a box.
+            Shape: (n,).
+        keys: Key of each box, ascending. `frame_key` makes it from the person and the frame. Shape: (boxes,).
+        boxes: Boxes as x, y, w, h in stitched pixels, in the order of `keys`. Shape: (boxes, 4).
     """
 
     def __init__(self, questions: pa.Table, sequences: pa.Table, answers: pa.Table, evidence: pa.Table) -> None:
-        """Join tables of the folder `questions/`. The tables may lack rows and columns that are not needed.
+        """Join four tables of the folder `questions/`. Rows and columns that are not needed here may be missing.
 
         Raises:
             StoreError: If a table lacks a row that another table refers to, or if an answer cannot be read.
@@ -95,14 +96,16 @@ def read_truth(store: Store) -> Truth:
 
 
 def frame_key(person: Ints, frame: Ints) -> Ints:
-    """Combine the index of a person and the index of a frame into one key. Keys sort by person, then by frame.
+    """Combine, in each row, the index of a person and the index of a frame into one key.
+
+    If the keys are sorted, they are sorted by person, and the keys of each person are sorted by frame.
 
     Args:
-        person: Indexes of people (n). A negative index gives a negative key.
-        frame: Indexes of frames in [0, FRAME_LIMIT) (n).
+        person: Indexes of people. A negative index gives a negative key. Shape: (n,).
+        frame: Indexes of frames, at least 0 and less than `FRAME_LIMIT`. Shape: (n,).
 
     Returns:
-        The keys (n).
+        The keys. Shape: (n,).
     """
     return person * FRAME_LIMIT + frame
 
@@ -124,29 +127,29 @@ def read_answer(mode: str, text: str | None) -> Answer | None:
 
 
 def row_numbers(values: Any, among: Any) -> Ints:
-    """Find the row of each value in an array.
+    """Find the row number in the array `among` of each value in `values`.
 
     Args:
-        values: The values to find, as an Arrow array (n).
+        values: Arrow array of the n values to find.
         among: The Arrow array to search.
 
     Returns:
-        The index of each value in `among`, or -1 if `among` does not have the value (n).
+        The row number in `among` for each value, or -1 if `among` does not have the value. Shape: (n,).
     """
     rows: Ints = pc.fill_null(pc.index_in(values, value_set=among), -1).to_numpy(zero_copy_only=False).astype(np.int64)
     return rows
 
 
 def find_rows(among: pa.ChunkedArray, values: Any, table: str) -> Ints:
-    """Find, for each value, the row of a column that has this value. The column is of a table in `questions/`.
+    """Find the row number in a column of each value in `values`. A missing value is an error.
 
     Args:
-        among: The column to search.
-        values: The values to find (n).
-        table: The name of the column's table. The error message states this name.
+        among: The column to search. It belongs to a table in the folder `questions/`.
+        values: The n values to find.
+        table: The name of the column's table, for the error message.
 
     Returns:
-        The index of each value in `among` (n).
+        The row number in `among` for each value. Shape: (n,).
 
     Raises:
         StoreError: If a value is not in the column.

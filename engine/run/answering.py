@@ -43,7 +43,7 @@ _LIBRARIES: Final = tuple({sysconfig.get_path(name) for name in ("stdlib", "plat
 
 
 class Entries(Protocol):
-    """A collection of finished questions that can grow, such as a journal."""
+    """A collection with one entry per finished question. Entries can be added. A journal is such a collection."""
 
     @property
     def finished(self) -> Mapping[str, Finished]:
@@ -54,7 +54,10 @@ class Entries(Protocol):
 
 
 class _Stopped(BaseException):
-    """Signal to a method that the run has ended. `except Exception` does not catch it, as it is a BaseException."""
+    """Exception that ends the work of a method because the run has ended.
+
+    It is a BaseException, so that `except Exception` in a method does not catch it.
+    """
 
 
 def answer_one(
@@ -73,8 +76,8 @@ def answer_one(
         sequence: The sequence of the question.
         observe: The function that returns a crop of a frame.
         panorama: The function that returns the whole panorama of a frame.
-        stopped: Called before each call that the method makes to a function of its task. If it returns True, the
-            question ends without an entry.
+        stopped: Function that is called each time before the method looks at a picture or records something. If
+            `stopped` returns True, the question ends without an entry.
 
     Returns:
         The entry for the journal. Its status is "error" if the method raises an exception or returns no prediction.
@@ -88,7 +91,10 @@ def answer_one(
     calls: Counter[str] = Counter()
 
     def counted(name: str, function: Callable[..., R]) -> Callable[..., R]:
-        """Wrap a function so that its successful calls are counted. A call raises _Stopped if the run has ended."""
+        """Return a function that calls `function` and counts the successful calls under `name`.
+
+        If `stopped()` is true, the returned function raises _Stopped instead.
+        """
 
         def call(*values: Any, **named: Any) -> R:
             if stopped():
@@ -133,7 +139,7 @@ def answer_one(
 
 
 def _reason(error: BaseException) -> str:
-    """Return an exception as one line: its message, and the line of the method's code that raised it.
+    """Return an exception as one line of text: its message, and the line of the method's code that raised it.
 
     The message begins with the type of the exception, unless this package defines the exception.
     """
@@ -152,7 +158,7 @@ def _reason(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def for_many_threads() -> Iterator[None]:
-    """Limit OpenCV to one thread and switch Python threads less often while a block runs."""
+    """Limit OpenCV to one thread and switch Python threads less often, in a `with` block or a decorated function."""
     import cv2
 
     pool, interval = cv2.getNumThreads(), sys.getswitchinterval()
@@ -177,7 +183,7 @@ def answer_all(
     concurrency: int,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> None:
-    """Answer each question that has no entry in the journal, and each question that ended in an error.
+    """Let a method answer each question that has no entry in the journal, and each question that ended in an error.
 
     Worker threads call the method, and the calling thread alone appends to the journal. The workers are daemon threads,
     so that an interrupt ends the process within seconds. An interrupt loses only the questions that are in progress.

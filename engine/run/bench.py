@@ -23,13 +23,13 @@ from jrdb_avr.schema.method import Question, Record, RecordWrite, Task
 
 
 class Bench:
-    """Questions of a store and their pictures, for methods, people and agents. Many threads may share a bench.
+    """Questions of a store with their pictures, for methods, people and agents. Many threads may share a bench.
 
         bench = Bench.open("store")
         episode = bench.episode(bench.questions[0].question_id)
 
     Attributes:
-        questions: The questions, in order. If names are opaque, the questions have the opaque names of their sequences.
+        questions: The selected questions. If names are opaque, the questions have the opaque names of their sequences.
         sequences: All sequences of the store, by name. If names are opaque, the keys are the opaque names.
         observed: The sequences of the questions in `questions`, sorted by real name.
         observer: The source of the pictures of the sequences in `observed`.
@@ -94,7 +94,7 @@ class Bench:
         return cls(store, chosen, image_root, opaque)
 
     def question(self, question_id: str) -> Question:
-        """Return the question that has an id. Raise InputError if the bench has no question with this id."""
+        """Return the question with the given id. Raise InputError if the bench has no question with this id."""
         if question_id not in self._by_id:
             raise InputError(f"no question {question_id[:40]!r} among the {len(self.questions)}", field="question_id")
         return self._by_id[question_id]
@@ -144,7 +144,10 @@ _LABELS_BESIDE: Final = ("image_stitched", "images")
 
 
 def root_of_images(images: str | Path) -> Path:
-    """Return JRDB's root folder if it contains the given folder of panoramas. Otherwise return the given folder."""
+    """Return the root folder of JRDB for a folder of panoramas that is inside a copy of JRDB.
+
+    For any other folder, return this folder itself.
+    """
     root = Path(images).resolve()
     for name in _LABELS_BESIDE:
         root = root.parent if root.name == name else root

@@ -1,6 +1,6 @@
 """Connect to the server of a model: check it before a run, start the simulated model, and store calibrations.
 
-STORE/conventions/<model>.json    the calibration of a model: how the model writes boxes, as `calibrate` measured
+STORE/conventions/<model>.json    the calibration of a model, in which `calibrate` stores how the model writes boxes
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from jrdb_avr.schema.errors import EndpointError, StoreError
 
 
 class Endpoint:
-    """A model server that has been checked (preflight).
+    """A model server that has been checked. The checks are called preflight.
 
     Attributes:
         convention: How the model writes boxes.
@@ -45,14 +45,14 @@ class Endpoint:
         method: str | None = None,
         strict: bool = False,
     ) -> None:
-        """Send the requests of the preflight to a server, and compare `options` with the options of the calibration.
+        """Send the requests of the preflight to a server. Compare `options` with the options of the calibration.
 
         Args:
             calibration: The calibration of the model, or None.
             model: The id of the model.
             base_url: The address of the server.
             options: The options of the requests.
-            cache: The file that stores finished calls. None stores none.
+            cache: The file that stores finished calls. If None, calls are not stored.
             method: The name of the method. Only checks that this method needs must pass. If None, all checks must pass.
             strict: Whether to raise an error if a check that must pass fails. Otherwise, `warnings` lists the failure.
 
@@ -88,20 +88,20 @@ class Endpoint:
         }
 
     def changed(self) -> str:
-        """Return a warning if a later reply names another model than the first reply. Otherwise return ""."""
+        """Return a warning if the server named another model in a later reply than in its first reply, otherwise ""."""
         others = ", ".join(ascii(name) for name in self.client.served if name != self.served)
         return f"the server changed its model during the run: {self.served!a}, then {others}" if others else ""
 
 
 @contextlib.contextmanager
 def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Knobs | None = None) -> Iterator[str]:
-    """Yield the address of a model's server. If the server is the simulated model's, it is stopped after the block.
+    """Yield the address of a model's server. A server that this function starts is stopped after the `with` block.
 
     Args:
         model: The id of the model.
         base_url: The address of a running server. None starts the server of the simulated model.
         log: The log file of the simulated model. None writes no log.
-        knobs: The knobs of the simulated model. Default: the knobs of its profile.
+        knobs: The knobs of the simulated model. Default: the knobs of the profile that `model` names.
 
     Yields:
         The address.
@@ -124,7 +124,11 @@ def serving(model: str, base_url: str | None, log: Path | None = None, knobs: Kn
 
 
 def convention_path(store: Store, model: str) -> Path:
-    """Return the calibration file of a model. If the model's id cannot be a file name, it is shortened and hashed."""
+    """Return the path of the calibration file of a model.
+
+    The name of the file is the id of the model. If the id cannot be a file name, the name of the file consists of a
+    shortened id and a hash.
+    """
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", model).strip("-.")[:80]
     if plain != model or not is_plain_name(plain):
         plain = f"{plain or 'model'}-{hashlib.sha256(model.encode()).hexdigest()[:8]}".replace("..", "-")

@@ -92,13 +92,13 @@ class RunResult(Displayed):
         }
 
     def commonest_reason(self, status: str) -> tuple[str, int]:
-        """Return the most frequent reason among the questions with a status.
+        """Return the most frequent reason among the questions with the given status.
 
         Args:
             status: "error" or "invalid".
 
         Returns:
-            The reason, and the number of questions that have it. "" and 0 if no question has the status.
+            The reason, and the number of questions with this reason. ("", 0) if no question has the status.
         """
         ended = self.predictions.filter(pc.equal(self.predictions["status"], status))
         reasons = Counter(ended["reason"].to_pylist()).most_common(1)
@@ -217,7 +217,7 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
 
 
 def name_run(store: Store, method: str | Method, model: str, options: EvaluateOptions) -> str:
-    """Return the id of the run that `evaluate` makes with the same arguments.
+    """Return the id of the run that `evaluate` would make if it were called with these arguments.
 
     Args:
         store: The store of the run.
@@ -226,8 +226,8 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
         options: The argument `options` of `evaluate`.
 
     Returns:
-        The id, which ends in the shard and the epoch if the run has them. The same arguments always give the same id,
-        so that the run can be resumed.
+        The id. If the run is a shard, the id ends in the shard. If the run has an epoch, the id ends in the epoch.
+        Equal arguments always give an equal id, so that the run can be resumed.
 
     Raises:
         InputError: If the run id in the options is not a plain name.
@@ -243,12 +243,12 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
 
 
 def name_player(method: str, policy: Policy | None) -> str:
-    """Return "METHOD-POLICY", or only the name of the method if the policy is the method's default."""
+    """Return "METHOD-POLICY". If the policy is None or the default of the method, return only the method's name."""
     return method if policy in (None, default_policy(method)) else f"{method}-{policy}"
 
 
 def default_run_id(method: str, model: str) -> str:
-    """Return the run id that is made of the names of a method and a model, with at most 80 characters."""
+    """Make a run id from the name of a method and the id of a model. The run id has at most 80 characters."""
     text = f"{Path(method).name.replace('.py:', '-')}-{model}"
     return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:80]
 
@@ -270,7 +270,7 @@ def _knobs(model: str, options: EvaluateOptions) -> Knobs | None:
 def _connect(
     run: Run, method: str | Method, model: str, options: EvaluateOptions, knobs: Knobs | None
 ) -> Iterator[Endpoint]:
-    """Check the server of a model, warn of each failed check, and yield the server."""
+    """Check the server of a model, issue a warning for each failed check, and yield the server."""
     folder, endpoint = run.store.run_path(run.run_id), options.endpoint
     with serving(model, endpoint.base_url, folder / "marker.jsonl", knobs) as url:
         calibration = read_calibration(run.store, model)
@@ -297,7 +297,10 @@ def _make(
 
 @contextlib.contextmanager
 def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | None) -> Iterator[WorldModel | None]:
-    """Yield the run's world model, which has all facts of the journal. Yield None for a method without world model."""
+    """Yield the run's world model, which has all facts of the run's journal.
+
+    If the method has no world model, yield None.
+    """
     if method not in WORLD_METHODS:
         yield None
         return

@@ -1,7 +1,10 @@
-"""Let a person answer questions on the page `play`: each request of the page is a move in an episode.
+"""Let a person answer questions on the page `play`.
 
-The person sees what the method ReAct sees: the question, its legal frames, and a crop for each look. The rules and the
-budget are the same. Only public files of the store are read. No response says whether an answer is right.
+The page sends each move as a request, and the episode of the question carries out the move.
+
+The person sees what the method ReAct sees: the question, the frames that may be looked at, and a crop for each look.
+The person has the same rules and the same budget as ReAct. Only public files of the store are read. No response says
+whether an answer is right.
 """
 
 from __future__ import annotations
@@ -24,7 +27,10 @@ from jrdb_avr.schema.method import Observation
 
 
 class _Move(msgspec.Struct, forbid_unknown_fields=True):
-    """A move, and the id of its question. The id shows whether the move belongs to a question that has ended."""
+    """A move that the page sends, and the id of the question that the move is for.
+
+    The id shows whether this question has ended before the move arrived.
+    """
 
     question_id: str
     move: dict[str, Any]
@@ -34,7 +40,10 @@ _MOVE: Final = msgspec.json.Decoder(_Move)
 
 
 class HumanDesk:
-    """Handler of the requests that one person's page sends. The person answers the questions of a run in turn."""
+    """Handler of the requests that one person's page sends.
+
+    The person answers the questions of a run one after another.
+    """
 
     def __init__(self, bench: Bench, run: Run, page: str) -> None:
         self._bench, self._run, self._page = bench, run, page
@@ -53,7 +62,7 @@ class HumanDesk:
             The page as HTML, the state of the question as JSON, or a picture as JPEG.
 
         Raises:
-            AvrError: If the request is unknown, or if it cannot be carried out.
+            AvrError: If the request is unknown, or if the request cannot be carried out.
         """
         with self._lock:
             match request.method, request.path:
@@ -91,14 +100,14 @@ class HumanDesk:
         return self._state(error)
 
     def _record(self) -> None:
-        """Add the question to the run if the question has ended. Raise StoreError if writing fails."""
+        """Append the current question to the run if the question has ended. Raise StoreError if writing fails."""
         play = self._play
         if play is not None and play.episode.over and play.episode.question.question_id in self._due:
             play.record(self._run)
             self._due.remove(play.episode.question.question_id)
 
     def _state(self, error: str = "") -> Response:
-        """Begin the next question if none is in progress, and return everything that the page shows, as JSON."""
+        """Begin the next question if no question is in progress, and return the content of the page as JSON."""
         if self._play is None and self._due:
             self._play, self._observations = Play.begin(self._bench, self._due[0]), []
         state: dict[str, Any] = {"due": len(self._due), "questions": len(self._bench.questions), "error": error}

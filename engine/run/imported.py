@@ -1,4 +1,4 @@
-"""Import predictions that another program made, as a run of a store."""
+"""Import predictions that another program made. The imported predictions become a run of a store."""
 
 from __future__ import annotations
 
@@ -71,14 +71,17 @@ def import_predictions(store: Store | str | Path, path: str | Path, run_id: str 
 
 
 def _in_order(predictions: pa.Table, questions: Sequence[QuestionRow]) -> pa.Table:
-    """Return the predictions sorted by sequence and question id, as all tables of runs are."""
+    """Sort predictions by sequence and question id. All tables of runs are sorted in this way."""
     ordered = sorted((question.sequence, question.question_id) for question in questions)
     ids = predictions["question_id"].combine_chunks()
     return predictions.take(pc.index_in(pa.array([name for _, name in ordered], pa.string()), value_set=ids))
 
 
 def _has_begun(store: Store, run_id: str, settings: dict[str, str]) -> bool:
-    """Return whether an import of the same file has begun this run. Raise StoreError if it has other predictions."""
+    """Return whether an earlier import of the same file has begun the run.
+
+    Raise StoreError if the run exists, but an import of this file has not begun it.
+    """
     if has_manifest(store, run_id):
         manifest = read_run_manifest(store, run_id)
         if (manifest.method, manifest.settings, manifest.questions_sha256) == (

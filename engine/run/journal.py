@@ -1,6 +1,6 @@
 """Store each finished question of a run in a journal on disk, and write the tables of the run from the journal.
 
-    runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, synced to disk when it finishes
+    runs/<run_id>/journal/<sequence>.jsonl    one line per finished question, on disk as soon as the question finishes
     runs/<run_id>/predictions.parquet, steps.parquet, world.parquet   written from the journal when the run ends
 
 If a run is killed, its journal keeps all finished questions. The tables are sorted by sequence and question.
@@ -59,7 +59,10 @@ _KINDS: Final[dict[pa.DataType, Any]] = {
 
 
 def _row_type(table: str) -> Any:
-    """Return the msgspec type that checks a row of a table. Arrow would silently convert 0.9 to 0 and True to 1.0."""
+    """Return the msgspec type that checks rows of a table.
+
+    Arrow alone would not refuse wrong types: it would turn 0.9 into 0, and True into 1.0.
+    """
     fields = [field for field in RUNS[table] if field.name != "run_id"]
     kinds = [(f.name, _KINDS[f.type] | None if f.nullable else _KINDS[f.type]) for f in fields]
     return msgspec.defstruct(table, kinds, forbid_unknown_fields=True)
@@ -87,8 +90,8 @@ def finished_entry(
         The entry.
 
     Raises:
-        ValueError: If the journal or a table would change a value or cannot hold it. In some of these cases, msgspec
-            and Arrow raise errors of other types.
+        ValueError: If the journal or a table would change a value, or cannot hold a value. Instead of ValueError, an
+            error type of msgspec or Arrow may be raised.
     """
     evidence, answer = prediction.evidence, prediction.answer
     box: Sequence[float | None] = (None,) * 4 if evidence is None else evidence.box
@@ -109,7 +112,7 @@ def finished_entry(
 
 
 def _check(entry: Finished, question: Question) -> None:
-    """Raise ValueError or a msgspec error if an entry is not valid, or if storing would change it."""
+    """Raise ValueError or a msgspec error if an entry is invalid, or if storing would change the entry."""
     line, row = msgspec.json.encode(entry), entry.prediction
     _STORABLE.decode(line)
     if _FINISHED.decode(line) != entry:
@@ -123,7 +126,11 @@ def _check(entry: Finished, question: Question) -> None:
 
 
 def _row(table: str, record: object, **given: Any) -> dict[str, Any]:
-    """Return a row of a table of `RUNS` without the run id. Columns that are not in `given` come from the record."""
+    """Return a row of a table of `RUNS` without the run id.
+
+    The values of some columns are in `given`. The value of each other column is the attribute of `record` that has the
+    name of the column.
+    """
     names = [name for name in RUNS[table].names if name not in given and name != "run_id"]
     values = {name: getattr(record, name) for name in names}
     # UTF-8 cannot hold lone surrogates, so they are escaped in long texts. A later check refuses them in names.
@@ -141,7 +148,13 @@ def unanswered(questions: Iterable[Question], finished: Mapping[str, Finished]) 
 
 
 class LinePosition(NamedTuple):
-    """Position of a line in a journal: the sequence of its file, the offset of the line, and its length in bytes."""
+    """Position of a line in a journal.
+
+    Attributes:
+        sequence: The sequence of the questions in the file that has the line.
+        at: Offset of the line in this file, in bytes.
+        size: Length of the line in bytes.
+    """
 
     sequence: str
     at: int
@@ -149,14 +162,19 @@ class LinePosition(NamedTuple):
 
 
 class KeptEntries(Mapping[str, Finished]):
-    """Entries of a journal by question id. Each access reads the entry from disk, because transcripts are large."""
+    """Entries of a journal by question id. Each access reads an entry from disk, because entries may be large."""
 
     def __init__(self, folder: Path, positions: dict[str, LinePosition]) -> None:
-        """Hold the folder of the journal, and the position of the line of each question."""
+        """Store where the entries are.
+
+        Args:
+            folder: The folder of the journal.
+            positions: The position of each question's line in the journal, by question id.
+        """
         self._folder, self._positions = folder, positions
 
     def add(self, question_id: str, position: LinePosition) -> None:
-        """Store the position of a question's line. It replaces the position of an earlier line of the question."""
+        """Store the position of a question's line, in place of the position of an earlier line of this question."""
         self._positions[question_id] = position
 
     def of(self, question_ids: Iterable[str]) -> KeptEntries:
@@ -205,11 +223,11 @@ def segments(folder: Path) -> list[Path]:
 
 @contextlib.contextmanager
 def journal_lock(folder: Path, doing: str) -> Iterator[None]:
-    """Hold the lock of a journal while a block runs.
+    """Hold the lock of a journal inside a `with` block.
 
     Args:
         folder: The folder of the journal.
-        doing: Text to append to the error message, such as a further remedy.
+        doing: Text that is appended to the message of the LockedError, such as advice to the user.
 
     Raises:
         LockedError: If another process holds the lock.
@@ -233,7 +251,7 @@ class Journal(contextlib.ExitStack):
     """
 
     def __init__(self, folder: Path, sequence_of: Mapping[str, str]) -> None:
-        """Open the journal and take its lock. If a crash cut off the last line of a file, remove that line.
+        """Open the journal and take its lock. If the last line of a file was cut off by a crash, remove the line.
 
         Args:
             folder: The folder of the journal.
@@ -298,7 +316,10 @@ class Journal(contextlib.ExitStack):
 
 
 def _read_line(path: Path, number: int, line: bytes) -> str:
-    """Return the question id of a line. Raise StoreError if the line is damaged or does not fit the tables."""
+    """Return the question id of a line of the journal.
+
+    Raise StoreError if the line is damaged, or if its entry does not fit the tables of the run.
+    """
     try:
         entry = _FINISHED.decode(line)
         for name in _TABLES:
@@ -309,7 +330,7 @@ def _read_line(path: Path, number: int, line: bytes) -> str:
 
 
 def _sync(folder: Path) -> None:
-    """Sync a folder to the disk, so that a new file in it survives a crash. Raise OSError if that fails."""
+    """Sync a folder to the disk, so that a new file in it survives a crash. Raise OSError if syncing fails."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -334,7 +355,7 @@ def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
     Args:
         run_id: The id of the run.
         name: "predictions", "steps" or "world".
-        entries: The entries. The rows of the table are in the same order.
+        entries: The entries. The rows of the table are in the order of the entries.
 
     Returns:
         The table.
@@ -350,7 +371,8 @@ def run_table(run_id: str, name: str, entries: Iterable[Finished]) -> pa.Table:
 def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
     """Write the tables of a run, sorted by sequence, question and step.
 
-    Each row group holds at most `_GROUP` questions. A sequence is divided only if it has more questions than that.
+    Each row group of a file holds at most `_GROUP` questions. The questions of a sequence are in one row group, unless
+    the sequence has more than `_GROUP` questions.
 
     Args:
         store: The store.
@@ -375,7 +397,10 @@ def write_tables(store: Store, run_id: str, finished: KeptEntries) -> pa.Table:
 
 
 def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
-    """Yield groups of at most `_GROUP` questions. A list in `parts` is divided only if it is longer than that."""
+    """Yield groups of at most `_GROUP` questions.
+
+    The questions of a list in `parts` are in one group, unless the list has more than `_GROUP` questions.
+    """
     group: list[str] = []
     for part in parts:
         if len(group) + len(part) > _GROUP and group:
@@ -390,6 +415,6 @@ def _packed(parts: Iterable[list[str]]) -> Iterator[list[str]]:
 
 
 def world_rows(run_id: str, finished: Mapping[str, Finished]) -> pa.Table:
-    """Return the table `world` of all entries that did not end in an error."""
+    """Return the table `world` of a run, without the rows of questions that ended in an error."""
     entries = (finished[name] for name in sorted(finished))
     return run_table(run_id, "world", (entry for entry in entries if not entry.failed))

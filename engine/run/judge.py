@@ -2,10 +2,11 @@
 
     python -m jrdb_avr.engine.run.judge STORE
 
-The child process reads the answers. Each line of its standard input is a row of `predictions` as JSON. For each row,
-the child prints four digits: the answer score, the evidence score, the combined score, and 1 if the output of the model
-could not be read (else 0). If the child cannot read the answers, it prints one line with the reason. The child
-ends when its standard input closes.
+The child process reads the answers and prints `ready`. If it cannot read the answers, it prints one line with the
+reason, and ends. Each line of its standard input is a row of `predictions` as JSON. For each row, the child prints a
+line with four digits: the answer score, the evidence score, the combined score, and 1 if the output of the model could
+not be read (else 0). If the store lacks the question of the row, this line is `unknown`. The child ends when its
+standard input closes.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class QuestionScore(NamedTuple):
 
 
 class Judge(contextlib.ExitStack):
-    """Judge that compares predictions with the answers of a store. Threads that share a judge take turns.
+    """Scorer of single predictions, which uses the answers of a store. If threads share a judge, they take turns.
 
     Example:
         with Judge.open("store") as judge:
@@ -70,7 +71,10 @@ class Judge(contextlib.ExitStack):
 
     @classmethod
     def open(cls, store: Store | str | Path) -> Judge:
-        """Return the judge of a store. Raise StoreError if the store's answers are missing or cannot be read."""
+        """Start a judge that uses the answers of a store, and return the judge.
+
+        Raise StoreError if the store's answers are missing or cannot be read.
+        """
         return cls(Store.of(store))
 
     def score(self, question: Question, prediction: Prediction) -> QuestionScore:
@@ -91,7 +95,10 @@ class Judge(contextlib.ExitStack):
         return self.score_row(finished_entry(question, prediction, (), (), 0.0).prediction)
 
     def score_row(self, row: Mapping[str, Any]) -> QuestionScore:
-        """Return the scores of a row of `predictions`. Raise the same errors as `score`, except ValueError."""
+        """Return the scores of a row of `predictions`.
+
+        Raise InputError if the store has no answer to the question, or StoreError if the child process has ended.
+        """
         with self._lock:
             try:
                 assert self._process.stdin is not None, "stdin is a pipe"
@@ -125,7 +132,10 @@ class Judge(contextlib.ExitStack):
 
 
 def judge_lines(store: Store, lines: IO[str]) -> None:
-    """Read rows of `predictions` as JSON lines, and print the four digits of each row."""
+    """Read rows of `predictions` from lines of JSON, and print one line of scores for each row.
+
+    The docstring of this module describes the printed lines.
+    """
     import pyarrow as pa
 
     from jrdb_avr.engine.report.scoring import score_predictions

@@ -1,6 +1,7 @@
 """Compute the scores of a run while it is in progress. `Judge` scores each finished question.
 
-The scores never reach the method. If the store has no answers, or if scoring fails, no further scores are reported.
+The scores never reach the method. If the store has no answers, no scores are reported. If scoring fails later, no
+further scores are reported.
 """
 
 from __future__ import annotations
@@ -20,7 +21,14 @@ from jrdb_avr.schema.errors import AvrError
 
 @dataclass(frozen=True, slots=True)
 class LiveScore:
-    """Scores so far: the number of judged questions, and the number of these questions that have each score."""
+    """Scores of a run in progress, as counts of questions.
+
+    Attributes:
+        judged: Number of questions that have been scored so far.
+        answer: Number of these questions with the answer score 1.
+        evidence: Number of these questions with the evidence score 1.
+        combined: Number of these questions with the combined score 1.
+    """
 
     judged: int
     answer: int
@@ -36,12 +44,12 @@ class LiveScore:
 def report_scores(
     store: Store, before: Iterable[Finished], report: Callable[[LiveScore], None]
 ) -> Iterator[Callable[[Finished], None]]:
-    """Score the questions of a run in another thread while a block runs.
+    """Score the questions of a run in another thread while the `with` block runs.
 
     Args:
         store: The store, which has the answers.
-        before: Entries of the questions that finished before the block.
-        report: Called from the other thread with the scores so far, each time they change.
+        before: Entries of the questions that finished before the block began.
+        report: Function that is called from the other thread each time the scores change, with the scores so far.
 
     Yields:
         A function that the block must call with the entry of each finished question. If a question has several

@@ -30,7 +30,7 @@ _KEYS: Final = ("run", "id", "episode", "source", "target", "observation", "free
 
 
 def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -> pa.Table:
-    """Make one run of all shards of a run. The shards remain in the store.
+    """Join all shards of a run in one new run. The shards remain in the store.
 
     Args:
         store: The store, or its folder. The shards are runs of this store.
@@ -41,8 +41,8 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
         The table `predictions` of the new run.
 
     Raises:
-        StoreError: If a shard is missing or unfinished, if shards differ in questions, method, model or settings, if
-            the shards together lack a selected question or have further questions, or if the new run exists.
+        StoreError: If a shard is missing or unfinished, if shards differ in selection, method, model or settings, if
+            the questions of all shards together are not exactly the selected questions, or if the new run exists.
         LockedError: If another process uses a shard, or uses the graph of the store.
     """
     store = Store.of(store)
@@ -75,7 +75,7 @@ def merge_runs(store: Store | str | Path, run_ids: Sequence[str], run_id: str) -
 
 
 def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, Any]:
-    """Return the selection of the whole run. Raise StoreError if the runs are not all shards of one run."""
+    """Return the selection of the whole run. Raise StoreError if the runs are not exactly the shards of one run."""
     first, shards = manifests[0], [_shard(manifest) for manifest in manifests]
     whole, (_, count) = shards[0]
     for manifest, (selection, (_, shard_count)) in zip(manifests, shards, strict=True):
@@ -95,7 +95,7 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
 
 
 def _shard(manifest: RunManifest) -> tuple[QuestionSelection, tuple[int, int]]:
-    """Return the selection of the whole run, and a pair: the index of the shard from 1, and the number of shards."""
+    """Return the selection of the whole run, and the pair (I, N) of a run that is shard I of N. I starts at 1."""
     try:
         selection = msgspec.convert(manifest.selection, QuestionSelection)
     except msgspec.ValidationError as error:
@@ -106,7 +106,7 @@ def _shard(manifest: RunManifest) -> tuple[QuestionSelection, tuple[int, int]]:
 
 
 def _rename_world(entry: Finished, old: str, new: str) -> Finished:
-    """Return a copy of an entry. In all facts of the copy, the new run id replaces the old run id."""
+    """Return a copy of an entry in which all facts have the run id `new` instead of the run id `old`."""
     world = [{**row, "fact": _rename_fact(row["fact"], old, new)} for row in entry.world]
     return msgspec.structs.replace(entry, world=world)
 
@@ -124,7 +124,10 @@ def _rename_fact(fact: str, old: str, new: str) -> str:
 
 
 def _join_calls(folders: Sequence[Path], folder: Path) -> None:
-    """Join the stored model calls of all shards in one file, so that a resumed run need not repeat these calls."""
+    """Write the stored model calls of all shards to one file, for a new run that may be resumed.
+
+    A resumed run does not repeat the calls in this file.
+    """
 
     def write(path: Path) -> None:
         with path.open("wb") as joined:

@@ -1,9 +1,9 @@
 """Make a built-in or custom method from its name. The name is the value of `evaluate --method`.
 
-The name of a custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is a function or a class. It is
-called with the chat client, or with None if the run has no model, and must return a `schema.method.Method`. If the
-method has a function `settings()`, the run stores the settings that it returns. A custom method runs with all rights of
-the user.
+The name of a custom method is FILE.py:NAME, or MODULE:NAME of an installed module. NAME is a function or a class. This
+function or class is called with the chat client, or with None if the run has no model. It must return a
+`schema.method.Method`. If the method has a function `settings()`, the run stores the settings that this function
+returns. A custom method runs with all rights of the user.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
-"""Name of the model in the manifest of a run whose method calls no model."""
+"""Name that a manifest has instead of the id of a model if the method of the run calls no model."""
 
 METHODS: Final = (
     "monolithic",
@@ -57,18 +57,18 @@ WORLD_METHODS: Final = ("agent", "agent-passive")
 
 
 def default_policy(method: object) -> Policy:
-    """Return the policy that a method has if the user names no policy."""
+    """Return the policy that a method uses if the user names no policy."""
     return "driven" if method in DRIVABLE else "model"
 
 
 @contextlib.contextmanager
 def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel]:
-    """Yield the world model of a run in a graph file, and close it at the end of the block.
+    """Yield the world model of a run, which is in a graph file. Close the file at the end of the `with` block.
 
     Args:
         path: The graph file. If it is missing, a new file is made.
         run_id: The id of the run.
-        record: The run's world rows so far. Facts that the graph lacks are written to it before the block starts.
+        record: The run's rows of the table `world` so far. Facts that the graph lacks are first written to the graph.
 
     Yields:
         The world model.
@@ -103,7 +103,7 @@ def make_method(
         convention: How the model writes boxes.
         world: The world model, which a method of `WORLD_METHODS` needs.
         policy: The policy of an agent. Default: `default_policy`.
-        history: Maximum number of pictures that a method of `CHATS` sends in a turn. None sends all.
+        history: Maximum number of pictures that a method of `CHATS` sends in a turn. If None, it sends all pictures.
 
     Returns:
         The method.
@@ -132,7 +132,7 @@ _SPEC: Final = re.compile(r"(?P<where>.+):(?P<name>[A-Za-z_][A-Za-z0-9_]*)")
 
 
 class CustomMethod:
-    """A custom method and its settings, which a run records. A user's method need not have settings of its own."""
+    """A custom method with the settings that a run records. The user's method need not have a function `settings()`."""
 
     def __init__(self, spec: str, method: Any) -> None:
         if not callable(getattr(method, "answer", None)) or not isinstance(getattr(method, "name", None), str):

@@ -1,7 +1,7 @@
 """Replace the names of sequences by opaque names, because a real name tells a method where a recording was made.
 
-An opaque name is made of the HMAC-SHA256 of the real name. The key is the file `opaque.key` of the store, so that all
-runs of a store have the same opaque names. No module of `agent` opens this file.
+An opaque name is made of the HMAC-SHA256 of the real name. The key of the HMAC is in the file `opaque.key` of the
+store, so that a sequence has the same opaque name in all runs of the store. No module of `agent` opens this file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _KEY_BYTES: Final = 32
 
 
 def key_path(store: Store) -> Path:
-    """Return the path of the file with the store's key."""
+    """Return the path of the file that holds the store's key."""
     return store.path / "opaque.key"
 
 
@@ -37,14 +37,14 @@ def opaque_names(store: Store, sequences: Iterable[str]) -> dict[str, str]:
         The opaque name of each sequence, by real name.
 
     Raises:
-        StoreError: If the key file is damaged, or if the key file cannot be read or written.
+        StoreError: If the file with the key is damaged, or if this file cannot be read or written.
     """
     key = _key(key_path(store))
     return {name: "sequence-" + hmac.digest(key, name.encode(), "sha256").hex()[:16] for name in sequences}
 
 
 def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return a copy of a table in which the sequences have new names.
+    """Return a copy of a table. In the copy, the sequences have new names.
 
     Args:
         table: A table that has the column `sequence`.
@@ -58,13 +58,17 @@ def rename_sequences(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
 
 
 def key_fingerprint(store: Store) -> str:
-    """Return a text that identifies the store's key without revealing it. Raise StoreError as `opaque_names` does."""
+    """Return a text that identifies the store's key without revealing the key.
+
+    If the store has no key, write a new key. Raise StoreError if the file with the key is damaged, or if this file
+    cannot be read or written.
+    """
     # The opaque name of "" depends only on the key. No run uses this name, because no sequence has an empty name.
     return opaque_names(store, [""])[""].removeprefix("sequence-")
 
 
 def _key(path: Path) -> bytes:
-    """Return the key. If the file is missing, write a new key that only the owner of the file can read."""
+    """Return the key that a file contains. If the file is missing, first write a new key to it, for its owner only."""
     if not path.exists():
         write_once(path, secrets.token_hex(_KEY_BYTES).encode())
     try:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 class QuestionSelection(Options):
     """Options that select the questions of a run. The default is all questions.
 
-    If several tuples are not empty, a question must match all of these tuples. The same selection from the same store
-    always gives the same list. A larger `limit` or `per_template` only adds questions to the list, so that a run can
-    grow.
+    A tuple that is not empty is a filter: it lists the permitted values. If there are several filters, a question must
+    match all of them. The same options always select the same questions of a store. A larger `limit` or `per_template`
+    only adds questions to the selection, so that a run can grow.
     """
 
     questions: tuple[str, ...] = option((), "Ids of questions, separated by commas, or a file with one id per line.")
@@ -43,8 +43,8 @@ class QuestionSelection(Options):
     seed: int | None = option(None, "Take questions in the random order of this seed. Default: the order of the store.")
     shard: tuple[int, int] | None = option(
         None,
-        "Answer shard I of N: the selected questions of the Ith sequence by name and of every Nth sequence after it. "
-        "The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
+        "Sort the sequences by name. Answer the selected questions of the Ith sequence and of each Nth sequence after "
+        "it. The name of the run ends in -IofN. 'runs merge' makes one run of all N shards.",
         metavar="I/N",
     )
 
@@ -70,7 +70,10 @@ class QuestionSelection(Options):
         return questions if limit is None else replace(questions, limit=limit)
 
     def record(self) -> dict[str, Any]:
-        """Return the options that differ from their defaults, as plain JSON. Empty if all questions are selected."""
+        """Return the options that differ from their defaults, as plain JSON.
+
+        The result is empty if all questions are selected.
+        """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         given = {name: value for name, value in values.items() if value not in (None, ())}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
@@ -83,7 +86,8 @@ class MethodOptions(Options):
     policy: Policy | None = option(
         None,
         "Who chooses where agent and agent-no-world look. 'model': the model. 'guided': the model, from the program's "
-        "proposals. 'driven' (default): the program. With 'guided' or 'driven', the model gets one picture at a time.",
+        "proposals. 'driven' (default): the program. With 'guided' or 'driven', the model gets one picture at a time. "
+        "With a policy that is not the default, the run is named METHOD-POLICY-MODEL unless --run-id is given.",
         choices=POLICIES,
     )
     history: int | None = option(
@@ -95,7 +99,7 @@ class MethodOptions(Options):
     )
     opaque: bool = option(
         False,
-        "Replace the names of sequences by hashes in what the method sees. All runs of a store use the same hashes.",
+        "Replace the names of sequences by hashes in all that the method sees. All runs of a store share the hashes.",
     )
     marker: Knobs | None = option(
         None,
@@ -107,13 +111,13 @@ class MethodOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Options):
-    """Options of the run itself: its name, its files, and how it proceeds.
+    """Options of the run itself, such as its id, its files, and the questions that it answers at the same time.
 
     To answer the same questions several times, make several runs that differ in `epoch`: 1, 2, 3 and so on. The name of
     such a run ends in its epoch. In each epoch, the simulated model has another seed.
     """
 
-    run_id: str | None = option(None, "Run name. Default: METHOD-MODEL (with another --policy: METHOD-POLICY-MODEL).")
+    run_id: str | None = option(None, "Name of the run. Default: METHOD-MODEL, such as react-marker or human-ada.")
     resume: bool = option(
         False,
         "Continue a run that was stopped. Questions that ended in an error are asked again. If more questions are "

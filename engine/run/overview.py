@@ -41,9 +41,11 @@ def list_runs(store: Store | str | Path) -> list[dict[str, Any]]:
         store: The store, or its folder.
 
     Returns:
-        One row per run, sorted by run id: method, model, label, state, number of questions, number of questions of each
-        status, and start time. The state is "complete", "unfinished", "damaged", or "other questions". The state "other
-        questions" means that the questions of the store have changed since the run.
+        One row per run, sorted by run id. A row has the method, the model, the label, the state, the number of
+        questions, the number of questions with each status, and the start time. The label is "synthetic" or empty. The
+        state is "complete", "unfinished", "damaged", or "other questions". The state
+        "other questions" means that the questions of the store have changed since the run. The row of a damaged run has
+        no numbers.
     """
     store = Store.of(store)
     if not run_ids(store):
@@ -87,8 +89,8 @@ def show_run(store: Store | str | Path, run_id: str) -> dict[str, Any]:
         run_id: The id of the run.
 
     Returns:
-        The row of `list_runs`, the selection, the settings, the folder, and the most frequent reasons of invalid
-        predictions and of errors, all as plain values.
+        A dict of plain values: the run's row of `list_runs`, its selection, settings and folder, and the most frequent
+        reasons of its invalid predictions and of its errors.
 
     Raises:
         StoreError: If the run is missing or damaged.
@@ -154,14 +156,17 @@ def _require(store: Store, run_id: str) -> None:
 
 @contextlib.contextmanager
 def _idle(folder: Path) -> Iterator[None]:
-    """Hold the lock of a run's journal while a block runs. Raise LockedError if the run is in progress."""
+    """Hold the lock of a run's journal inside a `with` block. Raise LockedError if the run is in progress."""
     journal = journal_folder(folder)
     with journal_lock(journal, "") if journal.exists() else contextlib.nullcontext():
         yield
 
 
 def _predictions(store: Store, run_id: str) -> list[dict[str, Any]]:
-    """Return the status and reason of each finished question. If no table was written, read them from the journal."""
+    """Return the status and the reason of each finished question.
+
+    Both texts are read from the table `predictions`, or from the journal if this table has not been written yet.
+    """
     folder = store.run_path(run_id)
     path = folder / "predictions.parquet"
     try:

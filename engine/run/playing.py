@@ -1,4 +1,4 @@
-"""Make the run of a player: a person, or an agent outside this program. The player answers move by move."""
+"""Make the run of a player. A player answers questions move by move, and is a person or an external agent."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def played_run(
     images: str | Path | None = None,
     opaque: bool = False,
 ) -> Iterator[tuple[Bench, Run]]:
-    """Yield the bench and the run of a player. Write the tables of the run when the block ends or is interrupted.
+    """Yield the bench and the run of a player. When the `with` block ends or is interrupted, write the run's tables.
 
     Args:
         store: The store.
@@ -75,7 +75,7 @@ def due_questions(bench: Bench, run: Run) -> list[str]:
 
 @dataclass
 class Play:
-    """A question in progress: its episode, its recorded steps, and the value of `time.perf_counter()` at its start."""
+    """A question in progress: its episode, the recorded steps, and `time.perf_counter()` at the start of the play."""
 
     episode: Episode
     steps: list[Step]
@@ -88,6 +88,6 @@ class Play:
         return cls(bench.episode(question_id, budget=BUDGET, record=lambda step: steps.append(step)), steps)
 
     def record(self, run: Run) -> None:
-        """Append the entry of the question to the run."""
+        """Append the entry of the question to the journal of the run."""
         seconds = time.perf_counter() - self.started
         run.append(finished_entry(self.episode.question, self.episode.finished(), self.steps, (), seconds))

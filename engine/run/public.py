@@ -86,7 +86,7 @@ def export_public(store: Store | str | Path, folder: str | Path, opaque: bool = 
 
 
 def _copy_pictures(source: Path, target: Path, frames: list[int]) -> bool:
-    """Copy the existing pictures of a sequence without their metadata. Return whether at least one exists."""
+    """Copy those pictures of a sequence that exist, without their metadata. Return whether at least one exists."""
     target.mkdir(parents=True)
     paths = [path for frame in frames if (path := source / f"{frame:06d}.jpg").is_file()]
     for path in paths:
@@ -97,7 +97,7 @@ def _copy_pictures(source: Path, target: Path, frames: list[int]) -> bool:
 def strip_metadata(data: bytes, path: Path) -> bytes:
     """Remove the metadata of a JPEG file.
 
-    Only segments that decoders need stay. Of JFIF and Adobe segments, only the facts about the colours stay.
+    Only the segments that decoders need are kept. Of JFIF and Adobe segments, only the facts about colours are kept.
 
     Args:
         data: The bytes of the file.

@@ -36,7 +36,7 @@ _MAY_BE_EMPTY: Final = ("server version",)
 class Run(Journal):
     """A run in progress. `start` writes the manifest, `append` writes to the journal, and `finish` writes the tables.
 
-    Each function in `listeners` is called with each appended entry, after the entry is on disk.
+    After an appended entry is on disk, each function in `listeners` is called with this entry.
 
         with Run(store, "mine") as run:
             run.start("method", "model", ids, {}, False, {})
@@ -114,8 +114,8 @@ class Run(Journal):
             entry: The entry.
 
         Raises:
-            StoreError: If writing fails, or if `finish` has already been called. This can happen if a player's last
-                move arrives while the run ends.
+            StoreError: If writing fails, or if `finish` has already been called. For example, a player's last move may
+                arrive while the run ends.
         """
         with self._writing:
             if self._over:
@@ -143,7 +143,7 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
         manifest: The manifest of the new or resumed run.
 
     Raises:
-        StoreError: If a setting that influences predictions differs. The message names the setting.
+        StoreError: If the manifests differ in a setting that influences predictions. The message names the setting.
     """
     if not has_manifest(store, manifest.run_id):
         write_run_manifest(store, manifest)
@@ -162,7 +162,10 @@ def check_manifest(store: Store, manifest: RunManifest) -> None:
 
 
 def find_difference(first: RunManifest, second: RunManifest) -> str:
-    """Return the name of a setting that influences predictions and differs between two runs, or "" if none differs."""
+    """Return the name of a setting that influences predictions and differs between two runs.
+
+    Return "" if no setting differs.
+    """
     before, now = _shaping(first), _shaping(second)
     for what in dict.fromkeys(["method", "model", *sorted(before.keys() | now.keys())]):
         pair = before.get(what), now.get(what)
@@ -172,12 +175,13 @@ def find_difference(first: RunManifest, second: RunManifest) -> str:
 
 
 def add_world_counts(store: Store, run_id: str, counts: Mapping[str, int]) -> None:
-    """Add reads and writes of the world model to the counts in the manifest of a run.
+    """Add counts of a world model's statements to the counts in the manifest of a run.
 
     Args:
         store: The store of the run.
         run_id: The id of the run.
-        counts: The number of statements of each kind since the world model was opened.
+        counts: The number of statements of each kind that were executed since the world model was opened. The keys are
+            the kinds.
     """
     manifest = read_run_manifest(store, run_id)
     total = {kind: manifest.world.get(kind, 0) + count for kind, count in counts.items()}
@@ -190,7 +194,10 @@ def has_manifest(store: Store, run_id: str) -> bool:
 
 
 def _shaping(manifest: RunManifest) -> dict[str, Any]:
-    """Return the settings that must be equal when a run is resumed, by the names that error messages use."""
+    """Return the settings that must be equal in a resumed run and in the run on disk.
+
+    The keys are the names that error messages use for the settings.
+    """
     settings = dict(manifest.settings)
     endpoint: Mapping[str, Any] = settings.pop("endpoint", {})
     # The results of the preflight may differ, because a resumed run may use another server.
@@ -213,7 +220,7 @@ def run_questions(
     Args:
         store: The store of the run.
         run_id: The id of the run.
-        selection: The selection. If it is the default, a resumed run keeps its questions.
+        selection: The selection. If a run is resumed with the default selection, the run keeps its questions.
         resume: Whether to continue the run if it exists.
         image_root: The folder that has one folder of panoramas per sequence. None means that there are no panoramas.
 

@@ -1,4 +1,4 @@
-"""Select the questions of a run, as the options of a `QuestionSelection` say."""
+"""Apply the options of a `QuestionSelection` to select the questions of a run."""
 
 from __future__ import annotations
 
@@ -39,9 +39,10 @@ def select_questions(
         image_root: The folder that has one folder of panoramas per sequence. None means that there are no panoramas.
 
     Returns:
-        The selected questions. With a seed they are in random order, otherwise in the order of `matching`. With
-        `per_template`, the first question of each template comes before all second questions, and so on. The list can
-        be empty only if the selection is a shard.
+        The selected questions. If the selection has a seed, they are in the random order of this seed, otherwise in the
+        order of `matching`. If the selection has `per_template`, the templates take turns: the first question of each
+        template comes before the second question of any template, and so on. The list can be empty only if the
+        selection is a shard.
 
     Raises:
         InputError: If the selection names a question, family, template or sequence that the store lacks, or if it
@@ -126,7 +127,7 @@ def _check_columns(questions: Sequence[QuestionRow], column: str) -> None:
 
 
 def _draw(seed: int | None, question: QuestionRow) -> bytes:
-    """Return the sort key of a question in a seeded draw. The key does not depend on any other question."""
+    """Return the sort key of a question in the random order of a seed. The key does not depend on other questions."""
     return hashlib.sha256(f"{seed} {question.question_id}".encode()).digest()
 
 

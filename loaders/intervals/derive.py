@@ -30,10 +30,7 @@ _LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb
 
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
-    """Interval tables by kind. Layers that `annotations` lacks count as empty.
-
-    Raises InputError where people are too many to be related to each other.
-    """
+    """Return the interval tables by kind. Layers that `annotations` lacks count as empty."""
     tables = {layer: annotations.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
     tables |= {layer: with_other_words(tables[layer], column) for layer, column in _LABELS.items()}
     people = read_people(tables, rules)
@@ -44,11 +41,12 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
     tracks, first, last = track_spans(tables)
     demographics = demographics_table(line, tables["demographics"])
     chosen = {name: chosen_values(demographics, name, tracks) for name in ("gender", "age", "ethnicity")}
+    beside, views_listed = beside_table(line, boxes, people.located, rules)
     derived = {
         "sequence": sequence_table(line, boxes.has_attributes, boxes.source),
         "frames": frames_table(line),
         "persons": line.table("persons", {"track": tracks, **chosen, "first_frame": first, "last_frame": last}),
-        "sightings": sightings_table(line, people, rules),
+        "sightings": sightings_table(line, people, rules, views_listed),
         **label_tables(
             line, "actions", actions, {"track": actions.track, "action": actions.value}, people.actions.names
         ),
@@ -61,7 +59,7 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
         "group_info": group_info_table(line, tables["group_info"], people.groups),
         **interactions_tables(line, tables["interactions"], boxes, rules),
         **handles_tables(line, tables["handles"], tables["categories"], boxes, rules),
-        "beside": beside_table(line, boxes, people.located, rules),
+        "beside": beside,
         "segments": segments_table(line, people, actions, rules),
     }
     return {kind: derived.get(kind, schema.empty_table()) for kind, schema in INTERVALS.items()}

@@ -2,7 +2,10 @@
 
 *Robot view*, from 2D boxes: the first person met when turning left or right from X. *Person frame*, from 3D boxes with
 lidar points: sector and distance word of another person in X's own heading frame, left being counter-clockwise. A pair
-of which one is not located has no person-frame row: that relation is unknown, which `sightings.located` records.
+of which one is not located has no person-frame row: that relation is unknown.
+
+A view with more than `MAX_BESIDE` facts in the sequence has no rows either, and all its relations are unknown. The
+columns `robot_view_listed` and `person_view_listed` of the table `sightings` tell of whom a missing row means false.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.loaders.intervals.people import Boxes, Facts, Located, wrap
 from jrdb_avr.loaders.intervals.sightings import distance_word, in_person_sector
@@ -19,15 +23,14 @@ from jrdb_avr.loaders.intervals.spans import find_runs
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import ascending, paired, pairs_of_equal, rank_values, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
-from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
 from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
 MAX_BESIDE: Final = 1_000_000
-"""Facts of a sequence before they are joined to rows, three times those of JRDB's fullest: they grow with the square of
-the people at a keyframe, and take half a kilobyte each here, more in the graph."""
+"""Maximum number of facts of a view in a sequence, before they are joined to rows. Facts grow with the square of the
+people at a keyframe, and each takes half a kilobyte here and more in the graph."""
 
 _PERSON_LABELS: Final = tuple(row.label for row in RELATIONS.values() if row.kind == "person")
 _LABELS: Final = tuple(sorted((*_PERSON_LABELS, FIRST_LEFT, FIRST_RIGHT)))
@@ -36,16 +39,19 @@ _RANK: Final = np.array([_LABELS.index(label) for label in _PERSON_LABELS]).resh
 )
 
 
-def beside_table(line: Timeline, boxes: Boxes, located: Located, rules: LoadRules) -> pa.Table:
-    """All relations of a sequence, by source, label, first frame, target and certainty.
+def beside_table(
+    line: Timeline, boxes: Boxes, located: Located, rules: LoadRules
+) -> tuple[pa.Table, tuple[bool, bool]]:
+    """Return the relations of a sequence, and whether those of the robot view and of the person frame are listed.
 
-    Raises InputError where there are more than `MAX_BESIDE` of them.
+    Rows are sorted by source, label, first frame, target and certainty. A view with more than `MAX_BESIDE` facts has no
+    rows.
     """
     # Those seen by the robot are one row per keyframe.
-    frame, source, target, certain, label = _joined(robot_view(line, boxes, rules))
+    (frame, source, target, certain, label), robot_listed = _joined(robot_view(line, boxes, rules))
     columns = {"source": source, "target": target, "label": label, "first": frame, "last": frame, "certain": certain}
     # Of the others, one row per fact and certainty: the pair and the label are the value of a run.
-    frame, source, target, certain, label = _joined(person_frame(line, located, rules))
+    (frame, source, target, certain, label), person_listed = _joined(person_frame(line, located, rules))
     pairs, pair = rank_values(paired(source, target))
     none = np.zeros(len(frame), np.int64)
     value = (pair * len(_LABELS) + label) * 2 + certain
@@ -57,22 +63,37 @@ def beside_table(line: Timeline, boxes: Boxes, located: Located, rules: LoadRule
     order = ascending(*(columns[name] for name in ("source", "label", "first", "target", "certain")))
     columns = {name: column[order] for name, column in columns.items()}
     labels = {"label": texts(_LABELS, columns["label"]), "certain": columns["certain"].astype(np.bool_)}
-    return line.table("beside", columns | line.span(columns["first"], columns["last"]) | labels)
+    table = line.table("beside", columns | line.span(columns["first"], columns["last"]) | labels)
+    return table, (robot_listed, person_listed)
+
+
+def beside_warnings(sightings: pa.Table) -> list[str]:
+    """Return a warning for each view that `beside_table` left out, by the interval table `sightings`."""
+    tests = {
+        "the first person to the left or right": len(sightings) and not pc.any(sightings["robot_view_listed"]).as_py(),
+        "the place of a person as another one sees it": pc.any(sightings["located"]).as_py()
+        and not pc.any(sightings["person_view_listed"]).as_py(),
+    }
+    end = "these facts are left out and unknown, so no question of the sequence uses them"
+    return [f"more than {MAX_BESIDE:,} facts of {what}: {end}" for what, missing in tests.items() if missing]
 
 
 _Facts = tuple[Ints, Ints, Ints, Bools, Ints]
 """Columns frame, source track, target track, certain, label code."""
 
 
-def _joined(blocks: Iterator[_Facts]) -> list[Ints]:
-    """The columns of all blocks, as whole numbers."""
-    found, count = [np.empty((5, 0), np.int64)], 0
+def _joined(blocks: Iterator[_Facts]) -> tuple[list[Ints], bool]:
+    """Return the columns of all blocks and True. If there are more than `MAX_BESIDE` facts, return none and False.
+
+    Facts are counted block by block, so that memory is bounded by the maximum.
+    """
+    parts, count = [np.empty((5, 0), np.int64)], 0
     for block in blocks:
         count += len(block[0])
         if count > MAX_BESIDE:
-            raise InputError(f"more than {MAX_BESIDE:,} facts of who is beside whom: too many people at a time")
-        found.append(np.stack(block))
-    return list(np.hstack(found))
+            return list(parts[0]), False
+        parts.append(np.stack(block))
+    return list(np.hstack(parts)), True
 
 
 def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Facts]:

@@ -57,8 +57,8 @@ def distance_word(metres: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
 N = TypeVar("N", bound=np.generic)
 
 
-def sightings_table(line: Timeline, people: People, rules: LoadRules) -> pa.Table:
-    """All sightings of a sequence, by frame and track."""
+def sightings_table(line: Timeline, people: People, rules: LoadRules, views_listed: tuple[bool, bool]) -> pa.Table:
+    """Return all sightings of a sequence, by frame and track. `views_listed` is from `beside_table`."""
     boxes, located = people.boxes, people.located
     member, place, face = (rows_of(other.keys, boxes.keys) for other in (people.groups, located, people.faces))
     judge = group_sizes if rules.visibility == "any" else group_sizes_in_view
@@ -91,6 +91,8 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules) -> pa.Tabl
             for name, w in zip(("distance_word", "distance_word_other"), words, strict=True)
         },
         **{name: nullable(values, place < 0, pa.float64()) for name, values in metric.items()},
+        "robot_view_listed": np.full(len(place), views_listed[0]),
+        "person_view_listed": (place >= 0) & views_listed[1],
     }
     return line.table("sightings", columns)
 

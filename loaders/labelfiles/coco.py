@@ -1,9 +1,9 @@
 """Reader of label files in the COCO format: lists of images, annotations and categories.
 
-Each annotation refers to its image and its category by their ids. These ids have a meaning only inside one file.
+Each annotation names the id of its image and the id of its category. These ids have a meaning only inside one file.
 The frame of an image is read from the base name of its `file_name`. It is not computed from the image id, because
 releases number their images differently. `width` and `height` are not read, because they describe another camera. An
-image is refused, together with its annotations, if it belongs to another sequence or if two images share its id.
+image and its annotations are refused if the image belongs to another sequence, or if another image has the same id.
 Categories are identified by name. A name outside the vocabulary of `schema/things.py` is kept as written and reported.
 """
 
@@ -95,7 +95,8 @@ def read_chunks(raws: list[msgspec.Raw], kind: str, reader: RecordReader[_R], pr
 
     Args:
         raws: raw records.
-        kind: word for a record, such as "annotation". The report names a refused record by this word and its id.
+        kind: word for a record, such as "annotation". The report names a refused record by this word and the record's
+            id.
         reader: decoder of the records.
         problems: counter of refused records.
 
@@ -121,11 +122,11 @@ class Images:
     """Map from image ids to frames, for the images that are frames of the sequence.
 
     ids: image ids, ascending.
-    frame: the frame of each id in `ids`. No two ids have the same frame.
+    frame: frames of the images, in the order of `ids`. No two images have the same frame.
     """
 
     def __init__(self, file: CocoFile, sequence: str, problems: Problems) -> None:
-        """Map the usable images of a file. Refuse and count images that are not frames of `sequence`."""
+        """Map the ids of a file's usable images to frames. Refuse all other images, and count them as problems."""
         images = [image for chunk in read_chunks(file.images, "image", _IMAGES, problems) for image in chunk]
         frames: dict[int, set[int | None]] = {}
         for image in images:
@@ -147,7 +148,10 @@ class Images:
         self.ids, self.frame = np.ascontiguousarray(pairs.T)
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
-        """Return the frame of each annotation's image. The frame is -1 if the image is missing or refused."""
+        """Return the frame of each annotation's image, or -1 if the image is missing or was refused.
+
+        Annotations without a frame are counted as problems.
+        """
         image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
         frame = np.full(len(image_id), -1, np.int64)
         if len(self.ids):
@@ -161,7 +165,10 @@ class Images:
 
 
 def _frame_of(file_name: str, sequence: str) -> tuple[int | None, str]:
-    """Return the frame of an image and "". If the image is not a frame of the sequence, return None and the reason."""
+    """Return the frame of an image, and "". If the image is not a frame of the sequence, return None and the reason.
+
+    The reason is a text for the load report.
+    """
     *folders, name = file_name.replace("\\", "/").split("/")
     match = _FRAME.fullmatch(name)
     if match is None:
@@ -178,10 +185,11 @@ Categories = dict[int, tuple[str, str | None]]
 
 
 def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Counter[tuple[str, str]]]:
-    """Decode the categories of a file. Refuse an id that stands for two categories.
+    """Decode the categories of a file. If two different categories have the same id, both are refused.
 
     Returns:
-        The categories by id, and a counter of ("categories", name) for the names outside the vocabulary.
+        The categories by id, and a counter of the categories with names outside the vocabulary. A key of the counter
+        is ("categories", name).
     """
     names: Categories = {}
     ambiguous: set[int] = set()
@@ -206,7 +214,10 @@ def read_categories(file: CocoFile, problems: Problems) -> tuple[Categories, Cou
 
 
 def categories_table(categories: Categories) -> pa.Table:
-    """Return the annotation table `categories` without its column `sequence`, in the order of `categories`."""
+    """Return the annotation table `categories` without its column `sequence`.
+
+    The rows are in the order of the argument `categories`.
+    """
     usual, raw = [name for _, name in categories.values()], [raw for raw, _ in categories.values()]
     types = {name: ANNOTATIONS["categories"].field(name).type for name in ("category_id", "category", "raw")}
     columns = zip(types.items(), (list(categories), usual, raw), strict=True)

@@ -1,7 +1,7 @@
-"""Operations on columns of numbers and of Arrow values, and the tables of a layer.
+"""Operations on columns of numbers and of Arrow values, and the class `LayerTables`.
 
-The functions make sort keys of rows, find runs of equal rows, and replace repeated values by codes. `Refusals` counts
-rows that cannot be used.
+The functions make sort keys of rows, find neighbouring rows that are equal, and replace repeated values by codes.
+`Refusals` counts rows that cannot be used.
 """
 
 from __future__ import annotations
@@ -35,28 +35,34 @@ Columns = dict[str, npt.NDArray[Any]]
 
 
 def paired(high: Ints, low: Ints) -> Ints:
-    """Combine each pair of numbers below 2**31, such as (frame, track), into one number that sorts like the pair."""
+    """Combine each pair of numbers, such as (frame, track), into one number.
+
+    The results have the sort order of the pairs. The numbers of each pair must be less than 2**31.
+    """
     return (high << PAIR_BITS) | low
 
 
 def unpaired(pairs: Ints) -> tuple[Ints, Ints]:
-    """Split the results of `paired` into the high and the low numbers."""
+    """Split numbers that `paired` made. Return the array of all first numbers, and the array of all second numbers."""
     return pairs >> PAIR_BITS, pairs & ((1 << PAIR_BITS) - 1)
 
 
 def whole_numbers(table: pa.Table, name: str) -> Ints:
-    """Return a table's column of whole numbers as 64-bit integers. The column must not have nulls."""
+    """Return the column `name` of a table as 64-bit integers. The column must have whole numbers and no nulls."""
     return np.asarray(table[name].to_numpy(), np.int64)
 
 
 def texts(values: Sequence[str], codes: Ints) -> pa.Array:
-    """Return the string `values[code]` for each code. The result is null for a negative code."""
+    """Return an Arrow array with the string `values[code]` for each code in `codes`. A negative code gives null."""
     dictionary = pa.array(values, pa.string())
     return dictionary.take(pa.array(codes, pa.int64(), mask=codes < 0))
 
 
 def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
-    """Return an Arrow column of the type `kind` with `values[code]` for each code. Strings give a dictionary array."""
+    """Return an Arrow array with the element `values[code]` for each code in `codes`.
+
+    The array has the type `kind`. If `kind` is string, the result is a dictionary array of strings.
+    """
     column, taken = pa.array(values, kind), pa.array(codes)
     if not pa.types.is_string(kind):
         return column.take(taken)
@@ -65,7 +71,10 @@ def spread(values: Sequence[Any], kind: pa.DataType, codes: Ints) -> pa.Array:
 
 
 def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
-    """Return the distinct strings of a column, ascending, and the index of each row's string in them (-1 for null)."""
+    """Return the distinct strings of a column, ascending, and for each row the index of the row's string among them.
+
+    The index is -1 if the row is null.
+    """
     written = column.combine_chunks().dictionary_encode()
     spelled = written.dictionary.to_pylist()
     names = sorted(spelled)
@@ -75,7 +84,7 @@ def ranked(column: pa.ChunkedArray) -> tuple[list[str], Ints]:
 
 
 def rank_values(values: Ints) -> tuple[Ints, Ints]:
-    """Return the distinct values, ascending, and the index of each value among them."""
+    """Return the distinct values of an array, ascending, and for each element its index among the distinct values."""
     # `np.unique` would sort all values, which takes five times as long.
     coded = pa.array(values).dictionary_encode()
     distinct = coded.dictionary.to_numpy()
@@ -86,7 +95,7 @@ def rank_values(values: Ints) -> tuple[Ints, Ints]:
 
 
 def constant(value: str, n: int) -> pa.Array:
-    """Return a dictionary array of `n` equal strings."""
+    """Return a dictionary array that repeats the string `value` `n` times."""
     return pa.DictionaryArray.from_arrays(np.zeros(n, np.int32), pa.array([value], pa.string()))
 
 
@@ -100,15 +109,15 @@ def annotation_table(name: str, sequence: str, table: pa.Table) -> pa.Table:
 
 
 def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.Array:
-    """Return an Arrow array of the type `kind` that is null in the rows that `missing` marks."""
+    """Return `values` as an Arrow array of the type `kind`, with null in each row for which `missing` is True."""
     return pa.array(values, mask=missing).cast(kind)
 
 
 class Distinct(dict[Any, int]):
-    """Dictionary from distinct values to codes 0, 1, 2, ... in the order of first use.
+    """Dictionary from distinct values to codes 0, 1, 2, ... in the order in which the values are first looked up.
 
-    A lookup of an unknown value adds the value. The lookup raises InputError if there are `MAX_DISTINCT` values
-    already. The limit keeps a broken file from filling the memory.
+    A lookup of an unknown value adds the value. If there are `MAX_DISTINCT` values already, such a lookup raises
+    InputError. Because of this limit, a broken file cannot fill the memory.
     """
 
     def __missing__(self, value: Any) -> int:
@@ -119,12 +128,12 @@ class Distinct(dict[Any, int]):
 
 
 def numbered(codes: Distinct, values: Iterable[Any], n: int) -> Ints:
-    """Return the code of each of `n` values. New values are added to `codes`."""
+    """Return the codes of the `n` elements of `values`. The dictionary `codes` gives each unknown value a new code."""
     return np.fromiter(map(codes.__getitem__, values), np.int64, n)
 
 
 class Refusals:
-    """Counter of refused records and fields. For each problem it reports the frame of the first refused row."""
+    """Counter of refused records and fields. Each problem is reported with the frame of the first refused row."""
 
     def __init__(self, frame: Ints, problems: Problems, suffix: str = "jpg") -> None:
         self._frame, self._problems, self._suffix = frame, problems, suffix
@@ -132,14 +141,15 @@ class Refusals:
     def count(
         self, mask: Bools, kind: str, reason: str, field: str, value: Callable[[int], object] = lambda row: ""
     ) -> None:
-        """Count the refused rows together, as one problem.
+        """Count all rows that are refused for the same reason, as one problem.
 
         Args:
             mask: mask of the refused rows. If it is False everywhere, nothing is counted.
             kind: "record" or "field".
             reason: reason of the refusal.
             field: name of the field.
-            value: function that is called with the index of the first refused row, and returns its offending value.
+            value: function that is called with the index of the first refused row, and returns the unusable value of
+                this row.
         """
         n = int(mask.sum())
         if n:
@@ -147,14 +157,17 @@ class Refusals:
             self.add(kind, reason, field, row, value(row), n)
 
     def add(self, kind: str, reason: str, field: str, row: int, value: object, count: int) -> None:
-        """Count a problem of `count` rows. `row` is the index of the first of these rows."""
+        """Count a problem that occurs in several rows.
+
+        The argument `count` is the number of these rows, and `row` is the index of the first one.
+        """
         frame = f"{int(self._frame[row]):06d}.{self._suffix}"
         self._problems.add(kind, reason, frame=frame, field=field, value=value, count=count)
 
 
 @dataclass(frozen=True)
 class LayerTables:
-    """Content of one label file: the tables of a layer for one sequence."""
+    """Tables that were made from one label file, which has the labels of one layer for one sequence."""
 
     tables: dict[str, pa.Table]
     """Annotation tables by name, without the column `sequence` unless `of` has added it."""
@@ -173,14 +186,14 @@ class LayerTables:
 
 
 class Rows:
-    """Base class of dataclasses with parallel arrays. The elements of all arrays at one index form a row."""
+    """Base class of dataclasses with arrays of equal length. The elements of all arrays at one index form a row."""
 
     def at(self, rows: npt.NDArray[Any]) -> Self:
-        """Return a copy with the selected rows only. `rows` is an array of indices or a mask."""
+        """Return a copy with the selected rows only. The argument `rows` is an array of row indices, or a mask."""
         return self._with({name: getattr(self, name)[rows] for name in self._arrays()})
 
     def joined(self, others: Sequence[Self]) -> Self:
-        """Return a copy with these rows, followed by the rows of `others`."""
+        """Return a copy that has the rows of this object, followed by the rows of each object in `others`."""
         parts = (self, *others)
         return self._with({name: np.concatenate([getattr(x, name) for x in parts]) for name in self._arrays()})
 
@@ -194,20 +207,26 @@ class Rows:
 
 
 def mask_of(rows: Ints, n: int) -> Bools:
-    """Return a mask of length `n` that is True at the indices `rows`."""
+    """Return a mask of length `n` that is True at each index in `rows` and False at all other indices."""
     mask = np.zeros(n, np.bool_)
     mask[rows] = True
     return mask
 
 
 def ascending(*columns: npt.NDArray[Any]) -> Ints:
-    """Return the row indices that sort columns of whole numbers by the first column, then by the second, and so on."""
+    """Return the row indices in sorted order. Rows are sorted by the first column, then by the second, and so on.
+
+    The columns have whole numbers.
+    """
     # numpy sorts 16-bit numbers by digits, which takes a fifth of the time of a sort by comparisons.
     return np.asarray(np.lexsort([part for column in reversed(columns) for part in _narrow(column)]))
 
 
 def _narrow(column: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
-    """Split a column into 16-bit columns, lowest bits first. Return the column alone if its numbers exceed 32 bits."""
+    """Split the numbers of a column into 16-bit parts, and return one column per part, lowest bits first.
+
+    If the range of the numbers exceeds 32 bits, return only the column itself.
+    """
     low = int(column.min(initial=0))
     width = (int(column.max(initial=0)) - low).bit_length()
     if width > 2 * _DIGITS:
@@ -217,29 +236,36 @@ def _narrow(column: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
 
 
 def first_of_equal(*columns: Ints) -> tuple[Ints, Bools]:
-    """Sort rows by their columns, and find the first row of each run of equal rows.
+    """Sort rows by their columns, and find the first one of each group of equal rows.
 
     Returns:
-        The row indices that sort the rows stably, and a mask of the sorted rows: True at the first row of each run.
+        The row indices in sorted order, and a mask in the same order: True at the first row of each group of equal
+        rows. Equal rows keep their order.
     """
     order = ascending(*columns)
     return order, begins(*(column[order] for column in columns))
 
 
 def distinct_of(ascending: Ints) -> Ints:
-    """Return the distinct values of an array that is already sorted."""
+    """Return the distinct values of an array. The array must be sorted."""
     return ascending[begins(ascending)]
 
 
 def begins(*columns: Ints) -> Bools:
-    """Return a mask of the rows that differ in any column from the row before. The first row is always marked."""
+    """Return a mask that is True at each row that differs from the previous row in at least one column.
+
+    The mask is also True at the first row.
+    """
     new = np.ones(len(columns[0]), np.bool_)
     new[1:] = np.logical_or.reduce([column[1:] != column[:-1] for column in columns])
     return new
 
 
 def ragged(counts: Ints) -> tuple[Ints, Ints]:
-    """Return each member's group index, and the member's index within the group. Group i has `counts[i]` members."""
+    """Return two arrays with one element per member: the index of the member's group, and the index within the group.
+
+    Group i has `counts[i]` members. The members of group 0 come first, then the members of group 1, and so on.
+    """
     group = np.repeat(np.arange(len(counts)), counts)
     start = np.cumsum(counts) - counts
     return group, np.arange(len(group)) - np.repeat(start, counts)
@@ -269,6 +295,9 @@ def pairs_of_equal(frame: Ints, rows: Ints) -> Iterator[tuple[Ints, Ints]]:
 
 
 def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:
-    """Return `frames`, and the number of records in each frame. `rows` holds the frame of each record."""
+    """Return `frames` unchanged, and the number of records in each of these frames.
+
+    The argument `rows` has the frame of each record.
+    """
     rows = np.sort(rows)
     return frames, np.searchsorted(rows, frames, "right") - np.searchsorted(rows, frames, "left")

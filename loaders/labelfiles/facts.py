@@ -1,8 +1,8 @@
-"""Selection of the records of people, and the facts in the raw sub-objects of these records.
+"""Selection of the usable records of people, and decoding of the facts in the raw sub-objects of these records.
 
 A fact is one label of a person in a frame, such as an action. A person often has the same labels in many frames, and
-the files then repeat the same bytes. Therefore a column stores a code for each raw object, and each distinct object is
-decoded once. numpy then copies the decoded facts to all rows with the same code.
+the files then repeat the same bytes. Therefore a column stores a code for each raw object, and each distinct raw object
+is decoded only once. numpy then copies the decoded facts to all rows with the same code.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ Value = tuple[Any, ...]
 
 
 class KeptRecords(NamedTuple):
-    """Records that are used. Of the records of one person in one frame, the first without a fault is used."""
+    """Records that are used. If a frame has several records of a person, the first one without a fault is used."""
 
     row: Ints
     """Indices of the kept records among all records, sorted by (frame, track)."""
@@ -64,11 +64,14 @@ class KeptRecords(NamedTuple):
     """Frames with a refused record that may describe a person."""
 
     def whole_frames(self, complete: Iterable[int]) -> Ints:
-        """Return, ascending, those frames of `complete` in which no record of a person was refused."""
+        """Return the frames in `complete`, ascending, but without the frames in `partial`."""
         return np.array(sorted(set(complete) - self.partial), np.int64)
 
     def frames_of(self, rows: Ints) -> tuple[Ints, Ints]:
-        """Return the distinct frames of the kept records `rows`, ascending, and the number of `rows` in each frame."""
+        """Return the distinct frames of some kept records, ascending, and the number of these records in each frame.
+
+        The argument `rows` has the indices of the records, ascending. A repeated index counts once.
+        """
         frame = self.frame[distinct_of(rows)]
         return known_frames(distinct_of(frame), frame)
 
@@ -83,11 +86,11 @@ def keep_people(
     """Select the records that can be used, and count the refused records.
 
     Args:
-        columns: columns `frame` and `label_id` (a code) of the records.
-        codes: distinct values of each coded column, by name of the column.
+        columns: columns of the records, by name. The column `frame` and the column of codes `label_id` are read.
+        codes: codes of the distinct values of each coded column, by name of the column.
         refusals: counter of the refused records.
-        faults: pairs of a mask of unusable boxes and the reason. A record with several faults is counted once, for
-            the first fault.
+        faults: pairs of a mask and a reason. The mask is True at each record with a box that is unusable for this
+            reason. A record with several faults is counted only for the first of them.
         box: function that is called with the index of a refused record and returns its box for the report.
     """
     frame, labels, code = columns["frame"], list(codes["label_id"]), columns["label_id"]
@@ -112,7 +115,7 @@ def keep_people(
 
 
 def _track_or_code(label: str) -> int:
-    """Return the track of a person's label id, `_THING` for a thing's, or `_BAD` for an unreadable label id."""
+    """Return the track if a label id is of a person, `_THING` if it is of a thing, and `_BAD` if it is unreadable."""
     try:
         return records.read_track(label)
     except records.NotAPersonError:
@@ -134,12 +137,15 @@ class Decoded:
     """True if no part of the value was refused. In that case each label that the value lacks is known to be false."""
 
     def refuse(self, reason: str, name: str, value: object) -> None:
-        """Report that `value` is unusable, and set `whole` to False."""
+        """Add an issue that says that `value` is unusable, and set `whole` to False."""
         self.issues.append((reason, name, value))
         self.whole = False
 
     def members(self, value: object, name: str) -> dict[str, Any]:
-        """Return the members of a JSON object, which may be raw or decoded. Refuse any other value and return {}."""
+        """Return the members of a JSON object. The argument `value` is the object, either raw or decoded.
+
+        If `value` is not a JSON object, refuse it and return {}.
+        """
         try:
             members = records.parse(value) if isinstance(value, bytes) else value
             if not isinstance(members, dict):
@@ -150,7 +156,10 @@ class Decoded:
         return members
 
     def labels(self, value: object, name: str) -> Iterator[tuple[str, Any]]:
-        """Yield each usable label of a JSON object `{label: value}` with its value. Refuse unusable labels."""
+        """Yield each usable label in a JSON object `{label: value, ...}`, with the label's value.
+
+        Unusable labels are refused.
+        """
         for label, inner in self.members(value, name).items():
             try:
                 usable = records.read_text(label)
@@ -160,7 +169,10 @@ class Decoded:
                 yield usable, inner
 
     def read(self, read: Callable[[Any], Any], value: object, name: str, reason: str = "") -> Any:
-        """Return `read(value)`. If it raises ValueError, report the value and return None."""
+        """Convert `value` with the converter that is given as the argument `read`, and return the converted value.
+
+        If the converter raises ValueError, add an issue that names the value, and return None.
+        """
         try:
             return read(value)
         except ValueError as error:
@@ -168,13 +180,16 @@ class Decoded:
             return None
 
     def difficulty(self, value: object, name: str) -> int | None:
-        """Return a difficulty code, or None if the value is unusable. A label without a code is an unknown fact."""
+        """Return the difficulty code that `value` stands for, or None if `value` is unusable.
+
+        If the code of a label is unusable, the fact that the label states is unknown.
+        """
         code: int | None = self.read(records.read_difficulty, value, name, "difficulty: ")
         return code
 
 
 class ColumnFacts(NamedTuple):
-    """Facts in a column of raw objects. A row of the column may have any number of facts."""
+    """Facts that were decoded from a column of raw objects. A row of the column may have any number of facts."""
 
     row: Ints
     """Index of each fact's row in the column, ascending."""
@@ -186,7 +201,15 @@ class ColumnFacts(NamedTuple):
     """True for each row of the column that has a raw object without a refused part."""
 
     def tally(self, name: Callable[[Value], tuple[str, str] | None]) -> Counter[tuple[str, str]]:
-        """Return the number of facts by key. `name` is called with each content. It returns a key, or None to skip."""
+        """Count the facts with each key. The key of a fact is derived from the content of the fact.
+
+        Args:
+            name: function that is called with each distinct content and returns the key of the facts with this content.
+                If the function returns None, these facts are not counted.
+
+        Returns:
+            The number of facts of each key.
+        """
         counts: Counter[tuple[str, str]] = Counter()
         for value, n in zip(self.values, np.bincount(self.code, minlength=len(self.values)).tolist(), strict=True):
             key = name(value)
@@ -202,15 +225,15 @@ def expand(
     refusals: Refusals,
     absent: Sequence[Issue] = (),
 ) -> ColumnFacts:
-    """Decode every distinct raw value, and copy its facts to all rows with this value.
+    """Decode every distinct raw value of a column, and copy the facts in the value to all rows with this value.
 
     Args:
-        codes: code of the raw value of each row.
+        codes: code of the raw value in each row.
         raws: distinct raw values, in the order of their codes.
-        decode: function that is called with each distinct raw value, unless the value is missing, and with a new
-            `Decoded` to fill.
-        refusals: counter. An issue of a value is counted once per row with the value.
-        absent: issues that are reported for each row with a missing value.
+        decode: function that is called with each distinct raw value and with a new `Decoded`, which the function fills.
+            It is not called for raw values in `records.ABSENT`.
+        refusals: counter of unusable values. An issue of a raw value is counted once for each row with this value.
+        absent: issues that are counted for each row with a raw value in `records.ABSENT`.
 
     Raises:
         InputError: If there are more than `MAX_FACTS` facts.
@@ -243,18 +266,21 @@ def expand(
 
 
 def check_size(facts: int) -> None:
-    """Raise InputError if a file has more than `MAX_FACTS` labels of one kind, which could fill the memory."""
+    """Raise InputError if `facts`, the number of labels of one kind in a file, is larger than `MAX_FACTS`.
+
+    More labels could fill the memory.
+    """
     if facts > MAX_FACTS:
         raise InputError(f"more than {MAX_FACTS:,} labels of one kind: is it a file of one sequence?")
 
 
 def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals) -> None:
-    """Count each issue of a raw value as often as there are rows with the value.
+    """Count each issue of a raw value once for each row with this value.
 
     Args:
-        codes: code of the raw value of each row.
-        issues: issues of the raw values by code.
-        refusals: counter.
+        codes: code of the raw value in each row.
+        issues: issues of each raw value, by the code of the value.
+        refusals: counter to which the issues are added.
     """
     if not issues:
         return
@@ -268,14 +294,15 @@ def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals
 def facts_table(
     layer: str, people: KeptRecords, facts: ColumnFacts, names: tuple[str, ...], ends: dict[str, Ints] | None = None
 ) -> pa.Table:
-    """Return an annotation table without its column `sequence`, one row per fact.
+    """Return an annotation table without its column `sequence`. It has one row per fact.
 
     Args:
         layer: name of the annotation table.
         people: the kept records.
-        facts: facts to write. The row of a fact is the index of a record in `people`.
-        names: names of the columns for the members of a fact's content, in the order of the members.
-        ends: further columns of numbers by name, with one number per fact.
+        facts: facts to write. `facts.row` has, for each fact, the index in `people` of the fact's record.
+        names: names of the columns that hold the content of the facts. The content of a fact is a tuple with one
+            element per name.
+        ends: columns of numbers to add to the table, by name of the column. Each column has one number per fact.
 
     Returns:
         The table, sorted by frame and track, then by the columns of `ends`, then by content.

@@ -54,19 +54,22 @@ Naming = Callable[[msgspec.Raw], str]
 
 
 class FrameKey(str):
-    """Key of a frame. msgspec does not know this type, so it calls a hook with every key, which finds repeated keys."""
+    """Key of a frame. msgspec does not know this type, so that it calls a hook with every key of a file.
+
+    The hook finds repeated keys.
+    """
 
     __slots__ = ()
 
 
 class LabelFile(msgspec.Struct):
-    """Content of a whole label file: the raw list of records of each frame, by the key of the frame."""
+    """Content of a whole label file: for each frame, the raw list of the frame's records, by the key of the frame."""
 
     labels: dict[FrameKey, msgspec.Raw]
 
 
 def read_file(path: Path) -> bytes:
-    """Return the content of a file without a byte order mark.
+    """Return the content of a file. If it begins with a byte order mark, the mark is removed.
 
     Raises:
         InputError: If the path is not a regular file, or if the file is too large, unreadable or empty.
@@ -93,8 +96,8 @@ def decode_file(path: Path, form: type[_F], hook: Callable[[type, Any], Any] | N
     Args:
         path: JSON file.
         form: type of the result.
-        hook: function that is called with a type that msgspec does not know and a value. It returns the value in this
-            type.
+        hook: function for types that msgspec does not know. It is called with such a type and a value, and returns the
+            value converted to this type.
 
     Raises:
         InputError: If the file is unreadable, is not JSON, or does not fit the type `form`.
@@ -114,7 +117,7 @@ def decode_file(path: Path, form: type[_F], hook: Callable[[type, Any], Any] | N
 
 
 class RecordReader(Generic[_R]):
-    """Decoder of JSON lists of records. It refuses each record that does not fit the type, and keeps the rest."""
+    """Decoder of JSON lists of records. It refuses records that do not fit the type `record`, and keeps the rest."""
 
     def __init__(self, record: type[_R]) -> None:
         self.type = record
@@ -130,8 +133,8 @@ class RecordReader(Generic[_R]):
             raw: JSON list.
             problems: counter of refused records.
             name: function that is called with each refused raw record, and returns its name for the report.
-            limit: maximum length of a list that has a faulty record. All records of a longer list are refused, and
-                none of them is reported.
+            limit: maximum number of records in a list that has a faulty record. If such a list is longer, all its
+                records are refused, and none of them is reported.
 
         Returns:
             The usable records, and the number of refused records.
@@ -154,7 +157,10 @@ class RecordReader(Generic[_R]):
         return records, len(raws) - len(records)
 
     def _decode(self, raw: msgspec.Raw, problems: Problems, name: Naming) -> _R:
-        """Decode a record. Replace and count unusable values of the fields in `LENIENT`."""
+        """Decode a record. Unusable values of the fields in `LENIENT` are replaced by null and counted as problems.
+
+        The texts "true" and "false" in an attribute are replaced by the bool, and are not counted.
+        """
         try:
             return self._one.decode(raw)
         except BROKEN as error:
@@ -178,13 +184,16 @@ class RecordReader(Generic[_R]):
         return self._decode(msgspec.Raw(msgspec.json.encode(record)), problems, name)
 
     def fields(self, records: list[_R]) -> Fields:
-        """Return the records' values by field. Each tuple holds one value per record."""
+        """Return the values of each field, by name of the field. The tuple of a field has one value per record."""
         columns = zip(*map(msgspec.structs.astuple, records), strict=True) if records else ((),) * 99
         return dict(zip(self.type.__struct_fields__, columns, strict=False))
 
 
 def fault_of(error: BaseException) -> tuple[str, str]:
-    """Return the reason of a decoding error, and the field that it concerns ("" if the error names none)."""
+    """Return the reason of a decoding error, and the name of the field that could not be decoded.
+
+    The name is "" if the error does not name a field.
+    """
     reason, _, path = str(error).partition(" - at `$")
     field = path.split("[")[0].strip(".`")
     if missing := _MISSING.fullmatch(reason):
@@ -257,13 +266,19 @@ def gather(
 
 
 def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterator[tuple[str, int, msgspec.Raw]]:
-    """Yield the key, the index and the raw list of each frame with a usable key. Count all other frames as problems."""
+    """Yield the key, the index and the raw list of records of each frame with a usable key.
+
+    All other frames are counted as problems.
+    """
     form = re.compile(r"([0-9]{6})\.(?:" + "|".join(suffixes) + ")")
     listed: set[int] = set()
     keys: set[str] = set()
 
     def take(_: type, key: str) -> FrameKey:
-        """Refuse a repeated key, because the decoder keeps only its last list."""
+        """Convert a key of the JSON object of frames to a `FrameKey`.
+
+        Raise ValueError if the key occurs twice, because the decoder would then keep only the last list of records.
+        """
         if key in keys:
             raise ValueError(f"the frame {shorten(key)} is listed twice")
         keys.add(key)
@@ -284,12 +299,12 @@ def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterat
 
 
 def take_fields(fields: Fields, names: tuple[str, ...], codes: dict[str, Distinct]) -> Columns:
-    """Return a column of codes for each field in `names`.
+    """Replace the values of fields by codes. Return one column of codes for each field in `names`.
 
     Args:
-        fields: fields of a batch of records.
-        names: fields to code. Raw fields are compared by their bytes.
-        codes: codes of the distinct values by field. New values are added.
+        fields: values of the fields of a batch of records, by name of the field.
+        names: names of the fields to replace. Two raw values are equal if they have the same bytes.
+        codes: codes of the distinct values of each field, by name of the field. New values are added.
     """
     columns = {}
     for name in names:

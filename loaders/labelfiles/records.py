@@ -62,11 +62,11 @@ def parse(raw: bytes | msgspec.Raw) -> Any:
 
 
 def read_track(label_id: str) -> int:
-    """Return the track N of the label id `pedestrian:N`.
+    """Return the track N of a person's label id, which has the form `pedestrian:N`.
 
     Raises:
-        NotAPersonError: If the prefix is a category of things.
-        ValueError: If the id is neither of a person nor of a thing. Such an id may be a misspelt id of a person.
+        NotAPersonError: If the text before the colon is a category of things.
+        ValueError: If the label id is neither of a person nor of a thing. It may be a misspelt label id of a person.
     """
     match = _PERSON.fullmatch(label_id)
     if match and int(match[1]) <= MAX_TRACK:
@@ -77,7 +77,7 @@ def read_track(label_id: str) -> int:
 
 
 def read_number(value: object) -> float:
-    """Return a finite number. Raise ValueError for any other value, including a bool."""
+    """Return a finite number as a float. Raise ValueError for any other value. A bool is not a number here."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("not a number")
     try:
@@ -119,7 +119,10 @@ def read_difficulty(value: object) -> int:
 
 @functools.lru_cache(maxsize=10_000)
 def read_text(value: str) -> str:
-    """Return a text with blanks for unprintable characters. Raise ValueError if the text is blank or too long."""
+    """Return a text in which unprintable characters are replaced by blanks, without blanks at its ends.
+
+    Raise ValueError if the resulting text is empty or too long.
+    """
     clean = "".join(c if c.isprintable() else " " for c in value).strip()
     if not clean:
         raise ValueError("empty text")

@@ -5,8 +5,8 @@ in pixels of the stitched panorama.
 
 The table `frames` lists a frame for the layer `2d` only if none of the frame's records of people was refused. A frame
 with a refused record could not prove that a person is absent, or that a description fits only one person. For the layer
-`actions`, the table lists the frames with at least one action label. For the layer `groups`, it lists the frames with
-at least one group label.
+`actions`, the table `frames` lists the frames with at least one action label. For the layer `groups`, the table lists
+the frames with at least one group label.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Attributes2D(msgspec.Struct, gc=False, frozen=True):
 class Record2D(msgspec.Struct, gc=False):
     """Record of one person in one frame.
 
-    Sub-objects that repeat between frames are kept as raw bytes. Each distinct sub-object is decoded once, later.
+    The sub-objects `action_label`, `social_group` and `social_activity` are often the same in many frames. They are
+    kept as raw bytes, and each distinct sub-object is decoded later, only once.
     """
 
     label_id: str
@@ -117,7 +118,8 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
     Args:
         fields: fields of the records.
         coded: names of the fields that become columns of codes.
-        codes: codes of the distinct values by field. New values are added.
+        codes: by name of a field, the dictionary from the field's distinct values to their codes. New values are added
+            to the dictionary.
 
     Returns:
         The column `box` of shape (n, 4), and a column of codes for each field in `coded`.
@@ -128,7 +130,11 @@ def take_people(fields: Fields, coded: tuple[str, ...], codes: dict[str, Distinc
 
 
 def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
-    """Return, for each kind of fault, a mask of the faulty boxes and the reason. `box` has the shape (n, 4)."""
+    """Check boxes for each kind of fault. Return one pair (mask, text) per kind of fault.
+
+    The mask is True at each box with the fault. The text describes the fault in the load report. The argument `box`
+    has the shape (n, 4).
+    """
     return [
         (np.asarray(~(np.abs(box) <= records.MAX_PIXEL).all(axis=1)), "box: not finite or far outside the image"),
         (np.asarray(~((box[:, 2] > 0) & (box[:, 3] > 0))), "box: width or height is not positive"),
@@ -136,7 +142,10 @@ def box_faults(box: npt.NDArray[np.float64]) -> list[tuple[Bools, str]]:
 
 
 def usable_boxes(box: npt.NDArray[np.float64], refusals: Refusals, field: str) -> Bools:
-    """Return a mask of the usable boxes. Count the unusable boxes. A missing box (NaN) is unusable but not counted."""
+    """Return a mask of the usable boxes, and count the unusable boxes in `refusals`.
+
+    `box` has the shape (n, 4). A missing box (NaN) is unusable, but it is not counted.
+    """
     usable = ~np.isnan(box[:, 0])
     for fault, reason in box_faults(box):
         refusals.count(usable & fault, "field", reason, field, lambda row: box[row].tolist())
@@ -179,7 +188,12 @@ def _taken(
     field: str = "",
     read: Callable[[Any], Any] | None = None,
 ) -> pa.Array:
-    """Return the column `read(values[code])`. If `read` raises ValueError, the row is null and counted."""
+    """Return an Arrow column of the type `kind`. Row i of the column is made from the value `values[code[i]]`.
+
+    If the argument `read` is a function, the row holds the result of `read(value)`. If the function raises ValueError,
+    the row is null and is counted as a refused field. If `read` is None, the row holds the value itself. A row with
+    the value None is always null.
+    """
     usable: list[Any] = []
     wrong: dict[int, str] = {}
     for i, value in enumerate(values):

@@ -115,7 +115,10 @@ def load_3d(path: Path, problems: Problems) -> LayerTables:
 
 
 def _take(fields: Fields, codes: dict[str, Distinct]) -> Columns:
-    """Return the columns of a batch of records. `numbers` has the shape (n, 7), in the order of `NUMBERS`."""
+    """Return the columns of a batch of records.
+
+    The column `numbers` has the shape (n, 7). Each row has the members of a box in the order of `NUMBERS`.
+    """
     n = len(fields["box"])
     numbers = chain.from_iterable(map(msgspec.structs.astuple, fields["box"]))
     attributes: list[Any] = [item or Attributes3D() for item in fields["attributes"]]
@@ -139,7 +142,7 @@ def heading_check(table: pa.Table) -> Heading:
         table: annotation table `boxes_3d`.
 
     Returns:
-        The number of displacements, and the median angle between heading and displacement.
+        The number of compared displacements, and the median angle in degrees between heading and displacement.
     """
     located = read_located(table)
     step = frames(1.0)

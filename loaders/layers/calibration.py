@@ -1,9 +1,9 @@
 """Loader of the camera calibration, which makes the table `calibration` from `calibration/cameras.yaml`.
 
 Under `cameras`, each `sensor_N` has a `width`, a `height` and a 3x3 matrix `K`. The matrix is one string of nine
-numbers in pixels: fx 0 cx, 0 fy cy, 0 0 1. JRDB publishes the file in this layout. The repository StanfordVL/JRMOT_ROS
-has the same layout. `schema.panorama` computes rows of the panorama with two constants. These constants should equal
-the medians of fy and cy over the cameras, and `cameras_check` compares the constants with the medians.
+numbers in pixels: fx 0 cx, 0 fy cy, 0 0 1. JRDB publishes the file in this layout, and so does the
+repository StanfordVL/JRMOT_ROS. `schema.panorama` computes rows of the panorama with two constants. One constant should
+equal the median of fy over the cameras, and the other the median of cy. `cameras_check` compares constants and medians.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def load_calibration(path: Path, problems: Problems) -> LayerTables:
         problems: counter of refused parts.
 
     Returns:
-        The table `calibration`, sorted by camera. The calibration gives no frames.
+        The table `calibration`, sorted by camera. The dictionary of frames is empty.
 
     Raises:
         InputError: If the file as a whole cannot be used.
@@ -66,7 +66,10 @@ def load_calibration(path: Path, problems: Problems) -> LayerTables:
 
 
 def cameras_check(table: pa.Table) -> Cameras | None:
-    """Compare the medians of fy and cy with the constants of the panorama. Return None if the table is empty."""
+    """Compare the medians of fy and cy with the constants of the panorama.
+
+    Return the comparison, or None if the table `calibration` is empty.
+    """
     if not table.num_rows:
         return None
     fy, cy = float(np.median(table["fy"].to_numpy())), float(np.median(table["cy"].to_numpy()))
@@ -75,7 +78,7 @@ def cameras_check(table: pa.Table) -> Cameras | None:
 
 
 def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
-    """Return the YAML nodes under `cameras` by name.
+    """Return the YAML node of each camera in the file, by the camera's name.
 
     The text is only parsed into nodes. No objects are made from the nodes, so YAML tags in the file have no effect.
     """
@@ -97,7 +100,7 @@ def _cameras(path: Path, problems: Problems) -> dict[str, yaml.Node]:
 
 
 def _members(node: yaml.Node | None, name: str, problems: Problems) -> dict[str, yaml.Node]:
-    """Return the members of a mapping, or {} for any other node. If a key is repeated, its first value is kept."""
+    """Return the members of a YAML mapping by key, or {} for any other node. A repeated key keeps its first value."""
     members: dict[str, yaml.Node] = {}
     for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
         if not isinstance(key, yaml.ScalarNode):
@@ -110,7 +113,7 @@ def _members(node: yaml.Node | None, name: str, problems: Problems) -> dict[str,
 
 
 def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
-    """Return a camera's row of the table. Raise ValueError if its matrix is unusable."""
+    """Return the row of a camera in the table `calibration`. Raise ValueError if the matrix `K` is unusable."""
     sensor = records.read_text(name)
     values = _members(node, sensor, problems)
     sizes: list[int | None] = []
@@ -135,7 +138,10 @@ def _camera(name: str, node: yaml.Node, problems: Problems) -> _Row:
 
 
 def _texts(node: yaml.Node) -> list[str]:
-    """Return a matrix's elements as strings. The node is a string, a list of nine numbers, or three lists of three."""
+    """Return the elements of a matrix as strings.
+
+    The node of the matrix is a string, a list of nine numbers, or a list of three rows with three numbers each.
+    """
     if isinstance(node, yaml.ScalarNode):
         return str(node.value).split()
     if not isinstance(node, yaml.SequenceNode):

@@ -1,15 +1,17 @@
 """Check whether a layer numbers its frames like the 2D layer, by comparing the people in both layers.
 
-Files of the train sequences use two numberings that are two frames apart, and no file states its numbering. The people
-of a layer at frame f are compared with the 2D boxes at frame f + s. There are two tests:
+Files of the train sequences use two numberings that are two frames apart, and no file states its numbering. The check
+compares the people of a layer at frame f with the 2D boxes at frame f + s, and looks for the shift s that makes both
+fit. There are two tests:
 
-- Equal boxes, for layers that repeat the 2D boxes. The shift is the s for which most boxes are equal.
-- Motion, for 3D boxes. A 3D box cannot equal a 2D box, and a fixed distance may separate the two boxes in every frame.
-  A shift of frames adds a distance that is proportional to the person's speed. Therefore a linear regression explains
-  the horizontal distance between a person's 3D box and 2D box by the person's horizontal speed. The intercept, one per
-  person, is the fixed distance. The slope is the shift in frames. The standard error of the slope is estimated twice:
-  from blocks of frames of each person, and from blocks of frames of all people. The larger estimate is used. The camera
-  and the lidar are read up to 40 ms apart, so a slope of this size is no evidence of a shift.
+- Equal boxes, for layers that repeat the 2D boxes. The shift is the s that makes the largest number of boxes equal.
+- Motion, for 3D boxes. A 3D box cannot equal a 2D box, and a fixed distance may separate the 3D box and the 2D box of
+  a person in every frame. A shift of frames adds a distance that is proportional to the person's speed. Therefore a
+  linear regression explains the horizontal distance between a person's 3D box and 2D box by the person's horizontal
+  speed. The intercept, one per person, is the fixed distance. The slope is the shift in frames. The standard error
+  of the slope is estimated twice: from blocks of frames of each person, and from blocks of frames of all people. The
+  larger estimate is used. The camera and the lidar are read up to 40 ms apart, so a slope of up to 40 ms does not show
+  a shift.
 
 The column of a person is the horizontal centre of the person in pixels of the panorama. The column of a 3D box at the
 azimuth a is 3760 * (0.5 - a / 2 pi).
@@ -91,15 +93,15 @@ class Tracks(Rows):
     """Boxes x, y, width, height in pixels of the panorama, shape (n, 4). None for 3D boxes."""
 
     def columns_at(self, track: Ints, frame: Ints) -> Floats:
-        """Return the column of each person at a frame, by linear interpolation between the person's frames.
+        """Return the columns of people at given frames, by linear interpolation between the frames of each person.
 
         Args:
-            track: tracks of the people.
-            frame: frame for each track.
+            track: track of the person, for each requested column.
+            frame: frame, for each requested column.
 
         Returns:
-            The columns in pixels. A column is NaN before the person's first frame, after the person's last frame, and
-            in gaps longer than `MAX_GAP` frames.
+            The columns of the panorama in pixels. A column is NaN before the person's first frame, after the
+            person's last frame, and in gaps longer than `MAX_GAP` frames.
         """
         key, after = self._rows_from(track, frame)
         before = np.where(self._keys[after] == key, after, np.maximum(after - 1, 0))
@@ -109,14 +111,18 @@ class Tracks(Rows):
         return np.asarray(self.column[before] + part * _difference(self.column[after], self.column[before]))
 
     def boxes_at(self, track: Ints, frame: Ints) -> Floats:
-        """Return the box of each person at a frame, shape (n, 4). A box that does not exist is NaN."""
+        """Return the box for each pair of a track and a frame, as an array of shape (n, 4). A missing box is NaN."""
         assert self.box is not None
         key, row = self._rows_from(track, frame)
         present = (self._keys[row] == key) & (frame >= 0)
         return np.where(present[:, None], self.box[row], np.nan)
 
     def _rows_from(self, track: Ints, frame: Ints) -> tuple[Ints, Ints]:
-        """Return a key for each pair of track and frame, and the index of the first row with at least this key."""
+        """Return two arrays with one element for each pair of a track and a frame: the pair's key, and a row index.
+
+        The rows of this object are sorted by key. The row index points to the first row with a key that is not smaller
+        than the key of the pair. If all rows have smaller keys, the row index points to the last row.
+        """
         key = paired(track, np.maximum(frame, 0))
         return key, np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
 
@@ -135,8 +141,8 @@ class Slope(NamedTuple):
 def tracks_of(layer: str, reading: LayerTables) -> Tracks | None:
     """Return the positions of the people in a file, or None for a layer without boxes.
 
-    Poses are not used. The visible key points of a walking person may be ahead of the person's centre or behind it,
-    which would look like a shift.
+    Key points of poses are not used as positions. The visible key points of a walking person may be ahead of the
+    person's centre or behind it, and this distance would look like a shift of frames.
 
     Args:
         layer: name of the layer.
@@ -184,7 +190,7 @@ def check_shift(layer: str, tracks: Tracks, reference: Tracks | None) -> ShiftCh
 
 
 def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
-    """Return the shift at which most boxes equal a box of the reference, or None if no shift is clearly best."""
+    """Return the shift in frames that makes the largest number of boxes equal, or None if no shift is clearly best."""
     assert tracks.box is not None
     apart = [_difference(tracks.box, reference.boxes_at(tracks.track, tracks.frame + s)) for s in TRIED]
     compared = [int((~np.isnan(difference[:, 0])).sum()) for difference in apart]
@@ -196,10 +202,10 @@ def equal_at(tracks: Tracks, reference: Tracks) -> int | None:
 
 
 def response_of(tracks: Tracks, reference: Tracks) -> float:
-    """Return how much the slope changes if the layer is moved by one frame on purpose.
+    """Return by how much the estimate of `slope_of` changes if the frames of the layer are moved by one on purpose.
 
-    The result is 1 if all motion is real. It is near 0 if people stand and only the annotated positions of their boxes
-    vary. In that case a slope of zero does not prove that the layers agree.
+    The result is 1 if all motion is real. The result is near 0 if people stand still and only the annotated positions
+    of their boxes vary. If the result is near 0, a slope of zero does not prove that the layers agree.
     """
     slopes = [slope_of(tracks, reference, moved) for moved in (-1, 1)]
     if slopes[0] is None or slopes[1] is None:
@@ -251,7 +257,10 @@ def slope_of(tracks: Tracks, reference: Tracks, moved: int = 0) -> Slope | None:
 
 
 def _check(layer: str, shift: int, slope: Slope | None) -> ShiftCheck:
-    """Return the result for a known shift. `slope` is the estimate from motion, or None if boxes were compared."""
+    """Return the result of `check_shift` for a shift that was found.
+
+    `slope` is the estimate from motion, or None if the shift was found by equal boxes.
+    """
     if shift:
         about = "about " if slope else ""
         reason = f"agrees with the 2D boxes only when moved by {about}{shift:+d} frames: renumber it or load without it"
@@ -276,16 +285,17 @@ def _tracks_3d(table: pa.Table) -> Tracks:
 
 
 def _sorted(table: pa.Table, column: Floats, box: Floats | None, usable: Bools) -> Tracks:
-    """Return the usable rows, sorted by track and frame."""
+    """Return the positions in the rows that `usable` marks, sorted by track and frame."""
     tracks = Tracks(whole_numbers(table, "frame"), whole_numbers(table, "track"), column, box)
     order = ascending(tracks.track, tracks.frame)
     return tracks.at(order[usable[order]])
 
 
 def _difference(a: Floats, b: Floats) -> Floats:
-    """Return `a - b` for columns or for boxes of shape (n, 4).
+    """Return `a - b`. Both arguments are columns of the panorama, or both are boxes of shape (n, 4).
 
-    Because the panorama is a full circle, the difference of two columns is taken in the shorter direction.
+    The panorama is a full circle. Therefore the difference of two columns, or of the left edges of two boxes, is taken
+    in the shorter direction around the circle.
     """
     difference = a - b
     columns = difference if difference.ndim == 1 else difference[:, 0]
@@ -294,7 +304,7 @@ def _difference(a: Floats, b: Floats) -> Floats:
 
 
 def _without_means(values: Floats, track: Ints) -> Floats:
-    """Subtract from each value the mean over its track."""
+    """Return each value minus the mean of all values of the same track."""
     _, group = rank_values(track)
     return values - (np.bincount(group, values) / np.bincount(group))[group]
 

@@ -141,7 +141,7 @@ def _number_column(values: npt.NDArray[Any]) -> pa.Array:
 
 
 def _item(values: Any) -> Callable[[int], object]:
-    """Return a function that takes a row index and returns the value of the row for the report."""
+    """Return a function that takes a row index and returns the number at this index of `values`, as an int."""
     return lambda row: int(values[row])
 
 
@@ -149,7 +149,10 @@ def _item(values: Any) -> Callable[[int], object]:
 
 
 def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> dict[str, Any]:
-    """Return the columns of those annotations that have a frame. A missing number is NaN."""
+    """Return the columns of a chunk of annotations. Annotations without a frame are left out.
+
+    The argument `frame` has the frame of each annotation, or -1. A missing number of a box or area becomes NaN.
+    """
     rows = np.flatnonzero(frame >= 0)
     chunk = [chunk[row] for row in rows.tolist()]
     refusals = Refusals(frame[rows], problems)
@@ -164,7 +167,10 @@ def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> di
 
 
 def _track(row: int, annotation: SegmentAnnotation, refusals: Refusals) -> int:
-    """Return the track from the first of three fields that has a value, or NO_TRACK if no value is usable."""
+    """Return the track of an annotation, or NO_TRACK if the annotation has no usable track.
+
+    Three fields may hold the track. Only the first of them that has a value is read.
+    """
     inner = annotation.attributes or Attributes()
     values = (annotation.tracking_id, inner.tracking_id, inner.floor_id)
     value = next((value for value in values if value is not None), NO_TRACK)
@@ -189,7 +195,10 @@ def _segmentations(chunk: Sequence[SegmentAnnotation], refusals: Refusals) -> pa
 
 
 def _compact(raw: bytes) -> bytes:
-    """Return the JSON of a mask without blanks. Raise ValueError if it is neither run lengths nor polygons."""
+    """Return the JSON of a mask without blanks.
+
+    Raise ValueError if the mask is too large, or is neither run lengths nor polygons.
+    """
     if len(raw) > MAX_SEGMENTATION:
         raise ValueError(f"larger than {MAX_SEGMENTATION >> 20} MB")
     try:

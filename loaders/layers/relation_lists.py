@@ -6,10 +6,10 @@ the partner's box, which may be from an earlier frame. Entries differ between fr
 Therefore each distinct pair and each distinct object of labels gets a code and is decoded once.
 
 A list is *whole* if no part of the list was refused. Every relation that a whole list lacks is known to be false. An
-entry is refused if its pair cannot be read or is the person itself, or if its labels are not a JSON object. The label
-"impossible" gives no fact, and a list with this label is not whole. A list with a label outside the vocabulary is not
-whole either, because the label may be a synonym of any relation. If a difficulty cannot be read, the label is kept as
-an unknown fact.
+entry is refused if its pair cannot be read or names the person of the record, or if its labels are not a JSON
+object. The label "impossible" gives no fact, and a list with this label is not whole. A list with a label outside the
+vocabulary is not whole either, because the label may be a synonym of any relation. If a difficulty cannot be read, the
+label is kept as an unknown fact.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Entry(msgspec.Struct, gc=False):
 
 
 def person_of(pair: object) -> tuple[int]:
-    """Return the track of the partner from a pair such as "pedestrian:9", "9" or 9.
+    """Return the track of the partner, as a tuple of one number. `pair` is "pedestrian:9", "9" or 9, for example.
 
     Raises:
-        ValueError: If the pair is not of a person.
+        ValueError: If `pair` does not name a person.
     """
     if isinstance(pair, str) and not _DIGITS.fullmatch(pair):
         return (records.read_track(pair),)
@@ -53,10 +53,10 @@ def person_of(pair: object) -> tuple[int]:
 
 
 def thing_of(pair: object) -> tuple[int, int]:
-    """Return the track and the category id of a thing, as in the panoptic layer, from a pair [track, category id].
+    """Return the track and the category id that a thing has in the panoptic layer. `pair` is [track, category id].
 
     Raises:
-        ValueError: If the pair is not a list of two ids.
+        ValueError: If `pair` is not a list of two ids.
     """
     if not isinstance(pair, list) or len(pair) != 2:
         raise ValueError("not a track and a category")
@@ -83,7 +83,14 @@ class RelationKind:
     """Known labels."""
 
     def decode(self, raw: bytes, decoded: Decoded) -> None:
-        """Add (label, label as written, difficulty) to `decoded` for each label in the raw labels of an entry."""
+        """Decode the labels of an entry, and add a fact to `decoded` for each label except "impossible".
+
+        The content of a fact is (label, label as written, difficulty code).
+
+        Args:
+            raw: JSON object `inter_labels` of the entry.
+            decoded: object to fill.
+        """
         for label, code in decoded.labels(raw, self.key):
             name = self.normal(label)
             decoded.whole &= name in self.vocabulary
@@ -91,7 +98,7 @@ class RelationKind:
                 decoded.values.append((name, label, decoded.difficulty(code, self.key)))
 
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
-        """Return the key and the label if the label of a fact is outside the vocabulary, otherwise None."""
+        """Return the pair of `key` and the fact's label if the label is outside the vocabulary, otherwise None."""
         return None if fact[0] in self.vocabulary else (self.key, fact[0])
 
 
@@ -119,8 +126,10 @@ def take_lists(lists: Sequence[list[Entry] | None], kind: RelationKind, codes: d
 class Relations:
     """Decoded relations of one kind, from the lists of the kept records. Refused parts are counted.
 
-    facts: facts with the content (label, label as written, difficulty). The row of a fact is an index in `people`.
-    ends: by column of `RelationKind.ends`, one number per fact: the partner's track, or the thing's track or category.
+    facts: facts with the content (label, label as written, difficulty code). `facts.row` has the index in `people` of
+        each fact's record.
+    ends: dictionary from each column in `RelationKind.ends` to an array with one number per fact. The number is the
+        partner's track, the thing's track or the thing's category id, as the name of the column says.
     present: mask of the kept records that have a list.
     refused: mask of the kept records with a list that is not whole.
     """
@@ -159,7 +168,11 @@ class Relations:
 
 
 def _read_pairs(pairs: Iterable[bytes], kind: RelationKind) -> tuple[Ints, dict[int, list[Issue]]]:
-    """Return the ends of each distinct pair, shape (pairs, ends), and the issues of unreadable pairs by code."""
+    """Return an array of the ends of the distinct pairs, and a dictionary of the issues of the unreadable pairs.
+
+    The array has one row per pair and one column per end. The row of an unreadable pair holds -1 in each column. The
+    keys of the dictionary are the codes of the unreadable pairs.
+    """
     issues: dict[int, list[Issue]] = {}
     ends = []
     for i, raw in enumerate(pairs):

@@ -5,9 +5,9 @@ record: demographics, group information and interactions with people. Reasoning 
 Demographics and group information are lists of at most one object `{key: {label: difficulty}}`. These objects repeat
 between frames, and each distinct object is decoded once.
 
-If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes only
-show whether the file numbers its frames like the 2D layer. If a refused record may describe a person, no list in the
-record's frame is whole (see `relation_lists`), and the attributes in the frame are not used.
+If a person has two records in a frame, the first is used. A record does not need a box to give facts. The boxes are
+used only to check whether the file numbers its frames like the 2D layer. If a refused record may describe a
+person, no list in the record's frame is whole (see `relation_lists`), and the attributes in the frame are not used.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class HandlingRecord(msgspec.Struct, gc=False):
 
 
 class SocialRecord(HandlingRecord, gc=False):
-    """Record of one person in one frame, with all fields."""
+    """Record of one person in one frame, with attributes and relations to people in addition to relations to things."""
 
     demographics_info: msgspec.Raw = NOTHING
     group_info: msgspec.Raw = NOTHING
@@ -72,15 +72,16 @@ _HANDLING: Final[RecordReader[Any]] = RecordReader(HandlingRecord)
 def load_social(path: Path, problems: Problems) -> LayerTables:
     """Read demographics, interactions and group information of a social file.
 
-    If a record has neither `H-interaction` nor `HHI`, the interactions of the person in the frame are unknown. If the
-    list is empty, the person has no interaction.
+    If a record has neither the list `H-interaction` nor the list `HHI`, the interactions of the person in the frame are
+    unknown. If the record has one of the lists and it is empty, the person has no interaction in the frame.
 
     Args:
         path: label file.
         problems: counter of refused parts.
 
     Returns:
-        The tables of attributes, interactions and complete lists, the frames of each layer, and the boxes of the file.
+        The tables of attributes and interactions, the table `listed` of whole lists, the frames of each layer, and the
+        boxes of the file.
 
     Raises:
         InputError: If the file as a whole cannot be used.
@@ -100,7 +101,8 @@ def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
         social: True to read demographics, interactions and group information in addition to the relations to things.
 
     Returns:
-        The tables of relations, attributes and complete lists, the frames of each layer, and the boxes of the file.
+        The tables of relations and attributes, the table `listed` of whole lists, the frames of each layer, and the
+        boxes of the file.
 
     Raises:
         InputError: If the file as a whole cannot be used.
@@ -109,7 +111,10 @@ def load_reasoning(path: Path, problems: Problems, social: bool) -> LayerTables:
 
 
 def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absent_is_empty: bool) -> LayerTables:
-    """Read the relations `kinds` of a file. If INTERACTING is one of them, read the attributes too."""
+    """Read the relations of the given kinds from a file. If INTERACTING is one of `kinds`, also read the attributes.
+
+    If `absent_is_empty` is true, a record that lacks the list of a kind counts as a record with an empty list.
+    """
     reader, layers = (_SOCIAL, ATTRIBUTES) if INTERACTING in kinds else (_HANDLING, ())
     codes: dict[str, Distinct] = defaultdict(Distinct)
     coded = ("label_id", *(name for _, name, _ in layers))
@@ -162,13 +167,16 @@ def _lists(fields: Fields, kind: RelationKind) -> Sequence[list[Entry] | None]:
 
 
 def _listed_table(whole: Bools, kind: RelationKind, people: KeptRecords) -> pa.Table:
-    """Return the rows of the table `listed`: one row for each kept record with a whole list, as marked by `whole`."""
+    """Return rows for the table `listed`: one row for each kept record with a whole list.
+
+    `whole` is the mask of these records.
+    """
     columns = {"frame": people.frame[whole], "track": people.track[whole]}
     return pa.table({"layer": constant(kind.layer, int(whole.sum())), **columns})
 
 
 def _box_table(box: npt.NDArray[np.float64], people: KeptRecords, refusals: Refusals) -> pa.Table:
-    """Return the usable boxes of the kept records for `LayerTables.boxes`."""
+    """Return the table `LayerTables.boxes`, which has the usable boxes of the kept records."""
     usable = usable_boxes(box, refusals, "box")
     columns = {"frame": people.frame, "track": people.track, **{name: box[:, i] for i, name in enumerate("xywh")}}
     return pa.table(columns).filter(pa.array(usable))
@@ -178,7 +186,10 @@ def _box_table(box: npt.NDArray[np.float64], people: KeptRecords, refusals: Refu
 
 
 class _AttributeDecoder:
-    """Decoder that turns `[{key: {label: difficulty}}]` into facts (attribute, value, label, difficulty)."""
+    """Decoder of the JSON lists `[{key: {label: difficulty}}]` of attributes.
+
+    The content of a decoded fact is (attribute, value, label, difficulty).
+    """
 
     def __init__(self, field: str, keys: Mapping[str, str]) -> None:
         self._field, self._keys = field, keys
@@ -208,7 +219,7 @@ class _AttributeDecoder:
             decoded.values += [(attribute, value, label, difficulty) for value in values]
 
     def unknown(self, fact: tuple[Any, ...]) -> tuple[str, str] | None:
-        """Return the field and the value if the value of a fact is outside the vocabulary, otherwise None."""
+        """Return the field and the value of a fact if the value is outside the vocabulary, otherwise None."""
         attribute, value = fact[:2]
         listed = value is None or value in VALUES[attribute]
         return None if listed else (f"{self._field}.{self._key_of[attribute]}", value)

@@ -101,14 +101,17 @@ def load_timestamps(folder: Path, problems: Problems) -> LayerTables:
 
 
 def frame_rate(frame: Ints, seconds: Sequence[float]) -> float | None:
-    """Return the median of frames per second between successive stamps, or None for fewer than two stamps."""
+    """Return the median frame rate between successive stamps, in frames per second.
+
+    The result is None if there are fewer than two stamps.
+    """
     if len(frame) < 2:
         return None
     return float(np.median(np.diff(frame) / np.diff(np.asarray(seconds, np.float64))))
 
 
 def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Floats]:
-    """Return the frames of the usable entries, ascending, and their stamps in seconds."""
+    """Return the frames of the usable entries in ascending order, and the stamp of each frame in seconds."""
     try:
         entries, refused = _READER.read(decode_file(path, _File).data, problems, lambda raw: sensor.file)
     except msgspec.DecodeError:
@@ -138,5 +141,8 @@ def _stamps(path: Path, sensor: Sensor, problems: Problems) -> tuple[Ints, Float
 
 
 def _shown(entry: StampedFrame, names: list[str]) -> Any:
-    """Return what the report shows of a refused entry: its frame_id and file names, or its stamp."""
+    """Return what the report shows of a refused entry: its `frame_id` and file names.
+
+    If the entry has no `frame_id`, return its stamp instead.
+    """
     return entry.timestamp if entry.frame_id is None else (entry.frame_id, *names)

@@ -145,8 +145,8 @@ SCENE: Final = SchemaMapping(
     edges={
         "social": _SOCIAL,
         "group": unless_both_listed(_GROUPED, _MEMBER),
-        "first": _BESIDE,
-        "person": unless_both_listed(_BESIDE, "{s}.located"),
+        "first": unless_both_listed(_BESIDE, "{s}.robot_view_listed"),
+        "person": unless_both_listed(_BESIDE, "{s}.person_view_listed"),
         "left": within("{s}.angle", "{z}.angle"),
         "right": within("{z}.angle", "{s}.angle"),
     },

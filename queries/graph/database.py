@@ -1,4 +1,6 @@
-"""Open databases of the graph engine. All sessions of this process on one graph file share one database.
+"""Databases of the graph engine that this process has open.
+
+All sessions of this process on one graph file share one database.
 
 The engine holds a POSIX lock on the graph file. The kernel drops this lock if the process opens the file a second time
 and then closes it. So each database is opened only once, and no other code opens the file while the database is open. A
@@ -47,13 +49,13 @@ def engine() -> Any:
 
 @dataclass
 class SharedDatabase:
-    """Open database of the graph engine, which several sessions share.
+    """Open database of the graph engine. Several sessions of this process may share the database.
 
     Attributes:
         database: Database object of the engine.
         path: Graph file, or None if the database is in memory.
         read_only: Whether the database is open for reading only.
-        lock: Open lock file, or None if the database is in memory.
+        lock: Lock file, which is open, or None if the database is in memory.
         users: Number of open sessions.
         writer: Lock that a session holds while it writes.
         plans: Plans that the engine made for statements, by the text of the statement.
@@ -91,7 +93,8 @@ def acquire_database(path: Path, read_only: bool, buffer_bytes: int) -> SharedDa
 
     Raises:
         StoreError: If the file is missing or damaged, or has another version.
-        LockedError: If another process locks the file, or if the session writes but this process opened it read-only.
+        LockedError: If a lock of another process excludes this session. Also if the session writes, but this process
+            already has the database open for reading only.
     """
     with _registry_lock:
         shared = _registry.get(path)

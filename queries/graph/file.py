@@ -54,7 +54,7 @@ class Fingerprint(msgspec.Struct, frozen=True):
         storage_version: Version of the tables.
         size: Size of the file in bytes.
         sha256: Hash of the file, in hexadecimal digits.
-        rows: Number of rows of each table, by name.
+        rows: Number of rows of each table, by the name of the table.
     """
 
     storage_version: int
@@ -78,7 +78,7 @@ def compute_fingerprint(file: Path, rows: Mapping[str, int]) -> Fingerprint:
 
     Args:
         file: Graph file.
-        rows: Number of rows of each table, by name.
+        rows: Number of rows of each table, by the name of the table.
 
     Returns:
         The fingerprint.
@@ -203,10 +203,11 @@ def lock_graph(path: Path, *, shared: bool) -> IO[str]:
 
 
 def _holder(file: IO[str]) -> tuple[str, bool]:
-    """Return a description of the process that holds a lock, and whether that process is about to end.
+    """Return a description of the process that holds a lock, and whether the lock is about to become free.
 
-    The function looks for the process in the kernel's table of locks. If the table lists no holder, the process has
-    just released the lock. If the system has no such table, the description comes from the lock file.
+    The function looks for the process in the kernel's table of locks. The second value is true if that process is
+    about to end. It is also true if the table does not list a process, because the lock has then just been released.
+    If the system lacks the table, or the table does not list a process, the description comes from the lock file.
     """
     ends = False
     inode = str(os.fstat(file.fileno()).st_ino)
@@ -242,12 +243,12 @@ def check_room(graph: Path) -> None:
 
 
 def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
-    """Write the fingerprint of a finished temporary graph file, and rename the file and the fingerprint.
+    """Write the fingerprint of a finished graph file, and give both files their final names.
 
     Args:
         temporary: Finished graph file under its temporary name.
         graph: Final path of the graph file.
-        rows: Number of rows of each table, by name.
+        rows: Number of rows of each table, by the name of the table.
 
     Raises:
         StoreError: If a file cannot be written or renamed.
@@ -266,7 +267,10 @@ def publish(temporary: Path, graph: Path, rows: Mapping[str, int]) -> None:
 
 
 def _rename_fingerprint(graph: Path) -> None:
-    """Rename the fingerprint if its graph has its final name. A process may have died between the two renames."""
+    """Rename the fingerprint to its final name if the graph file has its final name already.
+
+    A process may have died after it renamed the graph file and before it renamed the fingerprint.
+    """
     temporary = building_path(graph)
     if not temporary.exists():
         with contextlib.suppress(FileNotFoundError):
@@ -274,7 +278,10 @@ def _rename_fingerprint(graph: Path) -> None:
 
 
 def copy_files(graph: Path, copy: Path) -> None:
-    """Copy a graph file and its log. Raises StoreError if the graph is damaged or the copy cannot be written."""
+    """Copy the graph file `graph` to the path `copy`, and also copy the log of the graph file.
+
+    Raises StoreError if the graph is damaged or a copy cannot be written.
+    """
     check_fingerprint(graph)
     try:
         for suffix in ("", *_SIDE_FILES):

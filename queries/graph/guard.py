@@ -1,10 +1,11 @@
 """Execution of users' Cypher statements. A statement may only read, and it runs in a child process.
 
 A statement can make the engine read and write files (LOAD FROM, COPY TO, EXPORT, ATTACH), even if the database is open
-for reading only. The engine does not report this. So there are three safeguards:
+for reading only. The engine does not report such an access. So there are three safeguards:
 
-- The keywords of the statement are checked. A statement is refused if it has a clause that writes, loads, attaches,
-  installs, calls or controls transactions. A second statement is also refused.
+- The keywords of the statement are checked. A statement is refused if it has a clause that writes data, loads or
+  attaches a file, installs an extension, calls a procedure, or begins or ends a transaction. A second statement is
+  also refused.
 - The plan of the statement is checked. A statement is refused if the plan has a table function, a write or INTERSECT.
 - The database is opened for reading only.
 
@@ -136,7 +137,7 @@ def run_child(request: bytes, timeout_s: float) -> subprocess.CompletedProcess[b
     """Run `serve` in a new process.
 
     Args:
-        request: JSON object with the arguments of `_read`, which the process reads from stdin.
+        request: JSON object with the arguments of `_read`. The process reads the object from stdin.
         timeout_s: Maximum time in seconds, after which the process is killed.
 
     Returns:
@@ -173,9 +174,9 @@ def _report(error: Exception) -> None:
 
 
 def end_beyond_memory(report: Callable[[], None]) -> None:
-    """End this process as soon as its memory exceeds `MEMORY_BYTES`. Until then, do not return (on Linux).
+    """Watch the memory of this process, and end the process as soon as its memory exceeds `MEMORY_BYTES`.
 
-    On other systems, return at once.
+    On Linux, this function never returns. On other systems, it returns at once and has no effect.
 
     Args:
         report: Function without arguments that is called once, just before the process ends.
@@ -205,7 +206,10 @@ def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> p
 
 
 def _sort(table: pa.Table) -> pa.Table:
-    """Sort rows by all columns that can be compared, because the engine returns rows in a different order each time."""
+    """Sort the rows of a statement, because the engine returns rows in a different order each time.
+
+    The rows are sorted by all columns, except columns of lists or structs and columns with equal names.
+    """
     keys = [
         (name, "ascending")
         for name, kind in zip(table.column_names, table.schema.types, strict=True)

@@ -2,8 +2,8 @@
 
 The class `Graph` is a session. It handles these properties of the engine Kùzu for its callers:
 
-- *A process can open a graph file only once, and either one process writes or several processes read it*. Sessions
-  share one database per file (`database.py`).
+- *A process can open a graph file only once. Either one process writes the file, or several processes read the file*.
+  Sessions share one database per file (`database.py`).
 - *The engine answers some statements wrongly without an error* (`wrong_answers.py`). The session checks each distinct
   statement once, and refuses a statement that would be answered wrongly.
 - *The order of rows differs between runs*. A statement that reads must have an ORDER BY or return a single row. Callers
@@ -106,14 +106,14 @@ class Graph:
 
         Raises:
             StoreError: If the file is missing or damaged, or has another version.
-            LockedError: If another process writes the file, or if it reads the file and this session writes.
+            LockedError: If another process writes the file, or if another process reads it and this session writes.
         """
         shared = acquire_database(Path(path).resolve(), read_only, buffer_bytes)
         return cls(shared, read_only, prepares)
 
     @classmethod
     def memory(cls, *, buffer_bytes: int = BUFFER_BYTES, prepares: bool = False) -> Graph:
-        """Open a session on a new, empty graph in memory. `open` describes the arguments."""
+        """Open a session on a new, empty graph in memory. The method `open` describes the arguments."""
         return cls(create_memory_database(buffer_bytes), prepares=prepares)
 
     def close(self) -> None:
@@ -215,7 +215,7 @@ class Graph:
     # -- writing ----------------------------------------------------------------------------------------------
 
     def execute(self, cypher: str, params: Mapping[str, Any] | None = None) -> pa.Table:
-        """Run one statement that may write, and return the rows.
+        """Run one statement that may write, and return the rows of the statement's result.
 
         Outside of `transaction()`, the statement has its own transaction.
 
@@ -234,7 +234,7 @@ class Graph:
             return self._run(text, values, None)
 
     def copy(self, table: str, rows: pa.Table) -> None:
-        """Append rows to a table of the graph. The columns must have the order of the table.
+        """Append rows to a table of the graph. The columns of `rows` must have the order of the table's columns.
 
         Rows of edges begin with two more columns: the keys of the nodes at the start and at the end of the edge.
         """
@@ -253,7 +253,7 @@ class Graph:
         Args:
             table: Name of the table.
             folder: Folder of the files.
-            names: Names of the files: letters, digits, '.', '_' and '-'.
+            names: Names of the files. A name has only letters, digits, '.', '_' and '-'.
             ends: Names of the node tables at the start and at the end of the edges. They are needed only if the
                 relationship table connects several pairs of node tables.
 
@@ -329,7 +329,7 @@ class Graph:
             self._planned = 0
 
     def _statement(self, text: str, values: Mapping[str, Any]) -> Any:
-        """Return the prepared statement for a text, or the text if it must not be prepared.
+        """Return the prepared statement for a text, or the text itself if the session does not prepare it.
 
         A statement with an Arrow table as a parameter must not be prepared, because the engine would use the table of
         the first call in all later calls.

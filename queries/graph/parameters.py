@@ -32,7 +32,7 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     Args:
         cypher: Statement. A semicolon at the end is removed.
         params: Values of the parameters, by name. A value is None, bool, int (64 bits), float, str, a numpy scalar, a
-            list or dict of these, or an Arrow table (for `LOAD FROM $name`).
+            list or dict of such values, or an Arrow table (for `LOAD FROM $name`).
 
     Returns:
         The statement with typed parameters, and the values to pass to the engine.
@@ -49,7 +49,10 @@ def bind(cypher: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 # Use a cache, because a call takes 0.1 to 1 ms without it, which is up to half the time of a small query.
 @lru_cache(1024)
 def _typed(cypher: str, kinds: tuple[tuple[str, str | None], ...]) -> str:
-    """Return the statement with a CAST around each parameter that has a type. `kinds` has pairs of name and type."""
+    """Return the statement with a CAST around each parameter that needs a type.
+
+    `kinds` has, for each parameter, its name and its type. The type is None if the parameter needs no CAST.
+    """
     cypher = cypher.strip().removesuffix(";")
     if ";" in strip_literals(cypher):
         raise QueryError("one statement at a time: there is a ';' inside")

@@ -1,13 +1,13 @@
 """Checks that refuse statements which the engine is known to answer wrongly.
 
-The checks look at the plan and at the keywords of a statement. Each fault was found by a comparison of the engine with
-a brute-force search. For each fault, a test fails if a later version of the engine answers correctly. Its check can
-then be removed.
+The checks look at the plan and at the keywords of a statement. The list below has the known faults of the engine. Each
+fault was found by a comparison of the engine with a brute-force search. For each fault, a test fails if a later version
+of the engine answers correctly. The check for the fault can then be removed.
 
 - *Cyclic patterns lose parallel edges*. If the plan has INTERSECT, the engine may return 2 rows instead of 4.
-- *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. The condition may also be an alias,
-  a cast to BOOL or another CASE. `WHEN x.flag = true` and `CASE x.flag WHEN true` are answered correctly.
-- *Aggregates after a DISTINCT aggregate are empty* if the RETURN or WITH clause has groups of rows. In
+- *A bare boolean after WHEN takes the wrong branch*, as in `CASE WHEN x.flag THEN`. An alias, a cast to BOOL or a CASE
+  after WHEN has the same effect. `WHEN x.flag = true` and `CASE x.flag WHEN true` are answered correctly.
+- *Aggregates after a DISTINCT aggregate are empty* if the RETURN or WITH clause forms groups of rows. In
   `count(DISTINCT a), count(*)`, the second value is 0. If `collect` replaces `count(*)`, the engine crashes.
   `count(*), count(DISTINCT a)` is answered correctly.
 - *Rows are in the wrong order if ORDER BY has a text before a number* and there are more than about 5,000 rows. If the
@@ -87,7 +87,7 @@ class QueryPlan:
 
     @property
     def groups(self) -> bool:
-        """Whether any part of the statement forms groups of rows, such as an aggregate by key."""
+        """Whether the plan groups rows by a key, for example for `RETURN a.name, count(*)`."""
         return "Group By:" in self.text
 
 
@@ -99,7 +99,7 @@ def refuse_wrong_answers(plan: QueryPlan, text: str, complaint: Callable[[str], 
             that a second check of the plan returns at once.
         text: Statement.
         complaint: Function that returns the engine's error message for an invalid statement. It is called with
-            invalid variants of `text`. Their error messages name the types of columns.
+            invalid variants of `text`, because the error messages about these variants name the types of columns.
 
     Raises:
         QueryError: If the engine would answer wrongly. The message says how to change the statement.

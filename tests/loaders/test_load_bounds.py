@@ -6,12 +6,26 @@ them), or what stands in their place is no file that can be reached.
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 from loaded_stores import NAME, load_root, read_store
+from oracle_candidates import FIRST, PLACES, TOGETHER
 from worlds import load_reported, member, person, person_3d, write_root
 
+from jrdb_avr.engine.generate.run import generate
+from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.loaders.intervals import neighbors
 from jrdb_avr.loaders.labelfiles import columns, facts, frames
+from jrdb_avr.loaders.load import rebuild
+from jrdb_avr.queries.compiler.mapping import SCENE
+from jrdb_avr.queries.compiler.reads import SceneReader
+from jrdb_avr.queries.compiler.solve import PlanQuery, solve
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.errors import AvrWarning
+from jrdb_avr.schema.plan import parse_plan
+from jrdb_avr.schema.rules import LoadRules, Rules
 
 BOX = (100, 60, 50, 200)
 
@@ -30,7 +44,7 @@ def talking(n):
     return {0: [member(0, BOX, interactions=[(t, {"conversation": "1"}) for t in range(1, n + 1)])]}
 
 
-def test_a_sequence_with_too_many_people_at_a_time_is_refused_and_the_rest_loads(monkeypatch, tmp_path):
+def test_a_view_with_too_many_facts_is_left_out_and_the_rest_of_the_sequence_loads(monkeypatch, tmp_path):
     """Whoever is within five metres of everybody is beside everybody: facts grow with the square."""
     monkeypatch.setattr(neighbors, "MAX_BESIDE", 400)
     crowd, few = (
@@ -40,12 +54,40 @@ def test_a_sequence_with_too_many_people_at_a_time_is_refused_and_the_rest_loads
         }
         for people in (20, 6)
     )
-    store, reports = load_reported(tmp_path, {"crowd-1": crowd, "few-1": few})
-    assert sorted(store.manifest().sequences) == ["few-1"]
-    assert [(p.kind, p.file) for report in reports for p in report.problems] == [("sequence", "crowd-1")]
-    (problem,) = reports[0].problems
-    assert problem.reason == "more than 400 facts of who is beside whom: too many people at a time"
-    assert store.interval("beside", "few-1").num_rows
+    store, (report, other) = load_reported(tmp_path, {"crowd-1": crowd, "few-1": few})
+    assert (report.problems, report.boxes, report.boxes_3d, other.warnings) == ([], 40, 40, [])
+    assert [line[:65] for line in report.warnings] == [
+        "more than 400 facts of the place of a person as another one sees "
+    ]
+    for name, listed in (("crowd-1", False), ("few-1", True)):
+        flags = store.interval("sightings", name, ["robot_view_listed", "person_view_listed"]).to_pylist()
+        assert {tuple(row.values()) for row in flags} == {(True, listed)}
+        assert ({*store.interval("beside", name)["label"].to_pylist()} > {*FIRST}) == listed
+
+
+def test_no_question_uses_facts_that_are_left_out(monkeypatch, small_demo, tmp_path):
+    """They are unknown, in the plans that named them too; all other questions are generated and valid."""
+    store = Store(shutil.copytree(small_demo.folder / "store", tmp_path / "store"))
+    plans = plans_of(store, [*FIRST, *PLACES])
+    assert plans_of(store, FIRST) and plans_of(store, PLACES)
+    monkeypatch.setattr(neighbors, "MAX_BESIDE", 400)
+    with pytest.warns(AvrWarning, match="more than 400 facts of the (first person|place of a person)") as warned:
+        rebuild(store, LoadRules(), 1)
+    assert len(warned) == 2
+    with Graph.open(store.graph_path) as graph:
+        solved = solve(SceneReader(graph, SCENE, LoadRules()), plans, Rules())
+    assert {solution.outcome for solution in solved} == {"unknown"}
+    generate(store, workers=1)
+    assert plans_of(store, TOGETHER) and not plans_of(store, [*FIRST, *PLACES])
+    report = validate(store, replay_proofs=True, workers=1)
+    assert report.faults == {} and report.checked["replay"]
+
+
+def plans_of(store, labels):
+    """The plans of a store's questions that name one of the labels."""
+    rows = store.questions("answers")["plan"].to_pylist()
+    (sequence,) = store.manifest().sequences
+    return [PlanQuery(parse_plan(row), sequence) for row in rows if any(label in row for label in labels)]
 
 
 def many_labels(n):

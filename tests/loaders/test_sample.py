@@ -8,7 +8,6 @@ import hashlib
 import itertools
 import math
 from collections import Counter, defaultdict
-from pathlib import Path
 
 import msgspec
 import pytest
@@ -354,14 +353,12 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path):
     assert run(tmp_path / "note.txt").exit_code == 1
 
 
-def test_an_empty_folder_is_taken(tmp_path):
-    (tmp_path / "new").mkdir()
-    assert run(tmp_path / "new", "--sequences", 1, "--frames", 60, "--people", 2, "--no-images").exit_code == 0
-    assert sorted(path.name for path in Path(tmp_path / "new" / "labels").iterdir()) == [
-        "labels_2d_activity_social_stitched",
-        "labels_2d_panoptic_stitched_CW",
-        "labels_2d_pose_stitched_coco",
-        "labels_2d_stitched",
-        "labels_2d_stitched_new_version",
-        "labels_3d",
-    ]
+@pytest.mark.parametrize(
+    ("options", "frames"),
+    [((), [60] * 5), (("--full-scale",), [75, 90]), (("--full-scale", "--sequences", 3), [75, 75, 90])],
+)
+def test_an_empty_folder_takes_as_many_sequences_as_asked_for(monkeypatch, tmp_path, options, frames):
+    monkeypatch.setattr("jrdb_avr.loaders.synthetic.write.FULL_SCALE", ((75, 1), (90, 2)))
+    options += ("--frames", 60, "--people", 1, "--no-images", "--workers", 1)
+    assert run(tmp_path, *options).exit_code == 0
+    assert sorted(int(max(one["labels"])[:6]) + 1 for one in files(tmp_path, "labels_2d_stitched").values()) == frames

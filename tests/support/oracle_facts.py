@@ -491,6 +491,8 @@ class Oracle:
             "group_size_max": max(sizes, default=None),
             "sector": next((name for name in CENTERS if off_axis(angle, name) <= 40 + 1e-9), None),
             "located": (frame, track) in self.located,
+            "robot_view_listed": True,
+            "person_view_listed": (frame, track) in self.located,
         }
         empty = dict.fromkeys(("distance", "distance_word", "distance_word_other", "cx", "cy", "cz", "heading"))
         if not row["located"]:

@@ -47,10 +47,10 @@ SQL = {
     "SeenIn": f"""
         SELECT {PERSON}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle, occlusion, no_eval, clear,
                covered, face_visible, listed, interactions_listed, handles_listed, pose, posed, group_size,
-               group_size_min, group_size_max, sector,
-               located, distance, distance_word, distance_word_other, cx, cy, cz, heading FROM sightings
+               group_size_min, group_size_max, sector, located, distance, distance_word, distance_word_other,
+               cx, cy, cz, heading, robot_view_listed, person_view_listed FROM sightings
         UNION ALL
-        SELECT {THING}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle{", NULL" * 22}
+        SELECT {THING}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle{", NULL" * 24}
         FROM object_sightings""",
     "Present": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM presences",
     "Absent": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM absences",

@@ -66,7 +66,7 @@ def rows(store, run_id):
     return found
 
 
-@pytest.mark.parametrize("method", ["react", "agent"])
+@pytest.mark.parametrize("method", [pytest.param("react", marks=pytest.mark.slow), "agent"])
 def test_merged_shards_are_the_whole_run(stores, method):
     whole = stores["whole"]
     evaluate(whole, "--method", method, "--run-id", "all")

@@ -108,6 +108,7 @@ def in_memory():
         yield
 
 
+@pytest.mark.slow
 def test_generate_leaves_out_what_was_rejected(tmp_path, monkeypatch, in_memory):
     # What is found does not depend on the reviews, so it is searched for once.
     monkeypatch.setattr(found, "search_sequence", cache(found.search_sequence))
