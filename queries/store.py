@@ -196,14 +196,15 @@ class Store(Displayed):
         root = self.path.resolve()
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
+    def visibility(self) -> dict[str, str]:
+        """Return the evidence for clear views by sequence: "attributes", "geometry" (of boxes) or "nothing"."""
+        names = sorted(self.manifest().sequences)
+        return {name: self.interval("sequence", name)["visibility"][0].as_py() for name in names}
+
     def without_occlusion(self) -> list[str]:
-        """Return the sequences with 2D boxes but without occlusion attributes. Such boxes may count as clear views."""
-        return [
-            name
-            for name in sorted(self.manifest().sequences)
-            if not self.interval("sequence", name)["has_attributes"][0].as_py()
-            and len(self.interval("sightings", name, ["frame"]))
-        ]
+        """Return the sequences with 2D boxes in which no degree of occlusion decides who is in clear view."""
+        unclear = [name for name, evidence in self.visibility().items() if evidence != "attributes"]
+        return [name for name in unclear if len(self.interval("sightings", name, ["frame"]))]
 
     def write_manifest(self, manifest: Manifest) -> None:
         """Write the manifest. A folder with a manifest is a store. Raises StoreError if the file cannot be written."""

@@ -19,7 +19,7 @@ BUDGETS = {
     "loaders": 4900,
     "queries": 2700,
     "engine/generate": 3260,
-    "engine/rederive": 1000,
+    "engine/rederive": 1200,
     "engine/validate": 620,
     "engine/observe": 230,
     "engine/run": 1500,

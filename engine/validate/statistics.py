@@ -70,13 +70,13 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
     layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
     lacking, refused = _lacking(layers), tallies(rejected, questions)
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
-    unclear = _without_occlusion(store)
-    occlusion = [None if unclear is None else name not in unclear for name in layers]
+    evidence = _visibility(store)
+    visibility = pa.array([evidence.get(name) for name in layers], pa.string())
     paper = PROFILES["paper"]
     tables = {
         "measured": pa.Table.from_pylist(measured, _MEASURED),
         "families": pa.table({"family": list(paper), "paper": list(paper.values())}),
-        "loaded": pa.table({"sequence": pa.array(layers, pa.string()), "occlusion": pa.array(occlusion, pa.bool_())}),
+        "loaded": pa.table({"sequence": pa.array(layers, pa.string()), "visibility": visibility}),
     }
     derived = {
         "shortfall": shortfalls(refused, counts, len(layers)),
@@ -118,13 +118,12 @@ def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
     ]
 
 
-def _without_occlusion(store: Store) -> list[str] | None:
-    """The sequences without occlusion attributes; None where the intervals that tell are gone: questions do not need
-    them."""
+def _visibility(store: Store) -> dict[str, str]:
+    """Return the evidence for clear views by sequence. Return {} without interval tables, as questions need none."""
     try:
-        return store.without_occlusion()
+        return store.visibility()
     except StoreError:
-        return None
+        return {}
 
 
 def _measured(record: QuestionRecord, text: QuestionText) -> _Row:

@@ -131,7 +131,7 @@ def _leading(layers: dict[str, Ints]) -> str:
     return next((layer for layer in ("actions", "2d", "3d") if layer in layers), "")
 
 
-def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
+def sequence_table(line: Timeline, has_attributes: bool, visibility: str) -> pa.Table:
     """The one row of the interval table `sequence`."""
     row = {
         "sequence": line.sequence,
@@ -141,6 +141,7 @@ def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
         "action_step": line.action_step,
         "keyframes": line.keyframes.tolist(),
         "has_attributes": has_attributes,
+        "visibility": visibility,
     }
     return pa.Table.from_pylist([row], INTERVALS["sequence"])
 

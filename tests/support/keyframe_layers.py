@@ -21,6 +21,10 @@ from jrdb_avr.queries.keyframes import SPAN
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, table_ddl
 from jrdb_avr.schema.panorama import CROP, Box, crop_left, to_crop
+from jrdb_avr.schema.rules import LoadRules, Rules
+
+ANY_VIEW = Rules(load=LoadRules(visibility="any"))
+"""Rules under which generation does not judge who is in clear view, and covered people do not exist."""
 
 WORLDS = 40
 """Scenes in one graph: to make a graph takes as long as to fill it, and so does to copy into a large one."""

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from environment import TESTS
-from keyframe_layers import search, searched
+from keyframe_layers import ANY_VIEW, search, searched
 from loaded_stores import memory_store
 from oracle_candidates import People
 from random_worlds import SEQUENCE, build
@@ -18,7 +18,6 @@ from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY
 from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
-from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
 LETTERS = {FIRST_LEFT: "L", FIRST_RIGHT: "R", SAME_GROUP: "G", "conversation": "C"}
@@ -48,7 +47,7 @@ def judge(store, claimed):
     Only that is looked at which the world claims something of: {name of a template: tracks of its targets}.
     """
     found = {}
-    with searched(store, SEQUENCE, Rules()) as context:
+    with searched(store, SEQUENCE, ANY_VIEW) as context:
         scene, names = context.scene, context.descriptions
         people = len(scene.keyframes)
         for template in TEMPLATES.values():
@@ -76,7 +75,7 @@ def judge(store, claimed):
 
 def kept(store):
     """{(template, target): questions} without near-duplicates and those above the cap."""
-    table = search(store, SEQUENCE, Rules()).pool
+    table = search(store, SEQUENCE, ANY_VIEW).pool
     return Counter(zip(*(table[name].to_pylist() for name in ("template", "target_track")), strict=True))
 
 
@@ -134,7 +133,7 @@ WORLDS, WORDS = read_worlds("questions.txt"), read_worlds("words.txt")
 
 @pytest.mark.parametrize("title", WORDS)
 def test_the_oracle_describes_as_the_worlds_of_words_say(title, tmp_path):
-    oracle = People(write_root(tmp_path, build(WORDS[title])), SEQUENCE)
+    oracle = People(write_root(tmp_path, build(WORDS[title])), SEQUENCE, judged=False)
     for line in WORDS[title]:
         if match := re.fullmatch(r"describes (\d+) at (\d+): (.+)", line):
             conditions = oracle.description(15 * int(match[2]), int(match[1])) or [(None, "nothing")]
@@ -144,7 +143,7 @@ def test_the_oracle_describes_as_the_worlds_of_words_say(title, tmp_path):
 @pytest.mark.parametrize("title", WORLDS | WORDS)
 def test_world(title, tmp_path):
     lines = (WORLDS | WORDS)[title]
-    store = memory_store(tmp_path, build(lines))
+    store = memory_store(tmp_path, build(lines), visibility="any")
     claimed = {}
     for match in filter(None, map(CLAIM.fullmatch, lines)):
         claimed.setdefault(match[2], []).append(int(match[3]))

@@ -3,11 +3,11 @@
 import random
 from collections import Counter
 
+import loaded_stores
 import numpy as np
 import pytest
 from environment import DEEP
 from keyframe_layers import all_steps, searched
-from loaded_stores import memory_store
 from random_worlds import SEQUENCE, build, in_other_words, lively_world, random_world, sociable_world
 
 from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, VALUES, to_table
@@ -22,36 +22,64 @@ from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, prove_ag
 from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.plan import Condition, parse_plan
 from jrdb_avr.schema.questions import Proof
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
-RULES = Rules()
+RULES = Rules(load=LoadRules(visibility="any"))
+CLEAR = Rules(load=LoadRules(visibility="clear"))
 
 
 def at_t0(**kwargs):
     return Condition(at="t0", **kwargs)
 
 
-@pytest.fixture(scope="module")
-def random_store(tmp_path_factory):
+def memory_store(folder, world, rules=RULES):
+    return loaded_stores.memory_store(folder, world, visibility=rules.load.visibility)
+
+
+def random_worlds(folder, rules):
     world = {}
     for seed in range(40 if DEEP else 20):
         make = in_other_words(random_world) if seed % 2 else random_world
         world |= make(random.Random(seed), f"yard-{seed:02d}")
-    return memory_store(tmp_path_factory.mktemp("random"), world)
+    return memory_store(folder, world, rules)
 
 
-def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
+@pytest.fixture(scope="module")
+def random_store(tmp_path_factory):
+    return random_worlds(tmp_path_factory.mktemp("random"), RULES)
+
+
+@pytest.fixture(scope="module")
+def judged_store(tmp_path_factory):
+    """The same worlds, with people in clear view, covered and uncertain."""
+    return random_worlds(tmp_path_factory.mktemp("judged"), CLEAR)
+
+
+def possible_sizes(row):
+    return [] if row["group_size_min"] is None else [*range(row["group_size_min"], row["group_size_max"] + 1)]
+
+
+@pytest.fixture(params=["any", "clear"])
+def store_and_rules(request):
+    names = {"any": ("random_store", RULES), "clear": ("judged_store", CLEAR)}
+    name, rules = names[request.param]
+    return request.getfixturevalue(name), rules
+
+
+def test_both_paths_see_the_same_facts_in_random_worlds(store_and_rules):
     """Facts of the per-frame tables and of the interval tables, worked out by programs that share nothing."""
+    random_store, rules = store_and_rules
     seen = 0
     for sequence in random_store.sequences:
-        annotations = Annotations.read(random_store, sequence, RULES)
+        annotations = Annotations.read(random_store, sequence, rules)
         for row in random_store.interval("sightings", sequence).to_pylist():
             track, frame = row["track"], row["frame"]
             seen += 1
             assert annotations.clear(track, frame) == row["clear"]
+            assert annotations.covered(track, frame) == row["covered"]
             assert annotations.pose(track, frame) == row["pose"]
-            assert annotations.group_size(track, frame) == row["group_size"]
+            assert [*annotations.group_sizes(track, frame)] == possible_sizes(row)
             assert annotations.distance(track, frame) == (
                 pytest.approx(row["distance"], rel=1e-12) if row["located"] else None
             )
@@ -67,10 +95,11 @@ def test_both_paths_see_the_same_facts_in_random_worlds(random_store):
     assert seen > 2500
 
 
-def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
+def test_both_paths_see_the_same_actions_in_random_worlds(store_and_rules):
+    random_store, rules = store_and_rules
     segments = 0
     for sequence in random_store.sequences:
-        annotations = Annotations.read(random_store, sequence, RULES)
+        annotations = Annotations.read(random_store, sequence, rules)
         values = {}
         for row in random_store.facts("actions", sequence).to_pylist():
             for frame in range(row["first"], row["last"] + 1, annotations.step):
@@ -79,7 +108,7 @@ def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
         for row in random_store.interval("sightings", sequence).to_pylist():
             track, frame = row["track"], row["frame"]
             for _, action in (pair for pair in pairs if pair[0] == track):
-                known = row["listed"] and (action not in POSES or row["pose"] is not None)
+                known = row["listed"] and (action not in POSES or row["posed"])
                 expected = values.get((track, action, frame), FALSE if known else UNKNOWN)
                 assert annotations.state(track, action, frame) == expected, (sequence, track, action, frame)
         found = {
