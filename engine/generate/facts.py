@@ -54,6 +54,9 @@ _WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": f
 _COLUMNS: Final = {"distance": "distance_word"}
 """Columns of sightings that have another name than the kind of condition."""
 
+_LISTS: Final = {"social": "interactions_listed", "first": "robot_view_listed", "person": "person_view_listed"}
+"""Columns of sightings that are true if the relations of a kind were read for the person."""
+
 _Marks = dict[int, bool]
 """People with a label by track, each with whether the label is certain."""
 
@@ -236,13 +239,11 @@ class Facts:
         if relation.kind == "window":
             return self._look_aside(relation, who, frame)
         marks = self._pairs[frame].get((who, relation.label), {})
-        if relation.kind == "first":
-            return _fit(marks, ())
         others = self.people[frame].keys() - {who}
         if relation.kind == "group":
             unread = self.people[frame].keys() - self._grouped.get(frame, set())
         else:
-            unread = self._without(frame, "interactions_listed" if relation.kind == "social" else "located")
+            unread = self._without(frame, _LISTS[relation.kind])
         return _fit(marks, others if who in unread else unread & others)
 
     def _look_aside(self, window: Relation, who: int, frame: int) -> Fit:

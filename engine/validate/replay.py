@@ -16,11 +16,11 @@ import numpy as np
 
 from jrdb_avr.engine.generate.candidates import PASSED, RULES, Candidates, to_table
 from jrdb_avr.engine.generate.context import LayerJob, SearchContext
-from jrdb_avr.engine.generate.keyframe_graph import ensure_layer, stored_layer
 from jrdb_avr.engine.generate.records import choice_sets, make_record
 from jrdb_avr.engine.generate.relations import RELATIONS
 from jrdb_avr.engine.generate.scene import NOBODY, Ints
 from jrdb_avr.engine.generate.search import find_candidates
+from jrdb_avr.engine.generate.stored_layer import ensure_layer, is_stored, layer_jobs
 from jrdb_avr.engine.rederive import Annotations, Outcome, rederive
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
@@ -146,10 +146,10 @@ def replay(
     `advance` receives the number of finished questions. Raises StoreError where the store lacks a sequence's tables.
     The keyframe layer of these rules is made where the graph lacks it.
     """
-    lows = stored_layer(store, rules)
-    if not lows:
+    lows = {job.sequence: job.low for job in layer_jobs(store, rules)}
+    if not is_stored(store, rules):
         with store.writing("validate --replay"):
-            lows = ensure_layer(store, rules, workers)
+            ensure_layer(store, rules, workers)
     jobs = [
         ReplayJob(store.path, name, lows[name], rules, tuple(record for record in records if record.sequence == name))
         for name in sorted({record.sequence for record in records})

@@ -1,6 +1,5 @@
 // Return who performs, or may perform, which action at each keyframe of a sequence. An action of $flickering may
 // also be performed one second before and after a written label.
-// param sequence: text
 MATCH (f:Frame), (p:Person)-[r:Performs|MayPerform]->(x:Action)
 WHERE f.sequence = $sequence AND f.keyframe AND r.sequence = $sequence
   AND (r.first <= f.frame AND r.last >= f.frame OR label(r) = 'Performs' AND list_contains($flickering, x.name)

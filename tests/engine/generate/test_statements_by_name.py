@@ -14,7 +14,7 @@ import jrdb_avr
 from jrdb_avr.queries.graph.parameters import strip_literals
 from jrdb_avr.queries.named import named_queries
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.graph import KEYFRAME_NODES
+from jrdb_avr.schema.graph import LAYER_NODES
 
 CYPHER = Path(jrdb_avr.__file__).parent / "queries"
 TEXTS = {
@@ -22,7 +22,7 @@ TEXTS = {
     for folder in ("generators", "necessity", "search")
     for path in sorted((CYPHER / folder).glob("*.cypher"))
 }
-RANGED = KEYFRAME_NODES.keys() - {"Keyframes"}
+RANGED = LAYER_NODES.keys() - {"Keyframes"}
 OF_LAYER = [name for name, text in TEXTS.items() if any(f":{label})" in text for label in RANGED)]
 
 
