@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, Final
 
-from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
@@ -18,10 +18,10 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
-from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
 
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
@@ -160,8 +160,11 @@ def row_of(key: Key) -> dict[str, Any]:
 def _condition_values(condition: Condition) -> dict[str, Any]:
     if condition.kind == "sector":
         return {"v": ROBOT_SECTORS[str(condition.value)]}
-    if condition.kind == "age":
-        return {"v": condition.value, "w": sorted(may_be_called(str(condition.value)))}
+    if condition.attribute in WORDS:
+        possible = may_be_called(str(condition.value)) | {condition.value}
+        return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible)}
     if condition.object is not None:
         return {"v": condition.object, "w": condition.verb}
+    if condition.kind == "action":
+        return {"v": condition.action, "near": KEYFRAME_STEP if condition.action in FLICKERING else 0}
     return {"v": condition.value or condition.action or condition.interaction}

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple, cast
 
 from jrdb_avr.queries.compiler.reads import Seen
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.labels import (
     ACTIONS,
@@ -45,10 +46,10 @@ class Fit(NamedTuple):
 Key = tuple[Any, ...]
 """Kind of a fact, sequence, and what the fact is about."""
 
-_LABELS: Final = ("handles", "interacts", "beside", "member")
-"""Names of the statements in `queries/search` that return the labels of people at keyframes, but `performs`."""
+_LABELS: Final = ("performs", "handles", "interacts", "beside", "member")
+"""Names of the statements in `queries/search` that return the labels of people at keyframes."""
 
-_WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
+WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
 """Values of columns of sightings that generation knows. Any other value counts as unknown."""
 
 _COLUMNS: Final = {"distance": "distance_word"}
@@ -88,9 +89,13 @@ class Facts:
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
 
-        def rows(name: str, **values: int | list[str]) -> list[dict[str, Any]]:
+        self.keyframes: list[int] = []
+
+        def rows(name: str) -> list[dict[str, Any]]:
             text = read_statement(f"search/{name}.cypher")
-            found: list[dict[str, Any]] = graph.query(text, {"sequence": sequence, **values}).to_pylist()
+            values = {"sequence": sequence, "phase": self.keyframes[0] % KEYFRAME_STEP if self.keyframes else 0}
+            used = {each: values[each] for each in parameters(text)}
+            found: list[dict[str, Any]] = graph.query(text, used).to_pylist()
             return found
 
         frames = rows("frames")
@@ -98,8 +103,8 @@ class Facts:
         self.keyframe_set = frozenset(self.keyframes)
         self._annotated = {row["frame"] for row in frames if row["annotated"]}
         self._boxes = set()
-        for row in rows("seen", phase=self.keyframes[0] % KEYFRAME_STEP) if self.keyframes else ():
-            row |= {name: row[name] if row[name] in words else None for name, words in _WORDS.items()}
+        for row in rows("seen"):
+            row |= {name: row[name] if row[name] in words else None for name, words in WORDS.items()}
             self.people[row["frame"]][row["who"]] = row
             self._boxes.add((row["who"], row["frame"]))
         for frame in self.people.keys() - set(self.keyframes):
@@ -107,15 +112,17 @@ class Facts:
         self.uncovered: dict[int, frozenset[int]] = defaultdict(frozenset)
         for frame, people in self.people.items():
             self.uncovered[frame] = frozenset(who for who, row in people.items() if not row["covered"])
-        flickering = sorted(FLICKERING) if self.judges_views else []
-        labels = {name: rows(name) for name in _LABELS}
-        self._read_labels(labels | {"performs": rows("performs", flickering=flickering)})
+        self._read_labels({name: rows(name) for name in _LABELS})
         self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
 
     def _read_labels(self, rows: Mapping[str, Iterable[dict[str, Any]]]) -> None:
         for row in rows["performs"]:
             if row["value"] in ACTIONS:
                 self._mark(self._labels, row, ("action", row["value"]), row["who"])
+            if self.judges_views and row["written"] and row["value"] in FLICKERING:
+                for near in (row["frame"] - KEYFRAME_STEP, row["frame"] + KEYFRAME_STEP):
+                    about = row | {"frame": near, "certain": False}
+                    self._mark(self._labels, about, ("action", row["value"]), row["who"])
         for row in rows["handles"]:
             if row["verb"] in VERBS:
                 category = row["value"] if row["value"] in OBJECTS else None

@@ -19,7 +19,7 @@ from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS
+from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
@@ -133,7 +133,6 @@ class SceneReader(Reader):
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
             "in_view": rules.visibility == "clear",
-            "flickering": sorted(FLICKERING) if rules.visibility == "clear" else [],
         }
 
     def find(self, plan: Plan) -> Find:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from oracle_candidates import MAYBE, NO, NOWHERE, OTHERS, PLACES, POSES, RELATIONS, TOGETHER, WINDOWS, YES, People
-from random_worlds import lively_world, random_world, sociable_world
+from random_worlds import in_crowds, lively_world, random_world, sociable_world
 from worlds import load_world
 
 from jrdb_avr.engine.generate.describe import describe, find_leads
@@ -39,7 +39,7 @@ def worlds(request, tmp_path_factory):
     rng, layers = random.Random(7), {}
     for number in range(18):
         make = (random_world, lively_world, sociable_world)[number % 3]
-        layers |= make(rng, f"yard-2020-01-01_{number}")
+        layers |= (in_crowds(make) if number % 2 else make)(rng, f"yard-2020-01-01_{number}")
     return load_world(tmp_path_factory.mktemp("facts"), layers, rules=LoadRules(visibility=request.param))
 
 
