@@ -335,7 +335,8 @@ class _QuestionCheck:
         key = question_key(record.sequence, record.target_track, plan)
         at_keyframes = self.annotations.step == KEYFRAME_STEP and "actions" in self.annotations.layers
         try:
-            written, (template, read) = render(record.template, plan, key, at_keyframes), parse(record.question)
+            written = render(record.template, plan, key, at_keyframes, self.annotations.judges_views)
+            template, read = parse(record.question)
         except AvrError as error:
             self.check("text", False, str(error))
             return

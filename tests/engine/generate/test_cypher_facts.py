@@ -14,6 +14,8 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.relations import QUESTION_RELATIONS
 from jrdb_avr.schema.rules import CONDITION_KINDS, LoadRules
 
+RULES = LoadRules()
+
 
 @pytest.fixture(scope="module", params=("clear", "any"))
 def worlds(request, tmp_path_factory):
@@ -46,7 +48,7 @@ def keys_of(facts, sequence, rng, most=300):
     return [key for kind in keys.values() for key in rng.sample(kind, min(most, len(kind)))]
 
 
-def check_facts(graph, sequences, rng, rules=LoadRules(), with_faces=lambda sequence: True):
+def check_facts(graph, sequences, rng, rules=RULES, with_faces=lambda sequence: True):
     """Each fact is the same; return how many were compared by statement."""
     compared, source = Counter(), CypherFacts(graph, rules)
     for sequence in sequences:

@@ -60,7 +60,9 @@ def condition_of(kind, value):
         return Condition(attribute=kind, value=value)
     if kind in ("pose", "action"):
         return Condition(action=value, at="t0")
-    return Condition(interaction=value, at="t0") if kind == "interaction" else Condition(attribute=kind, value=value, at="t0")
+    if kind == "interaction":
+        return Condition(interaction=value, at="t0")
+    return Condition(attribute=kind, value=value, at="t0")
 
 
 def check_fit(fit, values, about):
