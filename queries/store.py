@@ -280,8 +280,7 @@ class Store(Displayed):
             what = (
                 "has no keyframe layer" if layer is None else "has a keyframe layer of other rules than the questions"
             )
-            command = "validate --replay" if questions else "generate"
-            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr {command} --store {self.path}'")
+            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'")
         if unknown := sorted(values.keys() - parameters(statement) - {"sequence"}):
             raise QueryError(f"the statement has no parameter {unknown[0]}")
         values = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules), layer["low"]) | values
