@@ -112,7 +112,11 @@ NOTICED_BY_BOTH = {
         put("answer", lambda text: f'{{"choice":{json.loads(text)["choice"] % 4 + 1}}}'),
         "a",
     ),
-    "another span": ("span", put("answer", lambda text: text.replace('"start_frame":', '"start_frame":1')), "anchor match"),
+    "another span": (
+        "span",
+        put("answer", lambda text: text.replace('"start_frame":', '"start_frame":1')),
+        "anchor match",
+    ),
     "another binding": ("distance", put("bindings", lambda text: text.replace('"t1":', '"t1":1')), "bindings"),
     "another plan": ("action_search", moved_plan, ""),
     "nobody's condition": ("change", other_condition, "anchor match"),
