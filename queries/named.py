@@ -3,9 +3,9 @@
 SQL queries are in `queries/results`, and Cypher queries are in `queries/explore`, `generators` and `search`. The first
 comment line of a file says what the query returns. A comment line `param NAME: TYPE` declares a parameter of the type
 text, integer or number. `param NAME: TYPE = VALUE` declares a parameter with a default. The parameter `sequence` of a
-Cypher query is a text without a declaration. `queries/store.py` gives rules of the keyframe layer, such as `wait`, their
-values. If a query has the parameter `frame`, the caller may give `seconds` instead. The number of seconds is the frame
-divided by 15, as in the texts of questions.
+Cypher query is a text without a declaration. `queries/store.py` gives the values of rules, such as `wait`. If a query
+has the parameter `frame`, the caller may give `seconds` instead. The number of seconds is the frame divided by 15, as
+in the texts of questions.
 """
 
 from __future__ import annotations

@@ -278,11 +278,14 @@ class Store(Displayed):
         path = self.question_path("answers")
         questions = set(read_table(path, ["rules"])["rules"].to_pylist()) if path.exists() else set()
         if layer is None or questions - {layer["rules_hash"]}:
-            what = "no keyframe layer" if layer is None else "a keyframe layer of other rules than the questions"
-            command = "validate --replay" if questions else "generate"
-            raise StoreError(f"{self.graph_path} has {what}: run 'jrdb-avr {command} --store {self.path}'")
-        known = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules))
-        return {name: known[name] for name in parameters(statement) if name in known} | values
+            what = (
+                "has no keyframe layer" if layer is None else "has a keyframe layer of other rules than the questions"
+            )
+            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'")
+        if unknown := sorted(values.keys() - parameters(statement) - {"sequence"}):
+            raise QueryError(f"the statement has no parameter {unknown[0]}")
+        values = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules)) | values
+        return {name: values[name] for name in parameters(statement) if name in values}
 
     def _check_sequence(self, name: object) -> None:
         """Raise QueryError if `name` is a text but not the name of a loaded sequence."""

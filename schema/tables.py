@@ -350,7 +350,7 @@ _QUESTIONS: Final = {
         "sequence track frame x y w h",
     ),
     "rejected": (
-        "Number of refused candidates by sequence, template and rule, with up to 100 examples of those that were tried.",
+        "Number of refused candidates by sequence, template and rule, with up to 100 examples of tried ones.",
         "kind sequence family template rule candidates target_track? plan? detail?",
     ),
     "reviews": ("Decisions of reviewers to accept or reject a question.", "question_id reviewer decision reason"),

@@ -43,6 +43,7 @@ class CypherFacts:
         self._reader = SceneReader(graph, SCENE, rules)
         self._known: dict[Key, Any] = {}
         self._noted: set[Key] = set()
+        self._keyframes: dict[str, list[int]] = {}
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key. Raises MissingFactsError if some are not known yet; `fill` looks them up."""
@@ -67,9 +68,12 @@ class CypherFacts:
         """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
         return self._reader.counts([(Person(0, sequence, who), relation, first, last)]).get(0)
 
-    def known_keys(self) -> list[Key]:
-        """Return the keys of all facts that are known, in a fixed order."""
-        return sorted(self._known, key=repr)
+    def keyframes(self, sequence: str) -> list[int]:
+        """Return the keyframes of a sequence, in order."""
+        if sequence not in self._keyframes:
+            rows = self._reader.query(read_statement("search/frames.cypher"), {"sequence": sequence})
+            self._keyframes[sequence] = [row["frame"] for row in rows if row["keyframe"]]
+        return self._keyframes[sequence]
 
     def statement(self, name: str, keys: Sequence[Key]) -> tuple[str, dict[str, Any]]:
         """Return the statement of some facts of one kind.

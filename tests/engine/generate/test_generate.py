@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keyframe_layers import layer_rows, layers_in_memory, visible_share
+from keyframe_layers import layers_in_memory, visible_share
 from loaded_stores import graphless_store
 from processes import run_program
 from question_files import question_files

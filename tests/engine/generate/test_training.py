@@ -131,7 +131,7 @@ def test_the_files_are_the_same_for_any_number_of_workers(trained, held_out, cop
 
 
 def test_every_proof_holds_again(trained):
-    found = validate(trained[0], replay_proofs=True, workers=1)
+    found = validate(trained[0], replay_proofs=True)
     assert found.sound, found.faults
 
 
