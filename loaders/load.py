@@ -123,9 +123,14 @@ def load(
             raise InputError(_nothing(root, reports))
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
+            evidence = (
+                "every box of permitted size counts as a clear view, even of hidden people"
+                if rules.visibility == "any"
+                else "nearer boxes and group labels decide who is in clear view"
+            )
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes, so every box of permitted "
-                "size counts as a clear view, even of hidden people; generate --require-occlusion skips such sequences",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes, so {evidence}; "
+                "generate --require-occlusion skips such sequences",
                 AvrWarning,
                 stacklevel=2,
             )
@@ -217,6 +222,7 @@ def load_shard(shard: Shard) -> ShardResult:
             people=intervals["persons"].num_rows,
             boxes=tables["boxes_2d"].num_rows,
             boxes_3d=tables["boxes_3d"].num_rows,
+            visibility=intervals["sequence"]["visibility"][0].as_py(),
             unknown_labels=read.unknown,
             heading=read.heading,
             label_frames=labels,

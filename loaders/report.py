@@ -125,6 +125,8 @@ class SequenceReport(msgspec.Struct):
     """Number of 2D boxes of people."""
     boxes_3d: int = 0
     """Number of 3D boxes of people."""
+    visibility: str = ""
+    """Evidence for clear views: attributes, geometry (nearer boxes and group labels) or nothing."""
     unknown_labels: list[UnknownLabel] = []
     heading: Heading | None = None
     label_frames: FrameRange | None = None

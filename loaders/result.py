@@ -83,7 +83,7 @@ def _sequences(names: list[str]) -> str:
 
 
 def _summary(report: SequenceReport) -> _Row:
-    columns = ("sequence", "frames", "people", "boxes", "boxes_3d", "refused")
+    columns = ("sequence", "frames", "people", "boxes", "boxes_3d", "visibility", "refused")
     return {"3D" if name == "boxes_3d" else name: getattr(report, name) for name in columns}
 
 

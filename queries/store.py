@@ -196,14 +196,15 @@ class Store(Displayed):
         root = self.path.resolve()
         return Path(folder).relative_to(root).as_posix() if Path(folder).is_relative_to(root) else folder
 
+    def visibility(self) -> dict[str, str]:
+        """Return the evidence for clear views by sequence: "attributes", "geometry" (of boxes) or "nothing"."""
+        names = sorted(self.manifest().sequences)
+        return {name: self.interval("sequence", name)["visibility"][0].as_py() for name in names}
+
     def without_occlusion(self) -> list[str]:
-        """Return the sequences with 2D boxes but without occlusion attributes. Such boxes may count as clear views."""
-        return [
-            name
-            for name in sorted(self.manifest().sequences)
-            if not self.interval("sequence", name)["has_attributes"][0].as_py()
-            and len(self.interval("sightings", name, ["frame"]))
-        ]
+        """Return the sequences with 2D boxes in which no degree of occlusion decides who is in clear view."""
+        unclear = [name for name, evidence in self.visibility().items() if evidence != "attributes"]
+        return [name for name in unclear if len(self.interval("sightings", name, ["frame"]))]
 
     def write_manifest(self, manifest: Manifest) -> None:
         """Write the manifest. A folder with a manifest is a store. Raises StoreError if the file cannot be written."""
@@ -277,11 +278,14 @@ class Store(Displayed):
         path = self.question_path("answers")
         questions = set(read_table(path, ["rules"])["rules"].to_pylist()) if path.exists() else set()
         if layer is None or questions - {layer["rules_hash"]}:
-            what = "no keyframe layer" if layer is None else "a keyframe layer of other rules than the questions"
-            command = "validate --replay" if questions else "generate"
-            raise StoreError(f"{self.graph_path} has {what}: run 'jrdb-avr {command} --store {self.path}'")
-        known = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules))
-        return {name: known[name] for name in parameters(statement) if name in known} | values
+            what = (
+                "has no keyframe layer" if layer is None else "has a keyframe layer of other rules than the questions"
+            )
+            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'")
+        if unknown := sorted(values.keys() - parameters(statement) - {"sequence"}):
+            raise QueryError(f"the statement has no parameter {unknown[0]}")
+        values = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules)) | values
+        return {name: values[name] for name in parameters(statement) if name in values}
 
     def _check_sequence(self, name: object) -> None:
         """Raise QueryError if `name` is a text but not the name of a loaded sequence."""

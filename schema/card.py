@@ -99,8 +99,8 @@ RAI: Final[dict[str, str]] = {
         " second program derives every answer again."
     ),
     "dataLimitations": (
-        "The answers are as good as the annotations. Wording comes from templates. Without occlusion attributes a"
-        " box counts as a clear view, so a person may be hidden. Questions can be guessed better than by "
+        "The answers are as good as the annotations. Wording comes from templates. Without occlusion attributes"
+        " clear views are derived from boxes, so a person may be hidden. Questions can be guessed better than by "
         "chance; publish the score of a guesser beside results."
     ),
     "dataBiases": (

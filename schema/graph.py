@@ -23,7 +23,8 @@ from typing import Final
 from jrdb_avr.schema.tables import INTERVALS
 
 SCENE_NODES: Final[dict[str, str]] = {
-    "Sequence": "sequence STRING PRIMARY KEY, fps DOUBLE, frame_count INT64, layers STRING[], action_step INT64",
+    "Sequence": "sequence STRING PRIMARY KEY, fps DOUBLE, frame_count INT64, layers STRING[], action_step INT64, "
+    "visibility STRING",
     "Frame": "id STRING PRIMARY KEY, sequence STRING, frame INT64, seconds DOUBLE, keyframe BOOLEAN, "
     "annotated BOOLEAN, image BOOLEAN",
     "Person": "id STRING PRIMARY KEY, sequence STRING, track INT64, gender STRING, age STRING, ethnicity STRING, "

@@ -81,6 +81,12 @@ AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood"
 
 _NEIGHBORING_AGES: Final = [pair for one in itertools.pairwise(AGES) for pair in (one, one[::-1])]
 
+FLICKERING: Final = frozenset(("looking at robot", "looking at sth", "pointing at sth", "interaction with door"))
+"""Actions that labels often miss between two seconds that have them.
+
+In a description such an action is unknown, and not false, of a person who has its label at a keyframe before or after.
+"""
+
 ALSO: Final = {
     ("going upstairs", "walking"): "people walk up stairs",
     ("going downstairs", "walking"): "people walk down stairs",
@@ -190,6 +196,7 @@ and left foot."""
 
 OCCLUSIONS: Final = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
 CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
+COVERED_OCCLUSIONS: Final = frozenset(OCCLUSIONS[2:])
 
 ROBOT_SECTORS: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
 """Directions as the robot sees them, with the panorama angle of each one's axis."""

@@ -68,6 +68,12 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Minimum height of a box for a clear view, in pixels."""
     clear_max_width: Pixels = 480.0
     """Maximum width of a box for a clear view, in pixels. A wider box does not fit into a crop."""
+    visibility: Literal["clear", "any"] = "clear"
+    """With clear, occlusion attributes, or else nearer boxes and group labels, decide on clear views. With any, not."""
+    max_covered: Share = 0.5
+    """Covered share of a box from which the box is no clear view. Applies to sequences without occlusion attributes."""
+    min_covered: Share = 0.8
+    """Covered share of a box from which the person is covered. Applies to sequences without occlusion attributes."""
     sector_true_deg: Annotated[float, msgspec.Meta(gt=0, le=45)] = 40.0
     """A sector such as "ahead of the robot" is true of a person who is at most this many degrees off its axis."""
     sector_false_deg: Annotated[float, msgspec.Meta(ge=45, lt=180)] = 90.0
@@ -93,6 +99,14 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Seconds before a stable segment, and after a closed one, with the action false and the person present."""
     segment_quiet_s: Seconds = 3.0
     """Seconds before and after a stable segment without any frame at which the action is true or unknown."""
+
+    def __post_init__(self) -> None:
+        if self.min_covered < self.max_covered:
+            raise ValueError("min_covered is at least max_covered, or a person could be clear and covered")
+
+    def covered_thousandths(self) -> tuple[int, int]:
+        """Return `max_covered` and `min_covered` in whole thousandths. Shares of areas are compared in integers."""
+        return round(1000 * self.max_covered), round(1000 * self.min_covered)
 
 
 class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -68,7 +68,8 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "category_id": (_I, "id of the thing's category in the label file"),
     "category": (_S, "name of the category; null if it is unknown"),
     "action": (_S, "name of the action"),
-    "pose": (_S, "pose, if exactly one is certain; else null"),
+    "pose": (_S, "pose, if exactly one is certain and the person is not covered; else null"),
+    "posed": (_B, "true if the list tells exactly one certain pose, so that all other poses are false"),
     "seconds": (_F, "time of the frame after frame 0, or duration of the step or answer, in seconds"),
     "keyframe": (_B, "true if the frame is a keyframe of the sequence"),
     "annotated": (_B, "true if the 2D layer has the frame and its boxes show all people in view"),
@@ -79,13 +80,17 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "distance_word": (_S, "word for the distance; null if the distance is unknown"),
     "distance_word_other": (_S, "second possible word if the distance is near a bound; null if one word is certain"),
     "clear": (_B, "true if the box is a clear view under the load rules"),
+    "covered": (_B, "true if the person is certainly not in clear view, and counts for nobody at the frame"),
+    "visibility": (_S, "evidence for clear views: attributes, geometry (nearer boxes, group labels) or nothing"),
     "face_visible": (_B, "true if the head or an eye is marked as visible; null if there are no key points"),
     "listed": (_B, "true if the whole list of actions was read, so that an action without a label is false"),
     "interactions_listed": (_B, "true if the whole list was read, so that an interaction without a label is false"),
     "handles_listed": (_B, "true if the whole list was read, so that handling a thing without a label is false"),
     "robot_view_listed": (_B, "true unless `load` left out who is the first person to a side, for too many facts"),
     "person_view_listed": (_B, "true if the person is located, unless `load` left out all relative places"),
-    "group_size": (_I, "number of people in the group; null if it is unknown"),
+    "group_size": (_I, "number of people of the group in clear view, the person included; null if it is unknown"),
+    "group_size_min": (_I, "minimum of `group_size`; null if the group is unknown or the person is covered"),
+    "group_size_max": (_I, "maximum of `group_size`; null if the group is unknown or the person is covered"),
     "located": (_B, "true if the person has a 3D box with lidar points at the frame"),
     "heading": (_F, "direction that the person faces, radians counter-clockwise from straight ahead of the robot"),
     "occlusion": (_S, "degree of occlusion, as annotated"),
@@ -263,7 +268,10 @@ _ANNOTATIONS: Final = {
 ANNOTATIONS: Final = _schemas("annotations_", _ANNOTATIONS)
 
 _INTERVALS: Final = {
-    "sequence": ("Facts about each sequence.", "sequence fps frame_count layers action_step keyframes has_attributes"),
+    "sequence": (
+        "Facts about each sequence.",
+        "sequence fps frame_count layers action_step keyframes has_attributes visibility",
+    ),
     "frames": (
         "Annotated frames. `seconds` is computed from the timestamps if there are any, and otherwise from fps.",
         "sequence frame seconds keyframe annotated image",
@@ -275,9 +283,9 @@ _INTERVALS: Final = {
     "demographics": ("Votes for the attributes of each person.", "sequence track attribute value votes chosen"),
     "sightings": (
         "Boxes of people, with direction, distance, visibility, pose and group of the person at that frame.",
-        "sequence frame track x y w h angle occlusion? no_eval clear face_visible? listed interactions_listed "
-        "handles_listed pose? cluster? group_size? sector? located distance? distance_word? "
-        "distance_word_other? cx? cy? cz? heading? robot_view_listed person_view_listed",
+        "sequence frame track x y w h angle occlusion? no_eval clear covered face_visible? listed interactions_listed "
+        "handles_listed pose? posed cluster? group_size? group_size_min? group_size_max? sector? located distance? "
+        "distance_word? distance_word_other? cx? cy? cz? heading? robot_view_listed person_view_listed",
     ),
     "object_sightings": (
         "Boxes of things at the frames of the panoptic layer, with the direction of the box.",
@@ -343,7 +351,7 @@ _QUESTIONS: Final = {
         "sequence track frame x y w h",
     ),
     "rejected": (
-        "Number of refused candidates by sequence, template and rule, with up to 100 examples of those that were tried.",
+        "Number of refused candidates by sequence, template and rule, with up to 100 examples of tried ones.",
         "kind sequence family template rule candidates target_track? plan? detail?",
     ),
     "reviews": ("Decisions of reviewers to accept or reject a question.", "question_id reviewer decision reason"),

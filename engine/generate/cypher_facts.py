@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, Final
 
-from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
@@ -19,10 +19,10 @@ from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.choice_labels import list_actions
-from jrdb_avr.schema.labels import ACTIONS, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.labels import ACTIONS, FLICKERING, POSES, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
-from jrdb_avr.schema.rules import LoadRules
+from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
 
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
@@ -44,6 +44,7 @@ class CypherFacts:
         self._reader = SceneReader(graph, SCENE, rules)
         self._known: dict[Key, Any] = {}
         self._noted: set[Key] = set()
+        self._keyframes: dict[str, list[int]] = {}
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key. Raises MissingFactsError if some are not known yet; `fill` looks them up."""
@@ -68,9 +69,12 @@ class CypherFacts:
         """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
         return self._reader.counts([(Person(0, sequence, who), relation, first, last)]).get(0)
 
-    def known_keys(self) -> list[Key]:
-        """Return the keys of all facts that are known, in a fixed order."""
-        return sorted(self._known, key=repr)
+    def keyframes(self, sequence: str) -> list[int]:
+        """Return the keyframes of a sequence, in order."""
+        if sequence not in self._keyframes:
+            rows = self._reader.query(read_statement("search/frames.cypher"), {"sequence": sequence})
+            self._keyframes[sequence] = [row["frame"] for row in rows if row["keyframe"]]
+        return self._keyframes[sequence]
 
     def statement(self, name: str, keys: Sequence[Key]) -> tuple[str, dict[str, Any]]:
         """Return the statement of some facts of one kind.
@@ -161,8 +165,11 @@ def row_of(key: Key) -> dict[str, Any]:
 def _condition_values(condition: Condition) -> dict[str, Any]:
     if condition.kind == "sector":
         return {"v": ROBOT_SECTORS[str(condition.value)]}
-    if condition.kind == "age":
-        return {"v": condition.value, "w": sorted(may_be_called(str(condition.value)))}
+    if condition.attribute in WORDS:
+        possible = may_be_called(str(condition.value)) | {condition.value}
+        return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible)}
     if condition.object is not None:
         return {"v": condition.object, "w": condition.verb}
+    if condition.kind == "action":
+        return {"v": condition.action, "near": KEYFRAME_STEP if condition.action in FLICKERING else 0}
     return {"v": condition.value or condition.action or condition.interaction}

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 from jrdb_avr.queries.compiler.reads import Seen
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.choice_labels import ListedActions, list_actions
 from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
+    FLICKERING,
     GENDERS,
     INTERACTIONS,
     OTHER_ACTIONS,
@@ -48,7 +50,7 @@ Key = tuple[Any, ...]
 _LABELS: Final = ("performs", "handles", "interacts", "beside", "member")
 """Names of the statements in `queries/search` that return the labels of people at keyframes."""
 
-_WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
+WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
 """Values of columns of sightings that generation knows. Any other value counts as unknown."""
 
 _COLUMNS: Final = {"distance": "distance_word"}
@@ -68,6 +70,8 @@ class Facts:
         keyframes: Frames at which facts are known, in order.
         people: Sightings by keyframe and track.
         lists: Written actions by track and keyframe, of each person with a box.
+        uncovered: People with a box who are not covered, by keyframe. Only these people count.
+        judges_views: Whether the rules judge who is in clear view.
     """
 
     def __init__(self, graph: Graph, sequence: str, rules: LoadRules, *, with_faces: bool) -> None:
@@ -80,6 +84,7 @@ class Facts:
             with_faces: Whether gender and age may describe only people with a visible face.
         """
         self._rules, self._with_faces = rules, with_faces
+        self.judges_views = rules.visibility == "clear"
         self.people: dict[int, dict[int, Sighting]] = defaultdict(dict)
         self.lists: dict[int, dict[int, ListedActions]] = defaultdict(dict)
         self._labels: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
@@ -87,9 +92,13 @@ class Facts:
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
 
-        def rows(name: str, **values: int) -> list[dict[str, Any]]:
+        self.keyframes: list[int] = []
+
+        def rows(name: str) -> list[dict[str, Any]]:
             text = read_statement(f"search/{name}.cypher")
-            found: list[dict[str, Any]] = graph.query(text, {"sequence": sequence, **values}).to_pylist()
+            values = {"sequence": sequence, "phase": self.keyframes[0] % KEYFRAME_STEP if self.keyframes else 0}
+            used = {each: values[each] for each in parameters(text)}
+            found: list[dict[str, Any]] = graph.query(text, used).to_pylist()
             return found
 
         frames = rows("frames")
@@ -97,22 +106,29 @@ class Facts:
         self.keyframe_set = frozenset(self.keyframes)
         self._annotated = {row["frame"] for row in frames if row["annotated"]}
         self._boxes = set()
-        for row in rows("seen", phase=self.keyframes[0] % KEYFRAME_STEP) if self.keyframes else ():
-            row |= {name: row[name] if row[name] in words else None for name, words in _WORDS.items()}
+        for row in rows("seen"):
+            row |= {name: row[name] if row[name] in words else None for name, words in WORDS.items()}
             self.people[row["frame"]][row["who"]] = row
             self._boxes.add((row["who"], row["frame"]))
         for frame in self.people.keys() - set(self.keyframes):
             del self.people[frame]
+        self.uncovered: dict[int, frozenset[int]] = defaultdict(frozenset)
+        for frame, people in self.people.items():
+            self.uncovered[frame] = frozenset(who for who, row in people.items() if not row["covered"])
         self._read_labels({name: rows(name) for name in _LABELS})
         self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
 
-    def _read_labels(self, rows: Mapping[str, Iterable[Mapping[str, Any]]]) -> None:
+    def _read_labels(self, rows: Mapping[str, Iterable[dict[str, Any]]]) -> None:
         written: dict[tuple[int, int], dict[str, bool]] = defaultdict(dict)
         for row in rows["performs"]:
             if row["value"] in ACTIONS:
                 self._mark(self._labels, row, ("action", row["value"]), row["who"])
                 if row["written"]:
                     written[row["who"], row["frame"]][row["value"]] = row["easy"]
+            if self.judges_views and row["written"] and row["value"] in FLICKERING:
+                for near in (row["frame"] - KEYFRAME_STEP, row["frame"] + KEYFRAME_STEP):
+                    about = row | {"frame": near, "certain": False}
+                    self._mark(self._labels, about, ("action", row["value"]), row["who"])
         for frame, people in self.people.items():
             for who, row in people.items():
                 self.lists[who][frame] = list_actions(written[who, frame], row["listed"])
@@ -123,6 +139,11 @@ class Facts:
         for row in (*rows["interacts"], *rows["beside"]):
             if row["other"] in self.people[row["frame"]]:
                 self._mark(self._pairs, row, (row["who"], row["value"]), row["other"])
+        for row in rows["interacts"]:
+            if (other := self.people[row["frame"]].get(row["other"])) is not None:
+                # Nobody sees that a person interacts with a person out of view.
+                certain = row["certain"] and (other["clear"] or not self.judges_views)
+                self._mark(self._labels, row | {"certain": certain}, ("interaction", row["value"]), row["who"])
         groups: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
         for row in rows["member"]:
             self._mark(groups, row, ("group", row["value"]), row["who"])
@@ -150,10 +171,10 @@ class Facts:
             frame: Keyframe.
 
         Returns:
-            The people with a box in this frame of whom the condition may hold, and of whom it certainly holds.
+            The people of whom the condition may hold, and of whom it certainly holds. Covered people are left out.
         """
         if (key := (condition, frame)) not in self._matches:
-            self._matches[key] = self._match(condition, frame)
+            self._matches[key] = self._without_covered(self._match(condition, frame), frame)
         return self._matches[key]
 
     def _match(self, condition: Condition, frame: int) -> Fit:
@@ -166,17 +187,13 @@ class Facts:
                 marks = labels.get((condition.verb or "", condition.object), {})
                 return _fit(marks, self._without(frame, "handles_listed") | unknown)
             case "interaction":
-                return self._match_interaction(condition.interaction or "", frame)
+                # A person without a list may interact with each other person.
+                anybody = len(self.people[frame]) > 1 and self._without(frame, "interactions_listed")
+                marks = labels.get(("interaction", condition.interaction), {})
+                return _fit(marks, self.people[frame] if anybody else ())
             case "sector":
                 return self._match_sector(str(condition.value), frame)
         return self._match_value(condition, frame)
-
-    def _match_interaction(self, label: str, frame: int) -> Fit:
-        people = self.people[frame]
-        marks = {who: any(met.values()) for (who, name), met in self._pairs[frame].items() if name == label}
-        # A person without a list may interact with each other person.
-        anybody = len(people) > 1 and self._without(frame, "interactions_listed")
-        return _fit(marks, people.keys() if anybody else ())
 
     def _match_sector(self, sector: str, frame: int) -> Fit:
         off = {who: angle_error(row["angle"], ROBOT_SECTORS[sector]) for who, row in self.people[frame].items()}
@@ -187,6 +204,8 @@ class Facts:
         return Fit(could, certain)
 
     def _match_value(self, condition: Condition, frame: int) -> Fit:
+        if condition.kind == "group_size":
+            return self._match_group_size(cast(int, condition.value), frame)
         people, column = self.people[frame], _COLUMNS.get(condition.kind, condition.kind)
         wanted = condition.value if condition.action is None else condition.action
         possible = {None, wanted}
@@ -201,6 +220,15 @@ class Facts:
             could |= {who for who, row in people.items() if row["distance_other"] == wanted}
             certain = {who for who in certain if people[who]["distance_other"] is None}
         return Fit(could, certain)
+
+    def _match_group_size(self, size: int, frame: int) -> Fit:
+        sizes = {who: (row["group_size_min"], row["group_size_max"]) for who, row in self.people[frame].items()}
+        could = {who for who, (least, most) in sizes.items() if least is None or least <= size <= most}
+        return Fit(could, {who for who in could if sizes[who] == (size, size)})
+
+    def _without_covered(self, fit: Fit, frame: int) -> Fit:
+        people = self.uncovered[frame]
+        return Fit(fit.could & people, fit.certain & people)
 
     def _without(self, frame: int, column: str) -> set[int]:
         """Return the people of whom a list of labels was not read."""
@@ -217,10 +245,10 @@ class Facts:
             frame: Keyframe at which the person has a box.
 
         Returns:
-            The other people with a box in this frame who may have the relation, and who certainly have it.
+            The other people who may have the relation, and who certainly have it. Covered people are left out.
         """
         if (key := (relation, who, frame)) not in self._follows:
-            self._follows[key] = self._follow(RELATIONS[relation], who, frame)
+            self._follows[key] = self._without_covered(self._follow(RELATIONS[relation], who, frame), frame)
         return self._follows[key]
 
     def _follow(self, relation: Relation, who: int, frame: int) -> Fit:
@@ -257,7 +285,7 @@ class Facts:
 
     def labels(self, who: int, frame: int) -> ListedActions | None:
         """Return the written actions of a person at a keyframe, or None if the person has no box or is covered."""
-        return self.lists[who].get(frame)
+        return self.lists[who].get(frame) if who in self.uncovered[frame] else None
 
     def seen(self, who: int, frame: int) -> Seen:
         """Return whether a person is in clear view at a keyframe, and the distance from the robot.
@@ -284,9 +312,8 @@ class Facts:
         return [getattr(self, kind)(*arguments) for kind, _, *arguments in keys]
 
     def people_at(self, frame: int) -> Fit:
-        """Return all people with a box at a keyframe."""
-        people = self.people.get(frame, {}).keys()
-        return Fit(people, people)
+        """Return all people at a keyframe who have a box and are not covered."""
+        return Fit(self.uncovered[frame], self.uncovered[frame])
 
     # -- one person ---------------------------------------------------------------------------------------------------
 

@@ -150,7 +150,7 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
         row["ahead"] = ahead
     ids = _add_moments(layer, sequence, rules, low)
     for (who, frame), number in ids.items():
-        if who not in facts.people.get(frame, {}):
+        if who not in facts.uncovered[frame]:
             continue
         for one in describe(facts, sequence, who, frame, rules):
             name = low + len(layer.names)

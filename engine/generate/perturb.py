@@ -7,7 +7,7 @@ and from statements over the stored graph.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from typing import Any, Final, Protocol, cast
 
@@ -302,9 +302,49 @@ def iterate_proofs(
 ) -> Iterator[Proof | None]:
     """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
     people = find_people(program, source)
+    yield from prove_conditions(program, source)
+    yield from prove_changes(program, people, answer, keyframes, rules, source)
+
+
+def prove_conditions(program: Program, source: FactSource) -> Iterator[Proof | None]:
+    """Yield a proof per condition that the condition is needed: without it, two people or more may be meant.
+
+    Args:
+        program: Program of a question.
+        source: Source of facts.
+
+    Yields: The proofs, None for one that lacks facts.
+    """
     for condition in program.conditions:
         left = replace(program, conditions=tuple(one for one in program.conditions if one is not condition))
-        yield _prove_condition(condition, left, source)
+        try:
+            several = len(match(left, source).could) >= 2
+        except MissingFactsError:
+            yield None
+            continue
+        yield Proof("anchor", f"without {condition.words}", several, "ambiguous" if several else "same")
+
+
+def prove_changes(
+    program: Program,
+    people: Mapping[str, int],
+    answer: Answer,
+    keyframes: Sequence[int],
+    rules: Rules,
+    source: FactSource,
+) -> Iterator[Proof | None]:
+    """Yield the proofs about hops and times, None for one that lacks facts.
+
+    Args:
+        program: Program of a question.
+        people: Tracks of its people by name.
+        answer: Answer of the question.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+        source: Source of facts.
+
+    Yields: The proofs in the order in which questions store them.
+    """
     for kind, variant, perturbed in hops(replace(program, held=people["a"])):
         yield _prove(kind, variant, perturbed, answer, keyframes, rules, source)
     if program.moves == "construction":
@@ -319,15 +359,6 @@ def iterate_proofs(
         yield _prove("time.shift", variant, shifted, answer, keyframes, rules, source)
     moved = (_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin)
     yield _prove_drop(moved, answer, keyframes, rules, source)
-
-
-def _prove_condition(condition: Condition, left: Program, source: FactSource) -> Proof | None:
-    """Prove that a condition is needed: without it, two people or more may be meant. None if facts are missing."""
-    try:
-        several = len(match(left, source).could) >= 2
-    except MissingFactsError:
-        return None
-    return Proof("anchor", f"without {condition.words}", several, "ambiguous" if several else "same")
 
 
 def _prove(

@@ -222,10 +222,11 @@ def _counts(search: Search, template: Template) -> Iterator[Row]:
                 if row["a"] not in people:
                     break
                 could, certain = facts.follow(relation, row["a"], frame)
-                if could != certain:
+                clear = {who for who in certain if people[who]["clear"] and people[row["a"]]["clear"]}
+                if could != (clear if facts.judges_views else certain):
                     break
                 for who in certain:
-                    if met.setdefault(who, None) is None and people[who]["clear"] and people[row["a"]]["clear"]:
+                    if met.setdefault(who, None) is None and who in clear:
                         met[who] = frame if search.layer.has_image(frame) else _UNSEEN
                 enough = len(met) >= rules.count_min and not {None, _UNSEEN}.intersection(met.values())
                 if enough and frame >= row["t0"] + frames(rules.long_wait_s):

@@ -196,7 +196,8 @@ def _make_row(search: Search, proposal: Proposal, question: Question, proofs: li
     angles = {box.frame: layer.boxes[box.track, box.frame]["angle"] for box in needed if box.node == template.target}
     decisive = [angles[box.frame] for box in needed if box.node == template.target and box.decisive]
     public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
-    public["question"] = render(template.name, plan, proposal.key, layer.action_step == KEYFRAME_STEP)
+    about, in_view = layer.action_step == KEYFRAME_STEP, layer.facts.judges_views
+    public["question"] = render(template.name, plan, proposal.key, about, in_view)
     answer, mistakes = proposal.answer, dict[str, str]()
     labels = question.choices if question.wrong else ()
     if labels:

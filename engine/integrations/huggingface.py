@@ -77,7 +77,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
     questions, sequences, *_ = store.question_tables("questions", "sequences", *_PRIVATE)
     names = opaque_names(store, sequences["sequence"].to_pylist())
     sources = _sources(store, names)
-    unclear = len(names.keys() & set(store.without_occlusion()))
+    evidence = {names[name]: kind for name, kind in store.visibility().items() if name in names}
     generation = (questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode()
     metadata = {"canary": CANARY, GENERATION_KEY: generation}
     day = published or datetime.datetime.now(datetime.UTC).date()
@@ -109,7 +109,7 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
         sequences=len(sequences),
         counts={title: _counts(questions[name]) for name, title in (("family", "family"), ("answer_mode", "answer"))},
         tables=_columns(tables),
-        unclear=unclear,
+        evidence=dict(sorted(evidence.items())),
         sources=sources,
         home=card.HOME,
         rai=card.RAI,

@@ -118,12 +118,12 @@ class Inspected:
             two tuples of three members. The first member is -1 (before) or 1 (after). The second member is the frame
             at that time. The third member is a list of boxes, like the lists in `boxes`.
         timeline: Rows of the timeline.
-        occlusion: Whether the boxes of the sequence state how far a person is occluded.
+        visibility: Evidence for clear views in the sequence: "attributes", "geometry" or "nothing".
     """
 
     def __init__(self, record: QuestionRecord, info: Record, sequence: SequenceTables) -> None:
         self.record, self.plan = record, parse_plan(record.plan)
-        self.fps, self.frame_count, self.occlusion = info["fps"], info["frame_count"], sequence.occlusion
+        self.fps, self.frame_count, self.visibility = info["fps"], info["frame_count"], sequence.visibility
         self.people = {node.id: record.bindings[node.id] for node in self.plan.nodes}
         self.moments = {name: frame for name, frame in record.bindings.items() if name not in self.people}
         at = {name: nearest_annotated(frame, sequence.frames, sequence.step) for name, frame in self.moments.items()}

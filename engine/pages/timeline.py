@@ -57,7 +57,7 @@ class SequenceTables:
         tables = ("sightings", "actions", "interactions", "memberships", "beside", "handles")
         self._tables = {table: (store.facts if table in LABELED else store.interval)(table, name) for table in tables}
         self.frames = sorted(set(self._tables["sightings"]["frame"].to_pylist()))
-        self.occlusion = bool(store.interval("sequence", name)["has_attributes"][0].as_py())
+        self.visibility: str = store.interval("sequence", name)["visibility"][0].as_py()
         self.step = min((b - a for a, b in pairwise(self.frames)), default=1)
 
     def rows(self, table: str, column: str, value: int) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, also_said, dist
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
+POSE_NAMES: Final = frozenset(POSES)
 GridFacts = npt.NDArray[np.int8]
 
 
@@ -34,9 +35,10 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Listed:
-    """The list of actions of one person at one frame: the code of each, and which of them are poses."""
+    """The list of actions of one person at one frame: their codes, which are written, and which are poses."""
 
     codes: Mapping[str, int]
+    written: frozenset[str]
     poses: frozenset[str]
 
     @cached_property
@@ -54,10 +56,10 @@ class Listed:
         codes = {**self.codes, action: min(code, self.codes.get(action, code))}
         for other in also_said(action):
             codes.setdefault(other, 3)
-        return Listed(codes, self.poses | {action} if action in POSES else self.poses)
+        return Listed(codes, self.written | {action}, self.poses | ({action} & POSE_NAMES))
 
 
-NOTHING: Final = Listed({}, frozenset())
+NOTHING: Final = Listed({}, frozenset(), frozenset())
 """The list that names no action."""
 
 
@@ -88,9 +90,10 @@ class ActionFacts(PersonBoxes):
         self._segments: dict[tuple[int, str], tuple[Segment, ...]] = {}
 
     def pose(self, track: int, frame: int) -> str | None:
-        """The one certain pose, None where it is unknown."""
+        """The one certain pose, None where it is unknown, as it is of covered people."""
         person = self._people.get(frame, {}).get(track)
-        return self._listed_actions(track, frame).pose if person is not None and person.listed else None
+        told = person is not None and person.listed and not self.covered(track, frame)
+        return self._listed_actions(track, frame).pose if told else None
 
     def _listed_actions(self, track: int, frame: int) -> Listed:
         return self._actions.get(track, {}).get(frame, NOTHING)
@@ -100,12 +103,11 @@ class ActionFacts(PersonBoxes):
         if person is None:
             return UNKNOWN
         listed = self._listed_actions(track, frame)
-        if action in POSES:
-            pose = listed.pose if person.listed else None
-            return UNKNOWN if pose is None else TRUE if pose == action else UNKNOWN if action in listed.codes else FALSE
         if action in listed.codes:
-            return TRUE if listed.codes[action] <= 2 else UNKNOWN
-        return FALSE if person.listed else UNKNOWN
+            certain = listed.codes[action] <= 2 and (action not in POSES or (person.listed and listed.pose == action))
+            return TRUE if certain and not self.covered(track, frame) else UNKNOWN
+        told = person.listed and (action not in POSES or listed.pose is not None)
+        return FALSE if told else UNKNOWN
 
     def states(self, track: int, action: str) -> tuple[GridFacts, GridFacts]:
         """Per frame of the action layer's grid: the fact, and 1 inside a closed gap (where the fact is unknown)."""
@@ -146,6 +148,10 @@ class ActionFacts(PersonBoxes):
         if self.step != 1 or (track, action) not in self._performed or self._names(track, action, frame):
             return False
         return in_closed_gap(lambda near: self._names(track, action, near), frame, longest)
+
+    def writes(self, track: int, action: str, frame: int) -> bool:
+        """Return whether the action itself is in the person's list at the frame, whatever its difficulty."""
+        return action in self._listed_actions(track, frame).written
 
     def _names(self, track: int, action: str, frame: int) -> bool:
         """Whether the person has a box at the frame, one of the grid, whose list holds the action."""

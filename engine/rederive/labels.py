@@ -10,9 +10,10 @@ import pyarrow as pa
 from jrdb_avr.engine.rederive.relations import AXES, RelationFacts
 from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, OutcomeKind, among
 from jrdb_avr.queries.store import Store
+from jrdb_avr.schema.labels import FLICKERING
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 
 _COLUMNS: Final = {
     "frames": ("layer", "frame"),
@@ -67,7 +68,8 @@ class Annotations(RelationFacts):
     def holds(self, condition: Condition, track: int, frame: int) -> int:
         """A condition of a description, of a person with a box at the frame."""
         if condition.action is not None:
-            return self.state(track, condition.action, frame)
+            fact = self.state(track, condition.action, frame)
+            return UNKNOWN if fact == FALSE and self._flickers(track, condition.action, frame) else fact
         if condition.interaction is not None:
             return self.interacts(track, condition.interaction, frame)
         if condition.object is not None and condition.verb is not None:
@@ -76,32 +78,37 @@ class Annotations(RelationFacts):
             case ("gender" | "age") as name, str(wanted):
                 return self.attribute(track, name, wanted)
             case "group_size", int(wanted):
-                size = self.group_size(track, frame)
-                return UNKNOWN if size is None else int(size == wanted)
+                sizes = self.group_sizes(track, frame)
+                return UNKNOWN if not sizes else among(wanted, sizes)
             case "sector", str(wanted):
                 return self.in_sector(track, wanted, frame) if wanted in AXES else FALSE
             case "distance", str(wanted):
                 return among(wanted, self.distance_words(track, frame))
         return UNKNOWN
 
+    def _flickers(self, track: int, action: str, frame: int) -> bool:
+        """Return whether an action whose labels come and go is labelled one keyframe earlier or later."""
+        near = (frame - KEYFRAME_STEP, frame + KEYFRAME_STEP)
+        return self.judges_views and action in FLICKERING and any(self.writes(track, action, one) for one in near)
+
     def held(self, condition: Condition, frame: int) -> dict[int, int]:
-        """A condition of everybody with a box at the frame."""
+        """A condition of everybody with a box at the frame who is not covered."""
         key = (condition, frame)
         if key not in self._held:
-            self._held[key] = {track: self.holds(condition, track, frame) for track in self.people(frame)}
+            self._held[key] = {track: self.holds(condition, track, frame) for track in self.uncovered_people(frame)}
         return self._held[key]
 
     def could_match(self, conditions: Iterable[Condition], frame: int) -> list[int]:
         """Everybody at the frame whom none of the conditions excludes."""
         facts = [self.held(condition, frame) for condition in conditions]
-        return [track for track in self.people(frame) if all(fact[track] != FALSE for fact in facts)]
+        return [track for track in self.uncovered_people(frame) if all(fact[track] != FALSE for fact in facts)]
 
     def find(self, conditions: tuple[Condition, ...], frame: int) -> tuple[OutcomeKind, int | None]:
         """The one person of a description at a frame; `ambiguous`, `empty` or `unknown` where it is not one."""
         if not self.knows(frame):
             return "unknown", None
         facts = [self.held(condition, frame) for condition in conditions]
-        return only({track: conjunction(fact[track] for fact in facts) for track in self.people(frame)})
+        return only({track: conjunction(fact[track] for fact in facts) for track in self.uncovered_people(frame)})
 
     # -- relations ----------------------------------------------------------------------------------------------
 
@@ -124,7 +131,7 @@ class Annotations(RelationFacts):
 
     def step_to(self, relation: str, track: int, frame: int) -> tuple[OutcomeKind, int | None]:
         """The one other person at the frame to whom a relation leads from a person, or why there is none."""
-        others = [other for other in self.people(frame) if other != track]
+        others = [other for other in self.uncovered_people(frame) if other != track]
         return only({other: self.related(relation, track, other, frame) for other in others})
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.engine.rederive.covering import covered_area, outline_of
 from jrdb_avr.engine.rederive.truth import rows, step_of
-from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS
+from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS
 from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
+
+ViewClass = Literal["clear", "covered", "uncertain"]
+"""Class of a person with a box in a frame: in clear view, certainly not in clear view, or neither."""
 
 
 class _Person2D(NamedTuple):
@@ -34,7 +39,16 @@ class PersonBoxes:
             self.layers[layer].append(frame)
         self._known = {layer: set(numbers) for layer, numbers in self.layers.items()}
         boxes = tables["boxes_2d"]
-        self.has_attributes = bool(pc.any(boxes["has_attributes"]).as_py())
+        self.judges_views = rules.load.visibility == "clear"
+        if self.judges_views:
+            self.has_attributes = boxes["occlusion"].null_count < len(boxes)
+        else:
+            self.has_attributes = bool(pc.any(boxes["has_attributes"]).as_py())
+        self._groups: dict[tuple[int, int], tuple[int, bool]] = {}
+        for frame, track, cluster, difficulty in rows(tables["groups"], "frame", "track", "cluster", "difficulty"):
+            self._groups[frame, track] = (cluster, difficulty in (1, 2))
+        self._grouped_frames = sorted({frame for frame, _ in self._groups})
+        self._views: dict[tuple[int, int], ViewClass] = {}
         self._people: dict[int, dict[int, _Person2D]] = defaultdict(dict)
         columns = ("frame", "track", "x", "y", "w", "h", "occlusion", "no_eval", "has_actions")
         for frame, track, x, y, w, h, occlusion, no_eval, listed in rows(boxes, *columns):
@@ -81,15 +95,52 @@ class PersonBoxes:
         return sorted(self._people.get(frame, {}))
 
     def clear(self, track: int, frame: int) -> bool:
-        """Whether the person is in clear view."""
-        person = self._people.get(frame, {}).get(track)
-        if person is None or person.no_eval:
-            return False
-        if self.has_attributes and person.occlusion not in CLEAR_OCCLUSIONS:
-            return False
+        """Return whether the person is in clear view. False without a 2D box."""
+        return self.box(track, frame) is not None and self.view(track, frame) == "clear"
+
+    def covered(self, track: int, frame: int) -> bool:
+        """Return whether the person is certainly not in clear view, and counts for nobody. False without a 2D box."""
+        return self.box(track, frame) is not None and self.view(track, frame) == "covered"
+
+    def uncovered_people(self, frame: int) -> list[int]:
+        """Return everybody with a 2D box at the frame who is not covered."""
+        return [track for track in self.people(frame) if self.view(track, frame) != "covered"]
+
+    def view(self, track: int, frame: int) -> ViewClass:
+        """Return the class of a person with a 2D box at the frame."""
+        key = (track, frame)
+        if key not in self._views:
+            self._views[key] = self._judge(track, frame)
+        return self._views[key]
+
+    def _judge(self, track: int, frame: int) -> ViewClass:
+        person = self._people[frame][track]
         load, box = self.rules.load, person.box
         fits = load.clear_min_width <= box.w <= load.clear_max_width and box.h >= load.clear_min_height
-        return fits and box.y >= 0 and box.y + box.h <= HEIGHT
+        usable = fits and box.y >= 0 and box.y + box.h <= HEIGHT and not person.no_eval
+        if self.has_attributes:
+            if self.judges_views and person.occlusion in COVERED_OCCLUSIONS:
+                return "covered"
+            return "clear" if usable and person.occlusion in CLEAR_OCCLUSIONS else "uncertain"
+        if not self.judges_views:
+            return "clear" if usable else "uncertain"
+        own = outline_of(box)
+        if own.area <= 0:
+            return "uncertain"
+        others = (outline_of(other.box) for number, other in self._people[frame].items() if number != track)
+        thousandths = 1000 * covered_area(own, others)
+        if thousandths >= round(1000 * load.min_covered) * own.area:
+            return "covered"
+        visible = usable and thousandths < round(1000 * load.max_covered) * own.area
+        return "clear" if visible and self._has_certain_group(track, frame) else "uncertain"
+
+    def _has_certain_group(self, track: int, frame: int) -> bool:
+        """Return whether the nearest frame with group labels, at most a second away, has an easy one of the person."""
+        labelled = self._grouped_frames
+        place = bisect_left(labelled, frame)
+        near = [one for one in labelled[max(place - 1, 0) : place + 1] if abs(one - frame) <= KEYFRAME_STEP]
+        nearest = min(near, key=lambda one: abs(one - frame), default=-1)
+        return not labelled or self._groups.get((nearest, track), (0, False))[1]
 
     def absent(self, track: int, frame: int) -> bool:
         """Whether the person is certainly not there."""

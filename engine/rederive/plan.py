@@ -111,7 +111,7 @@ def _follow(found: ResolvedPlan, edges: list[Edge]) -> int:
 def join(found: ResolvedPlan, edges: list[Edge]) -> int:
     """The one person, people of the plan left out, who has all these relations."""
     annotations, frame = found.annotations, found.t0
-    others = [track for track in annotations.people(frame) if track not in found.people.values()]
+    others = [track for track in annotations.uncovered_people(frame) if track not in found.people.values()]
     facts = {
         track: [annotations.related(edge.relation, found.people[edge.source], track, frame) for edge in edges]
         for track in others

@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from jrdb_avr.engine.rederive.actions import Segment
+from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.plan import ResolvedPlan
-from jrdb_avr.engine.rederive.truth import FALSE, TRUE, Undefined
+from jrdb_avr.engine.rederive.truth import FALSE, TRUE, UNKNOWN, Undefined
 from jrdb_avr.schema.answers import FrameAnswer, FrameViewpoint, Number, Span, encode_answer
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.panorama import angle_error
@@ -114,7 +115,7 @@ def read_count(found: ResolvedPlan) -> Reading:
                 raise Undefined("unknown", f"the person is not there at frame {frame}")
             continue
         for other in annotations.people(frame):
-            fact = FALSE if other == target else annotations.related(relation, target, other, frame)
+            fact = FALSE if other == target else _counts(annotations, relation, target, other, frame)
             if fact != FALSE:
                 could.add(other)
             if fact == TRUE:
@@ -123,6 +124,16 @@ def read_count(found: ResolvedPlan) -> Reading:
         raise Undefined("unknown", f"whether {min(could - does.keys())} is to be counted is unknown")
     found.check(len(does) >= found.rules.count_min, f"only {len(does)} people are to be counted")
     return Reading(encode_answer(Number(float(len(does)))), {}, [first], _counted(found, does))
+
+
+def _counts(annotations: Annotations, relation: str, target: int, other: int, frame: int) -> int:
+    """Return whether a person is in a relation with the target in clear view: unknown if one of both is not clear."""
+    fact = annotations.related(relation, target, other, frame)
+    if fact == FALSE or not annotations.judges_views:
+        return fact
+    if annotations.covered(other, frame):
+        return FALSE
+    return fact if annotations.clear(other, frame) and annotations.clear(target, frame) else UNKNOWN
 
 
 def _counted(found: ResolvedPlan, does: dict[int, list[int]]) -> tuple[NeededBox, ...]:

@@ -46,11 +46,9 @@ class SocialFacts(ActionFacts):
             layer: set(rows(tables["listed"].filter(pc.field("layer") == layer), "frame", "track"))
             for layer in ("interactions", "handles")
         }
-        self._groups: dict[tuple[int, int], tuple[int, bool]] = {}
         self._clusters: dict[int, dict[int, _Labels]] = defaultdict(lambda: defaultdict(dict))
-        for frame, track, cluster, difficulty in rows(tables["groups"], "frame", "track", "cluster", "difficulty"):
-            self._groups[frame, track] = (cluster, difficulty in (1, 2))
-            self._clusters[track][cluster][frame] = difficulty in (1, 2)
+        for (frame, track), (cluster, certain) in self._groups.items():
+            self._clusters[track][cluster][frame] = certain
         self._together: dict[tuple[int, int, str], _Labels] = defaultdict(dict)
         columns = ("frame", "track", "partner", "label", "difficulty")
         for frame, track, partner, label, difficulty in rows(tables["interactions"], *columns):
@@ -121,7 +119,23 @@ class SocialFacts(ActionFacts):
 
     # -- groups -------------------------------------------------------------------------------------------------
 
-    def group_size(self, track: int, frame: int) -> int | None:
+    def group_sizes(self, track: int, frame: int) -> range:
+        """Return the possible sizes of the group of a person, the person included. Empty if nothing is known."""
+        if not self.judges_views:
+            size = self._size_of_all(track, frame)
+            return range(0) if size is None else range(size, size + 1)
+        cluster, certain = self._groups.get((frame, track), (0, False))
+        if not certain or not self.knows(frame) or self.covered(track, frame):
+            return range(0)
+        least = most = 1
+        for other in self.uncovered_people(frame):
+            group, easy = self._groups.get((frame, other), (0, False))
+            if other != track and (not easy or group == cluster):
+                most += 1
+                least += easy and self.clear(other, frame)
+        return range(least, most + 1)
+
+    def _size_of_all(self, track: int, frame: int) -> int | None:
         """People in the person's group, oneself included; None where a membership that matters is unknown."""
         own = self._groups.get((frame, track))
         if own is None or not self.knows(frame):
@@ -178,7 +192,11 @@ class SocialFacts(ActionFacts):
 
     def interacts(self, track: int, label: str, frame: int) -> int:
         """Whether a person is in the interaction with anybody."""
-        facts = {self.together(track, other, label, frame) for other in self.people(frame) if other != track}
+        facts = set()
+        for other in self.people(frame):
+            fact = FALSE if other == track else self.together(track, other, label, frame)
+            unseen = self.judges_views and not self.clear(other, frame)
+            facts.add(UNKNOWN if fact == TRUE and unseen else fact)
         return TRUE if TRUE in facts else UNKNOWN if UNKNOWN in facts else FALSE
 
     def handles(self, track: int, verb: str, category: str, frame: int) -> int:
@@ -335,7 +353,9 @@ class RelationFacts(SocialFacts):
     def _meet(self, track: int, frame: int, left: bool) -> dict[int, int]:
         """Everybody who is or could be the first met: one person for certain, or several perhaps."""
         margin, reach = self.rules.load.neighbor_margin_deg, self.rules.load.neighbor_max_deg
-        turns = {other: self.turn(track, other, frame, left) for other in self.people(frame) if other != track}
+        turns = {
+            other: self.turn(track, other, frame, left) for other in self.uncovered_people(frame) if other != track
+        }
         settling = [other for other, turn in turns.items() if margin <= turn <= reach and self.clear(other, frame)]
         if not settling:
             return {other: UNKNOWN for other, turn in turns.items() if turn <= reach}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -89,7 +89,7 @@ def in_closed_gap(named: Callable[[int], bool], frame: int, longest: int) -> boo
     return before is not None and any(named(frame + on) for on in range(1, longest + 2 - before))
 
 
-def among(wanted: str, possible: list[str]) -> int:
+def among(wanted: object, possible: Sequence[object]) -> int:
     """Whether the wanted word is right, where one of the possible words is."""
     if wanted not in possible:
         return FALSE

@@ -43,7 +43,7 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
     chosen = {name: chosen_values(demographics, name, tracks) for name in ("gender", "age", "ethnicity")}
     beside, views_listed = beside_table(line, boxes, people.located, rules)
     derived = {
-        "sequence": sequence_table(line, boxes.has_attributes),
+        "sequence": sequence_table(line, boxes.has_attributes, boxes.source),
         "frames": frames_table(line),
         "persons": line.table("persons", {"track": tracks, **chosen, "first_frame": first, "last_frame": last}),
         "sightings": sightings_table(line, people, rules, views_listed),
@@ -60,6 +60,6 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
         **interactions_tables(line, tables["interactions"], boxes, rules),
         **handles_tables(line, tables["handles"], tables["categories"], boxes, rules),
         "beside": beside,
-        "segments": segments_table(line, boxes, people.actions, actions, rules),
+        "segments": segments_table(line, people, actions, rules),
     }
     return {kind: derived.get(kind, schema.empty_table()) for kind, schema in INTERVALS.items()}

@@ -21,15 +21,12 @@ from jrdb_avr.loaders.intervals.people import Boxes, Facts, Located, wrap
 from jrdb_avr.loaders.intervals.sightings import distance_word, in_person_sector
 from jrdb_avr.loaders.intervals.spans import find_runs
 from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import ascending, paired, ragged, rank_values, texts, unpaired
+from jrdb_avr.loaders.labelfiles.columns import ascending, paired, pairs_of_equal, rank_values, texts, unpaired
 from jrdb_avr.schema.arrays import Bools, Ints
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, PERSON_SECTORS
 from jrdb_avr.schema.panorama import clockwise
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
-
-_BLOCK: Final = 1_000_000
-"""Pairs of people looked at in one go."""
 
 MAX_BESIDE: Final = 1_000_000
 """Maximum number of facts of a view in a sequence, before they are joined to rows. Facts grow with the square of the
@@ -102,14 +99,14 @@ def _joined(blocks: Iterator[_Facts]) -> tuple[list[Ints], bool]:
 def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Facts]:
     """First to the left and right of everybody at every keyframe, block by block.
 
-    Turning from X, the first person at least a degree away and clearly seen settles the matter. Those met before, and
-    those met less than a degree later, could be it as well; the fact is certain where there is no such other. Where
-    nobody settles it within reach, everybody within reach could be it.
+    Covered people are left out. Turning from X, the first person at least a degree away and clearly seen settles the
+    matter. Those met before, and those met less than a degree later, could be it as well; the fact is certain where
+    there is no such other. Where nobody settles it within reach, everybody within reach could be it.
     """
     clear, angle = boxes.clear, boxes.angle
-    rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes))
+    rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes) & ~boxes.covered)
     reach = rules.neighbor_max_deg + rules.neighbor_margin_deg
-    for all_a, all_b in _pairs(boxes.frame, rows):
+    for all_a, all_b in pairs_of_equal(boxes.frame, rows):
         right = clockwise(angle[all_a], angle[all_b])
         for label, turned in ((FIRST_LEFT, np.where(right > 0, 360.0 - right, 0.0)), (FIRST_RIGHT, right)):
             near = np.flatnonzero(turned <= reach)
@@ -135,7 +132,7 @@ def person_frame(line: Timeline, located: Located, rules: LoadRules) -> Iterator
     words_within = 1 + sum(bound < rules.pair_max_m for bound in DISTANCE_BOUNDS_M)
     ahead = np.ascontiguousarray(located.center[:, 0])
     rows = np.flatnonzero(np.isin(located.frame, line.keyframes))
-    for a, b in _pairs(located.frame, rows):
+    for a, b in pairs_of_equal(located.frame, rows):
         # Most pairs are far apart already along one axis.
         close = np.flatnonzero(np.abs(ahead[b] - ahead[a]) <= reach)
         a, b = a[close], b[close]
@@ -157,22 +154,3 @@ def person_frame(line: Timeline, located: Located, rules: LoadRules) -> Iterator
                 could = possible & (d >= 0)
                 x, y = a[could], b[could]
                 yield located.frame[x], located.track[x], located.track[y], (certain & true)[could], rank[d[could]]
-
-
-def _pairs(frame: Ints, rows: Ints) -> Iterator[tuple[Ints, Ints]]:
-    """Ordered pairs of different rows of equal frames, among `rows` (ascending, grouped by frame), in blocks.
-
-    All pairs of one first row come together, in one block.
-    """
-    _, first, counts = np.unique(frame[rows], return_index=True, return_counts=True)
-    size = np.repeat(counts, counts)  # per row: people in its frame
-    start = np.repeat(first, counts)
-    block = (np.cumsum(size) - size) // _BLOCK
-    for number in np.unique(block):
-        of = np.flatnonzero(block == number)
-        of = of[size[of] > 1]
-        group, place = ragged(size[of])
-        a, b = rows[of[group]], rows[start[of][group] + place]
-        other = a != b
-        if other.any():
-            yield a[other], b[other]

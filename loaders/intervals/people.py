@@ -15,10 +15,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.loaders.intervals.visibility import Source, classify_boxes
 from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
-from jrdb_avr.schema.labels import ALSO, CLEAR_OCCLUSIONS, POSES
-from jrdb_avr.schema.panorama import HEIGHT, center_angle
+from jrdb_avr.schema.labels import ALSO, POSES
+from jrdb_avr.schema.panorama import center_angle
 from jrdb_avr.schema.rules import LoadRules
 
 HARD = 3
@@ -56,23 +57,15 @@ class Boxes(Sighted):
     listed: Bools
     has_attributes: bool
     """Whether any record of the sequence carries attributes."""
-    rules: LoadRules
+    source: Source
+    """What the classes below are judged by."""
+    clear: Bools
+    covered: Bools
 
     @cached_property
     def angle(self) -> Floats:
         """Panorama angle of the box centres, degrees."""
         return center_angle(self.box[:, 0], self.box[:, 2])
-
-    @cached_property
-    def clear(self) -> Bools:
-        """Whether each box is a clear view: visible, evaluated, inside the rows and of a size within the rules."""
-        rules = self.rules
-        _, y, w, h = self.box.T
-        sized = (w >= rules.clear_min_width) & (w <= rules.clear_max_width) & (h >= rules.clear_min_height)
-        result = sized & (y >= 0) & (y + h <= HEIGHT) & ~self.no_eval
-        if self.has_attributes:
-            result &= pc.is_in(self.occlusion, pa.array(sorted(CLEAR_OCCLUSIONS))).to_numpy(zero_copy_only=False)
-        return np.asarray(result)
 
 
 @dataclass(frozen=True)
@@ -82,7 +75,7 @@ class Facts(Sighted):
 
     value: Ints
     certain: Bools
-    """True of the person: easy or middle, and of poses the only one in a list that tells all."""
+    """True of the person: easy or middle, not covered, and of poses the only one in a list that tells all."""
     difficulty: Ints
     names: tuple[str, ...] = ()
     """Ascending, so that values sort as names do."""
@@ -120,6 +113,8 @@ class People:
     boxes: Boxes
     actions: Facts
     """One row per (frame, track, action): spellings of one action are merged, the easier code counts."""
+    posed: Bools
+    """Per box, whether the list tells the pose, so that other poses are false. Also of covered people."""
     groups: Facts
     """At most one row per (frame, track)."""
     located: Located
@@ -144,10 +139,12 @@ def with_other_words(table: pa.Table, column: str) -> pa.Table:
 
 def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
     """Read the annotation tables, whose rows are sorted by (frame, track)."""
-    boxes = _read_boxes(tables["boxes_2d"], rules)
+    boxes = _read_boxes(tables["boxes_2d"], tables["groups"], rules)
+    actions, posed = _read_actions(tables["actions"], boxes)
     return People(
         boxes,
-        _read_actions(tables["actions"], boxes),
+        actions,
+        posed,
         read_groups(tables["groups"]),
         read_located(tables["boxes_3d"]),
         _read_faces(tables["poses"]),
@@ -163,7 +160,8 @@ def rows_of(keys: Ints, wanted: Ints) -> Ints:
     return np.where(keys[place] == wanted, place, -1)
 
 
-def _read_boxes(table: pa.Table, rules: LoadRules) -> Boxes:
+def _read_boxes(table: pa.Table, groups: pa.Table, rules: LoadRules) -> Boxes:
+    views = classify_boxes(table, groups, rules)
     return Boxes(
         *_person_columns(table),
         np.stack([table[name].to_numpy() for name in "xywh"], axis=1),
@@ -171,11 +169,13 @@ def _read_boxes(table: pa.Table, rules: LoadRules) -> Boxes:
         table["no_eval"].fill_null(False).to_numpy(),
         table["has_actions"].to_numpy(),
         bool(table["has_attributes"].to_numpy().any()),
-        rules,
+        views.source,
+        views.clear,
+        views.covered,
     )
 
 
-def _read_actions(table: pa.Table, boxes: Boxes) -> Facts:
+def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
     names, action = ranked(table["action"])
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(*_person_columns(table), action, difficulty < HARD, difficulty, tuple(names))
@@ -184,9 +184,12 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> Facts:
     pose = np.append(facts.is_pose, False)[facts.value]
     person = np.cumsum(begins(facts.keys)) - 1
     poses = np.bincount(person, weights=pose & (facts.difficulty < UNWRITTEN))[person]
-    whole = np.append(boxes.listed, False)[boxes.rows(facts.frame, facts.track)]
+    row = boxes.rows(facts.frame, facts.track)
+    whole = np.append(boxes.listed, False)[row]
     certain = facts.certain & (~pose | ((poses == 1) & whole))
-    return replace(facts, certain=certain)
+    posed = np.zeros(len(boxes.frame), np.bool_)
+    posed[row[certain & pose & (row >= 0)]] = True
+    return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), posed
 
 
 def read_groups(table: pa.Table) -> Facts:

@@ -16,8 +16,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import Boxes, Facts
-from jrdb_avr.loaders.intervals.sightings import certain_pose
+from jrdb_avr.loaders.intervals.people import People
 from jrdb_avr.loaders.intervals.spans import Runs
 from jrdb_avr.loaders.intervals.timeline import Grid, Timeline
 from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, distinct_of, paired, ragged, texts, unpaired
@@ -32,15 +31,16 @@ _BLOCK: Final = 500_000
 """Cells worked on at once; the many actions of one person may make more."""
 
 
-def segments_table(line: Timeline, boxes: Boxes, labels: Facts, runs: Runs, rules: LoadRules) -> pa.Table:
+def segments_table(line: Timeline, people: People, runs: Runs, rules: LoadRules) -> pa.Table:
     """The interval table `segments`, by track, action and first frame."""
     grid = line.grid("actions")
     if grid is None or not len(runs.track):
         return INTERVALS["segments"].empty_table()
-    found = _find(grid, boxes, labels, runs, rules)
+    found = _find(grid, people, runs, rules)
     half = 0 if grid.step == 1 else HALF_STEP
     columns = {name: getattr(found, name) for name in ("track", "first", "last", "quiet_from", "closed")}
-    columns |= {"action": texts(labels.names, found.action), "start": found.first - half, "end": found.last + half}
+    columns |= {"start": found.first - half, "end": found.last + half}
+    columns |= {"action": texts(people.actions.names, found.action)}
     return line.table("segments", columns)
 
 
@@ -57,8 +57,9 @@ class _Segments(Rows):
 class _Known:
     """The facts of a sequence, (track, action) that occur, and what is true of them at which frames of the grid."""
 
-    def __init__(self, grid: Grid, boxes: Boxes, labels: Facts, runs: Runs) -> None:
-        self.grid, self.boxes, self.labels, self.runs = grid, boxes, labels, runs
+    def __init__(self, grid: Grid, people: People, runs: Runs) -> None:
+        boxes, labels = people.boxes, people.actions
+        self.grid, self.boxes, self.labels, self.runs, self.posed = grid, boxes, labels, runs, people.posed
         self.facts = distinct_of(paired(runs.track, runs.value))
         self.of_runs = np.searchsorted(self.facts, paired(runs.track, runs.value))
         on_grid = np.flatnonzero(grid.holds(boxes.frame))
@@ -67,7 +68,6 @@ class _Known:
         track, _ = unpaired(self.facts)
         self.low = np.searchsorted(ordered, track, "left")
         self.count = np.searchsorted(ordered, track, "right") - self.low
-        self.posed = certain_pose(boxes, labels) >= 0
         # Labels without a box would be of refused boxes; there are none in the tables.
         has_box = np.flatnonzero(boxes.rows(labels.frame, labels.track) >= 0)
         of_labels = np.searchsorted(self.facts, paired(labels.track[has_box], labels.value[has_box]))
@@ -118,8 +118,8 @@ class _Cells:
         self.inside = (true & clear) | gap
 
 
-def _find(grid: Grid, boxes: Boxes, labels: Facts, runs: Runs, rules: LoadRules) -> _Segments:
-    known = _Known(grid, boxes, labels, runs)
+def _find(grid: Grid, people: People, runs: Runs, rules: LoadRules) -> _Segments:
+    known = _Known(grid, people, runs)
     first, *others = (_find_in(_Cells(known, *block), known.facts, grid, rules) for block in known.blocks())
     return first.joined(others)
 

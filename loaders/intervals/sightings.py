@@ -61,7 +61,8 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
     """Return all sightings of a sequence, by frame and track. `views_listed` is from `beside_table`."""
     boxes, located = people.boxes, people.located
     member, place, face = (rows_of(other.keys, boxes.keys) for other in (people.groups, located, people.faces))
-    sizes, size_known = group_sizes(line, boxes, people.groups, member)
+    judge = group_sizes if rules.visibility == "any" else group_sizes_in_view
+    least, most, known = judge(line, boxes, people.groups, member)
     distance = _take(located.distance, place)
     words = (np.where(place >= 0, word, -1) for word in distance_word(distance, rules))
     metric = {
@@ -73,13 +74,16 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
         **{name: boxes.box[:, i] for i, name in enumerate("xywh")},
         **{
             name: getattr(boxes, name)
-            for name in ("frame", "track", "angle", "occlusion", "no_eval", "clear", "listed")
+            for name in ("frame", "track", "angle", "occlusion", "no_eval", "clear", "covered", "listed")
         },
         "face_visible": nullable(_take(people.faces.visible, face), face < 0, pa.bool_()),
         **{f"{layer}_listed": rows_of(keys, boxes.keys) >= 0 for layer, keys in people.listed.items()},
         "pose": texts(people.actions.names, certain_pose(boxes, people.actions)),
+        "posed": people.posed,
         "cluster": nullable(_take(people.groups.value, member), member < 0, pa.int64()),
-        "group_size": nullable(sizes, ~size_known, pa.int32()),
+        "group_size": nullable(least, ~known | (least < most), pa.int32()),
+        "group_size_min": nullable(least, ~known, pa.int32()),
+        "group_size_max": nullable(most, ~known, pa.int32()),
         "sector": texts(tuple(ROBOT_SECTORS), robot_sector(boxes.angle, rules)),
         "located": place >= 0,
         **{
@@ -102,8 +106,38 @@ def certain_pose(boxes: Boxes, actions: Facts) -> Ints:
     return result
 
 
-def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> tuple[Ints, Bools]:
-    """Per box: people of the frame in the same cluster, oneself included, and whether that is known.
+def group_sizes_in_view(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> tuple[Ints, Ints, Bools]:
+    """Return the minimum and the maximum of the size of each person's group, and whether they are known.
+
+    The person counts one, and so does every other member in clear view. Uncertain members add to the maximum only.
+    A person who is not covered is an uncertain member of every group if the own membership is hard or missing.
+
+    Args:
+        line: Frames of the sequence.
+        boxes: Boxes of the people.
+        groups: Group labels.
+        cluster_row: Row of each box's person in `groups`, -1 if there is no label.
+
+    Returns:
+        One element per box. The size is unknown if the person is covered, if the own membership is hard or missing, or
+        if a record of the frame could not be read.
+    """
+    member = (cluster_row >= 0) & _take(groups.certain, cluster_row) & ~boxes.covered
+    cluster = np.where(member, _take(groups.value, cluster_row), -1)
+    order = ascending(boxes.frame, cluster)
+    group = np.empty_like(order)
+    group[order] = np.cumsum(begins(boxes.frame[order], cluster[order])) - 1
+    frame = np.cumsum(begins(boxes.frame)) - 1
+    clear, members, doubts = (
+        np.bincount(key, weights=people).astype(np.int64)[key]
+        for key, people in ((group, member & boxes.clear), (group, member), (frame, ~member & ~boxes.covered))
+    )
+    return 1 + clear - boxes.clear, members + doubts, member & np.isin(boxes.frame, line.frames_of("2d"))
+
+
+def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> tuple[Ints, Ints, Bools]:
+    """Per box: people of the frame in the same cluster, oneself included, twice, and whether that is known. Applies if
+    the rules do not judge who is in clear view.
 
     It is known where every person of the frame could be read and has a cluster row, no row of the cluster is hard, and
     nobody of the cluster is out of the picture for a moment. Somebody without a row might belong to any group, and so
@@ -123,7 +157,7 @@ def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) 
     away, doubtful = _away(line, boxes, groups, boxes.frame[cluster_row < 0], boxes.track[cluster_row < 0])
     complete &= ~np.isin(frame, doubtful)
     known[order] = complete & has_row & ~hard[group] & ~np.isin(paired(frame, cluster), away)
-    return sizes, known
+    return sizes, sizes, known
 
 
 def _away(line: Timeline, boxes: Boxes, groups: Facts, bare_frame: Ints, bare_track: Ints) -> tuple[Ints, Ints]:

@@ -131,7 +131,7 @@ def _leading(layers: dict[str, Ints]) -> str:
     return next((layer for layer in ("actions", "2d", "3d") if layer in layers), "")
 
 
-def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
+def sequence_table(line: Timeline, has_attributes: bool, visibility: str) -> pa.Table:
     """The one row of the interval table `sequence`."""
     row = {
         "sequence": line.sequence,
@@ -141,12 +141,14 @@ def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
         "action_step": line.action_step,
         "keyframes": line.keyframes.tolist(),
         "has_attributes": has_attributes,
+        "visibility": visibility,
     }
     return pa.Table.from_pylist([row], INTERVALS["sequence"])
 
 
 def frames_table(line: Timeline) -> pa.Table:
-    """The interval table `frames`: one row per frame of any layer."""
+    """The interval table `frames`: one row per frame of any layer, and per keyframe that no layer has."""
+    every = np.union1d(line.frames, line.keyframes)
     of = {"keyframe": line.keyframes, "annotated": line.frames_of("2d"), "image": line.frames_of("images")}
-    here = {name: np.isin(line.frames, frames) for name, frames in of.items()}
-    return line.table("frames", {"frame": line.frames, "seconds": line.seconds(line.frames), **here})
+    here = {name: np.isin(every, frames) for name, frames in of.items()}
+    return line.table("frames", {"frame": every, "seconds": line.seconds(every), **here})

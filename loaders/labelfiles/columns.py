@@ -7,7 +7,7 @@ The functions make sort keys of rows, find neighbouring rows that are equal, and
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self
 
@@ -27,6 +27,8 @@ _DIGITS: Final = 16
 """Maximum bits of whole numbers that numpy sorts by digits (radix sort)."""
 MAX_DISTINCT: Final = 100_000
 """Maximum distinct values of one field in a file. JRDB's files have far fewer, because labels repeat between frames."""
+_BLOCK: Final = 1_000_000
+"""Approximate maximum of pairs in a block of `pairs_of_equal`."""
 
 Columns = dict[str, npt.NDArray[Any]]
 """Columns by name, with one element per record."""
@@ -267,6 +269,29 @@ def ragged(counts: Ints) -> tuple[Ints, Ints]:
     group = np.repeat(np.arange(len(counts)), counts)
     start = np.cumsum(counts) - counts
     return group, np.arange(len(group)) - np.repeat(start, counts)
+
+
+def pairs_of_equal(frame: Ints, rows: Ints) -> Iterator[tuple[Ints, Ints]]:
+    """Yield the ordered pairs of different rows with equal frames, in blocks.
+
+    Args:
+        frame: frame of every row, ascending.
+        rows: indices of the rows that form pairs, ascending.
+
+    Yields:
+        The first and the second row of each pair. Pairs with the same first row are next to each other in one block.
+    """
+    _, first, counts = np.unique(frame[rows], return_index=True, return_counts=True)
+    size = np.repeat(counts, counts)
+    start = np.repeat(first, counts)
+    block = (np.cumsum(size) - size) // _BLOCK
+    for number in np.unique(block):
+        of = np.flatnonzero((block == number) & (size > 1))
+        group, place = ragged(size[of])
+        a, b = rows[of[group]], rows[start[of][group] + place]
+        other = a != b
+        if other.any():
+            yield a[other], b[other]
 
 
 def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:

@@ -132,6 +132,7 @@ class SceneReader(Reader):
             "least": frames(rules.segment_min_s),
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
+            "in_view": rules.visibility == "clear",
         }
 
     def find(self, plan: Plan) -> Find:

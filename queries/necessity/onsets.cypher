@@ -7,5 +7,5 @@ OPTIONAL MATCH (n)-[r:Performs|MayPerform]->(x:Action) WHERE x.name = v AND r.fi
 WITH id, v, posture, s, count(r) AS labels, sum(CASE WHEN r.certain = true THEN 1 ELSE 0 END) AS sure
 RETURN id, s.frame AS frame, s.angle AS angle,
        CASE WHEN posture = true THEN coalesce(s.pose = v, false) ELSE sure > 0 END AS certain,
-       labels > 0 OR CASE WHEN posture = true THEN s.pose IS NULL OR s.pose = v ELSE NOT s.listed END AS could
+       labels > 0 OR CASE WHEN posture = true THEN NOT s.posed ELSE NOT s.listed END AS could
 ORDER BY id, frame

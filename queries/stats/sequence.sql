@@ -1,7 +1,7 @@
--- Number of questions about each loaded sequence, and number of different people among their targets.
+-- Number of questions about each loaded sequence, number of different people among their targets, evidence for clear views.
 SELECT sequence, count(question_id) AS n, n / greatest(sum(count(question_id)) OVER (), 1) AS share,
-       count(DISTINCT target_track) AS people, occlusion
+       count(DISTINCT target_track) AS people, visibility
 FROM loaded
 LEFT JOIN measured USING (sequence)
-GROUP BY sequence, occlusion
+GROUP BY sequence, visibility
 ORDER BY sequence;

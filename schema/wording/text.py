@@ -32,6 +32,19 @@ _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How"
 _SIDES: Final = " For left and right, go by the middle of each person."
 """Follows where people are sought on a side as the robot sees it: boxes that overlap could be read in two ways."""
 
+_IN_VIEW: Final = " Only people in clear view count (at least half of the person can be seen)."
+"""Last sentence of a question if the rules judge who is in clear view."""
+
+_VIEW_WORDS: Final = (
+    ("in no group in the picture", "in no group with anybody else in clear view"),
+    ("group in the picture", "group in clear view"),
+    (" in the picture", " people in clear view"),
+    ("at one moment or another, ", "at one moment or another, in clear view at that moment, "),
+    (". How many are there?", ", in clear view at that moment. How many are there?"),
+    (" are at some moment ", " are at some moment, in clear view at that moment, "),
+)
+"""Words of questions without and with the last sentence. The first pairs contain later ones, so the order matters."""
+
 _COUNTED: Final = "that person"
 """What the described person is called where a relation is counted, and nobody has a letter."""
 
@@ -52,8 +65,10 @@ def moment(frame: int) -> str:
 _MOMENT: Final = re.compile(r"[0-9]{1,7}\.[0-9] s \(frame ([0-9]{1,7})\)")
 
 
-def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
+def render(template: str, plan: Plan, key: str, about: bool = False, in_view: bool = False) -> str:
     """The question's text; `key` (hex, as `question_key` gives it) picks the paraphrase.
+
+    `in_view` adds that only people in clear view count: True if the rules judge who is in clear view.
 
     `about` marks a time that the answer names as approximate: True where the action layer is annotated once a second.
     Templates that ask for no event do not change with it. Raises PlanError for a plan that is not of the template,
@@ -62,6 +77,7 @@ def render(template: str, plan: Plan, key: str, about: bool = False) -> str:
     row, slots = form_of(template, plan)
     _check(row, slots)
     text = _fill(row, row.paraphrases[int(key[-8:], 16) % len(row.paraphrases)], slots, about) + _note(slots)
+    text = _with_view(text) if in_view else text
     if len(text) > LONGEST:
         raise PlanError("nodes[0].conditions", f"make a text of {len(text)} characters; {LONGEST} are too many")
     return text
@@ -152,11 +168,25 @@ def _raised(phrase: str) -> str:
     return phrase[0].upper() + phrase[1:]
 
 
+def _with_view(text: str) -> str:
+    """Return the text of a question in which only people in clear view count."""
+    for words, view_words in _VIEW_WORDS:
+        text = text.replace(words, view_words)
+    return text + _IN_VIEW
+
+
 # -- reading --------------------------------------------------------------------------------------------------
 
 
 def parse(text: str) -> tuple[str, Plan]:
     """The template and the plan of a question's text. Raises PlanError for a text that `render` cannot have written."""
+    if text.endswith(_IN_VIEW) and len(text) <= LONGEST:
+        plain = text.removesuffix(_IN_VIEW)
+        for words, view_words in _VIEW_WORDS:
+            plain = plain.replace(view_words, words)
+        if _with_view(plain) != text:
+            raise PlanError("question", f"{text[:80]!r} is no question of this benchmark")
+        return parse(plain)
     body = text.removesuffix(_SIDES)
     for row in TEMPLATES.values() if len(text) <= LONGEST else ():
         for paraphrase in row.paraphrases:

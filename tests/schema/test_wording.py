@@ -203,13 +203,33 @@ def test_every_word_of_the_vocabularies_has_a_phrase_and_no_two_share_one():
 
 
 @settings(max_examples=examples(80), deadline=None)
-@given(plans(), KEYS, st.booleans())
-def test_parse_is_the_inverse_of_render(case, key, about):
+@given(plans(), KEYS, st.booleans(), st.booleans())
+def test_parse_is_the_inverse_of_render(case, key, about, in_view):
     form, plan = case
-    text = render(template_of(form), plan, key, about)
+    text = render(template_of(form), plan, key, about, in_view)
     found, back = parse(text)
     assert found == template_of(form)
     assert canonical(back) == canonical(plan)
+
+
+IN_VIEW = " Only people in clear view count (at least half of the person can be seen)."
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(plans(), KEYS, st.booleans())
+def test_a_question_says_once_that_only_people_in_clear_view_count(case, key, about):
+    form, plan = case
+    plain, text = (render(template_of(form), plan, key, about, in_view) for in_view in (False, True))
+    assert text.endswith(IN_VIEW) and text.count(IN_VIEW) == 1 and "in the picture" not in text
+    sized = any(condition.attribute == "group_size" for node in plan.nodes for condition in node.conditions)
+    grouped = any(edge.relation == SAME_GROUP and "in the picture" in plain for edge in plan.edges)
+    changed = sized or grouped or form == "gap_count"
+    assert (text.removesuffix(IN_VIEW) != plain) == changed
+    assert text.count("in clear view at that moment") == (form == "gap_count")
+    for broken in (text + IN_VIEW, plain + IN_VIEW if changed else plain + IN_VIEW[:-1], text.removesuffix(IN_VIEW)):
+        if broken != plain:
+            with pytest.raises(PlanError):
+                parse(broken)
 
 
 def every_text(form):

@@ -28,12 +28,12 @@ from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 NAME = "yard-2020-01-01_0"
 
 
-def memory_store(folder, world):
+def memory_store(folder, world, **rules):
     """Write a world, load its sequences one by one, and return the store. Raises InputError for unusable worlds."""
     store = MemoryStore(Path(folder) / "store")
     with kept_in(store):
         for files in find_root(write_root(Path(folder) / "root", world)).sequences:
-            load_shard(Shard(files, str(store.path), LoadRules()))
+            load_shard(Shard(files, str(store.path), LoadRules(**rules)))
     return store
 
 

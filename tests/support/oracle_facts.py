@@ -13,9 +13,13 @@ are things all the same; nobody "handles" people; a group with two venues that t
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from itertools import pairwise
 
+from oracle_covering import Covering
 from oracle_files import PERSON_CATEGORIES, POSES, read_root, said_too
+
+from jrdb_avr.schema.rules import LoadRules
 
 LAYERS = (
     "2d",
@@ -33,12 +37,15 @@ LAYERS = (
 )
 
 
+JUDGED = LoadRules().visibility == "clear"
+"""Whether the program judges by default who is in clear view. Nothing else is taken from it."""
+
 LABELED = ("actions", "memberships", "interactions", "handles")
 """Tables of written labels; beside each stands one of what may hold without a label."""
 
 
-def facts(root, sequence):
-    return Oracle(read_root(root, sequence), sequence).tables()
+def facts(root, sequence, judged=JUDGED):
+    return Oracle(read_root(root, sequence), sequence, judged).tables()
 
 
 def step_of(frames):
@@ -49,8 +56,9 @@ def step_of(frames):
 
 
 class Oracle:
-    def __init__(self, found, sequence):
+    def __init__(self, found, sequence, judged=JUDGED):
         self.sequence = sequence
+        self.judged = judged
         self.found = found
         self.people = {(row["frame"], row["track"]): row for row in found.rows("boxes_2d")}
         solid = {(row["frame"], row["track"]): row for row in found.rows("boxes_3d")}
@@ -61,6 +69,8 @@ class Oracle:
         for frame, track in sorted(self.people):
             self.tracks.setdefault(frame, []).append(track)
         self.has_attributes = any(row["has_attributes"] for row in self.people.values())
+        self.told_occlusion = any(row["occlusion"] is not None for row in self.people.values())
+        self.covering = Covering(self.people) if judged and not self.told_occlusion else None
         self.written = {key: {} for key in self.people}
         for row in found.rows("actions"):
             listed = self.written[row["frame"], row["track"]]
@@ -69,6 +79,7 @@ class Oracle:
         self.clusters = {
             (row["frame"], row["track"]): (row["cluster"], row["difficulty"]) for row in found.rows("groups")
         }
+        self.grouped = {frame: True for frame, _ in self.clusters}
         self.members = {}
         for (frame, track), (cluster, _) in self.clusters.items():
             self.members.setdefault((frame, cluster), []).append(track)
@@ -126,6 +137,10 @@ class Oracle:
     # -- facts of one person in one frame --
 
     def certain(self, frame, track, action):
+        return self.legible(frame, track, action) and not self.covered(frame, track)
+
+    def legible(self, frame, track, action):
+        """Whether a label is certain but for the view of the person."""
         listed = self.actions.get((frame, track), {})
         if listed.get(action) not in (1, 2):
             return False
@@ -155,22 +170,53 @@ class Oracle:
             return "true" if self.certain(frame, track, action) else "unknown"
         if (frame, track) not in self.people or not self.people[frame, track]["has_actions"]:
             return "unknown"
-        if action in POSES and self.pose(frame, track) is None:
+        if action in POSES and self.one_pose(frame, track) is None:
             return "unknown"
         return "false"
 
     def pose(self, frame, track):
+        return None if self.covered(frame, track) else self.one_pose(frame, track)
+
+    def one_pose(self, frame, track):
+        """The pose that the list of a person tells, also of a covered one."""
         poses = [a for a in self.written.get((frame, track), {}) if a in POSES]
-        return poses[0] if len(poses) == 1 and self.certain(frame, track, poses[0]) else None
+        return poses[0] if len(poses) == 1 and self.legible(frame, track, poses[0]) else None
 
     def clear(self, frame, track):
         record = self.people.get((frame, track))
         if record is None:
             return False
         y, w, h = (record[side] for side in "ywh")
-        visible = not self.has_attributes or record["occlusion"] in ("Fully_visible", "Mostly_visible")
+        if self.told_occlusion if self.judged else self.has_attributes:
+            visible = record["occlusion"] in ("Fully_visible", "Mostly_visible")
+        else:
+            visible = not self.judged or (
+                self.covering.share(frame, track) is not None
+                and self.covering.share(frame, track) < Fraction(1, 2)
+                and self.grouped_about(frame, track)
+            )
         fits = y >= 0 and y + h <= 480 and 12 <= w <= 480 and h >= 40
         return visible and fits and record["no_eval"] is not True
+
+    def covered(self, frame, track):
+        """Certainly not in clear view: such a person counts for nobody in the frame."""
+        if not self.judged or (frame, track) not in self.people:
+            return False
+        if self.told_occlusion:
+            return self.people[frame, track]["occlusion"] in ("Severely_occluded", "Fully_occluded")
+        share = self.covering.share(frame, track)
+        return share is not None and share >= Fraction(4, 5)
+
+    def grouped_about(self, frame, track):
+        """Whether the nearest frame with group labels, at most a second away, has an easy one of the person."""
+        if not self.clusters:
+            return True
+        away = sorted((abs(by), by) for by in range(-15, 16) if self.grouped.get(frame + by))
+        return bool(away) and self.clusters.get((frame + away[0][1], track), (None, None))[1] in (1, 2)
+
+    def counting(self, frame):
+        """Everybody with a box but for covered people."""
+        return [track for track in self.in_frame(frame) if not self.covered(frame, track)]
 
     def angle(self, frame, track):
         record = self.people[frame, track]
@@ -179,7 +225,21 @@ class Oracle:
     def in_frame(self, frame):
         return self.tracks.get(frame, [])
 
-    def group_size(self, frame, track):
+    def group_sizes(self, frame, track):
+        """Every size that the group of a person could have."""
+        if not self.judged:
+            size = self.group_size_of_all(frame, track)
+            return [] if size is None else [size]
+        mine, code = self.clusters.get((frame, track), (None, None))
+        if code not in (1, 2) or frame not in self.known_2d or self.covered(frame, track):
+            return []
+        others = [(self.clusters.get((frame, t), (None, None)), t) for t in self.counting(frame) if t != track]
+        sure = [self.clear(frame, t) for (group, code), t in others if code in (1, 2) and group == mine]
+        perhaps = [t for (_, code), t in others if code not in (1, 2)]
+        least = 1 + sure.count(True)
+        return [*range(least, least + sure.count(False) + len(perhaps) + 1)]
+
+    def group_size_of_all(self, frame, track):
         people = self.in_frame(frame)
         if frame not in self.known_2d or any((frame, t) not in self.clusters for t in people):
             return None
@@ -231,8 +291,14 @@ class Oracle:
                 "action_step": step_of(leading),
                 "keyframes": self.keyframes,
                 "has_attributes": self.has_attributes,
+                "visibility": self._evidence(),
             }
         ]
+
+    def _evidence(self):
+        if self.told_occlusion if self.judged else self.has_attributes:
+            return "attributes"
+        return "geometry" if self.judged and self.people else "nothing"
 
     def _all_frames(self):
         """Of every layer but the timestamps, which may reach further than what they stamp."""
@@ -248,7 +314,7 @@ class Oracle:
                 "annotated": f in self.known_2d,
                 "image": f in self.found.frames.get("images", ()),
             }
-            for f in self._all_frames()
+            for f in sorted({*self._all_frames(), *self.keyframes})
         ]
 
     def _persons(self, demographics):
@@ -402,6 +468,7 @@ class Oracle:
         record = self.people[frame, track]
         angle = self.angle(frame, track)
         keypoints = self.poses.get((frame, track))
+        sizes = self.group_sizes(frame, track)
         row = {
             "frame": frame,
             "track": track,
@@ -410,14 +477,18 @@ class Oracle:
             "occlusion": record["occlusion"],
             "no_eval": record["no_eval"] is True,
             "clear": self.clear(frame, track),
+            "covered": self.covered(frame, track),
             # The first three points are head, right eye, left eye.
             "face_visible": None if keypoints is None else 2 in [keypoints[3 * i + 2] for i in range(3)],
             "listed": record["has_actions"],
             "interactions_listed": ("interactions", frame, track) in self.listed,
             "handles_listed": ("handles", frame, track) in self.listed,
             "pose": self.pose(frame, track),
+            "posed": self.one_pose(frame, track) is not None,
             "cluster": self.clusters.get((frame, track), (None,))[0],
-            "group_size": self.group_size(frame, track),
+            "group_size": sizes[0] if len(sizes) == 1 else None,
+            "group_size_min": min(sizes, default=None),
+            "group_size_max": max(sizes, default=None),
             "sector": next((name for name in CENTERS if off_axis(angle, name) <= 40 + 1e-9), None),
             "located": (frame, track) in self.located,
             "robot_view_listed": True,
@@ -486,7 +557,7 @@ class Oracle:
     def _robot_view(self):
         rows = []
         for frame in self.keyframes:
-            people = self.in_frame(frame)
+            people = self.counting(frame)
             for source in people:
                 for side in ("left", "right"):
                     rows += self._first_met(frame, source, side, [t for t in people if t != source])

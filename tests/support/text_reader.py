@@ -14,9 +14,11 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cache, cached_property
 from pathlib import Path
 
+from oracle_covering import hidden_share
 from text_reader_language import (
     ACTIONS,
     AHEAD,
@@ -41,6 +43,7 @@ WIDTH = 3760
 SOCIAL = ("labels_2d_activity_social_stitched", "labels_2d_social")
 REASONING = ("labels_2d_stitched_new_version", "labels_2d_stitched_test_new_version1")
 PANOPTIC = ("labels_2d_panoptic_stitched_CW", "labels_2d_panoptic_stitched_OW")
+OCCLUSIONS = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
 CERTAIN = 2
 """The highest difficulty code of a label that annotators were sure of."""
 
@@ -51,6 +54,7 @@ class Seen:
 
     box: tuple[float, float, float, float] | None
     hidden: bool | None = None
+    occlusion: str | None = None
     doubtful: bool = False
     actions: dict[str, int] = field(default_factory=dict)
     group: object = None
@@ -107,6 +111,7 @@ class Recording:
 
     def __init__(self, root: Path, sequence: str):
         self.root, self.sequence = root, sequence
+        self.views: dict[tuple[int, int], str] = {}
         self.frames: dict[int, dict[int, Seen]] = {}
         self.votes: dict[int, dict[str, Counter]] = defaultdict(lambda: defaultdict(Counter))
         for frame, records in self.records("labels_2d_stitched"):
@@ -119,6 +124,48 @@ class Recording:
             self.add_places(frame, records)
         gaps = Counter(later - first for first, later in zip(self.order, self.order[1:], strict=False))
         self.step = gaps.most_common(1)[0][0] if gaps else 1
+
+    @cached_property
+    def told(self) -> bool:
+        """Whether any box of a person says how far the person is hidden."""
+        return any(seen.occlusion in OCCLUSIONS for people in self.frames.values() for seen in people.values())
+
+    @cached_property
+    def grouped(self) -> list[int]:
+        """The frames with a group label of anybody."""
+        return [frame for frame in self.order if any(seen.group is not None for seen in self.frames[frame].values())]
+
+    def view(self, person: int, frame: int) -> str:
+        """Whether a person with a record is clear, covered or uncertain in a frame."""
+        if (person, frame) not in self.views:
+            self.views[person, frame] = self.judge(person, frame)
+        return self.views[person, frame]
+
+    def judge(self, person: int, frame: int) -> str:
+        people = self.frames[frame]
+        seen = people[person]
+        if seen.box is None or person < 0:
+            return "uncertain"
+        _, top, width, height = seen.box
+        fits = top >= 0 and top + height <= 480 and 12 <= width <= 480 and height >= 40 and not seen.doubtful
+        if self.told:
+            if seen.occlusion in OCCLUSIONS[2:]:
+                return "covered"
+            return "clear" if fits and seen.occlusion in OCCLUSIONS[:2] else "uncertain"
+        others = [other.box for one, other in people.items() if one >= 0 and one != person and other.box is not None]
+        share = hidden_share(seen.box, others)
+        if share is None:
+            return "uncertain"
+        if share >= Fraction(8, 10):
+            return "covered"
+        return "clear" if fits and share < Fraction(1, 2) and self.in_group_about(person, frame) else "uncertain"
+
+    def in_group_about(self, person: int, frame: int) -> bool:
+        if not self.grouped:
+            return True
+        nearest = min(self.grouped, key=lambda one: (abs(one - frame), one))
+        seen = self.frames[nearest].get(person)
+        return abs(nearest - frame) <= FPS and seen is not None and seen.group is not None and seen.grouping <= CERTAIN
 
     @cached_property
     def order(self) -> list[int]:
@@ -156,6 +203,7 @@ class Recording:
         group = group if isinstance(group, dict) else {}
         return Seen(
             box=tuple(box) if usable and box[2] > 0 and box[3] > 0 else None,
+            occlusion=occlusion if marks.get("no_eval") in (None, True, False, "true", "false") else None,
             hidden=None if occlusion is None else occlusion not in ("Fully_visible", "Mostly_visible"),
             doubtful=marks.get("no_eval") in (True, "true"),
             actions=labels_of(record.get("action_label")),
@@ -220,6 +268,9 @@ class Recording:
             seen.metres = float(metres) if isinstance(metres, int | float) else math.hypot(*place[:2])
 
 
+OFTEN_MISSED = ("looking at the robot", "looking at something", "pointing at something", "using a door")
+"""What labels often miss between two seconds that have it."""
+
 KNOWN = set().union(*ACTIONS.values())
 """All labels of actions: a list with another label tells only what it names."""
 
@@ -251,14 +302,26 @@ def best(levels: Iterable[int]) -> bool | None:
 class Facts:
     """Facts of one recording under one reading; every method takes people by number and a frame."""
 
-    def __init__(self, recording: Recording, reading: Reading):
-        self.recording, self.reading = recording, reading
+    def __init__(self, recording: Recording, reading: Reading, judged: bool = False):
+        self.recording, self.reading, self.judged = recording, reading, judged
 
     def seen(self, person: int, frame: int) -> Seen | None:
         return self.recording.frames.get(frame, {}).get(person)
 
     def people(self, frame: int) -> dict[int, Seen]:
-        return self.recording.frames.get(frame, {})
+        """Everybody with a record, but for covered people if only people in clear view count."""
+        people = self.recording.frames.get(frame, {})
+        return {one: seen for one, seen in people.items() if not self.covered(one, frame)} if self.judged else people
+
+    def covered(self, person: int, frame: int) -> bool:
+        return self.judged and self.recording.view(person, frame) == "covered"
+
+    def clear(self, person: int, frame: int) -> bool:
+        """Whether somebody with a record in the frame is in clear view."""
+        if self.judged:
+            return self.recording.view(person, frame) == "clear"
+        seen = self.recording.frames[frame][person]
+        return not (seen.hidden or seen.doubtful)
 
     # What one person does and is.
 
@@ -272,7 +335,7 @@ class Facts:
         if poses and (len(listed) != 1 or not listed <= certain or not whole):
             return None
         if labels & certain:
-            return True
+            return None if self.covered(person, frame) else True
         return None if labels & seen.actions.keys() or not whole else self.between(person, frame, labels)
 
     def between(self, person: int, frame: int, labels: set[str]) -> bool | None:
@@ -290,7 +353,11 @@ class Facts:
         return ACTIONS[phrase] | (WIDER.get(phrase, set()) if self.reading.words == "wide" else set())
 
     def doing(self, person: int, frame: int, phrase: str) -> bool | None:
-        return self.labelled(person, frame, self.labels(phrase), phrase in POSES)
+        fact = self.labelled(person, frame, self.labels(phrase), phrase in POSES)
+        if fact is False and self.judged and phrase in OFTEN_MISSED:
+            near = (self.seen(person, frame + by) for by in (-FPS, FPS))
+            return None if any(one is not None and ACTIONS[phrase] & one.actions.keys() for one in near) else False
+        return fact
 
     def handling(self, person: int, frame: int, verb: str, kind: str) -> bool | None:
         seen = self.seen(person, frame)
@@ -331,8 +398,8 @@ class Facts:
     def visible(self, person: int, frame: int) -> bool | None:
         """In the picture at a frame; unknown where a record without a number may be of the person."""
         about = range(frame - 15, frame + 16) if self.reading.seen == "about" else (frame,)
-        records = [seen for near in about if (seen := self.seen(person, near)) is not None]
-        if any(self.reading.seen != "clear" or not (seen.hidden or seen.doubtful) for seen in records):
+        records = [near for near in about if self.seen(person, near) is not None]
+        if any(self.reading.seen != "clear" or self.clear(person, near) for near in records):
             return True
         return None if self.strangers(frame) else False
 
@@ -353,11 +420,20 @@ class Facts:
         own = self.seen(person, frame)
         if own is None or own.group is None or own.grouping > CERTAIN:
             return None
-        facts = [self.same_group(person, other, frame) for other in self.people(frame) if other != person]
+        facts = [self.member(person, other, frame) for other in self.people(frame) if other != person]
         least, most = 1 + facts.count(True), 1 + facts.count(True) + facts.count(None)
-        if self.reading.group == "around":
+        if self.reading.group == "around" and not self.judged:
             most += len(self.away(own.group, frame))
         return False if not least <= size <= most else True if least == most else None
+
+    def member(self, person: int, other: int, frame: int) -> bool | None:
+        """Whether the other is in the person's group and, if only such people count, in clear view."""
+        fact, seen = self.same_group(person, other, frame), self.seen(other, frame)
+        if not self.judged:
+            return fact
+        if seen is None or seen.group is None or seen.grouping > CERTAIN:
+            return None
+        return None if fact and not self.clear(other, frame) else fact
 
     def away(self, group: object, frame: int) -> set[int]:
         """Who is not in the picture, but is in the group within a second of it."""
@@ -397,10 +473,13 @@ class Facts:
         return seen is not None and any((label, other) in (seen.partners or {}) for label in labels)
 
     def with_someone(self, person: int, frame: int, label: str) -> bool | None:
-        facts = [self.together(person, other, frame, label) for other in self.people(frame) if other != person]
+        facts = []
+        for other in self.recording.frames.get(frame, {}):
+            fact = other != person and self.together(person, other, frame, label)
+            facts.append(None if fact and self.judged and not self.clear(other, frame) else fact)
         seen, labels = self.seen(person, frame), self.partnerships(label)
         own = [level for (name, _), level in ((seen and seen.partners) or {}).items() if name in labels]
-        if own and self.reading.partner == "anybody":
+        if own and self.reading.partner == "anybody" and not self.judged:
             facts.append(True if min(own) <= CERTAIN else None)
         if seen is None or seen.partners is None:
             facts.append(None)
@@ -419,7 +498,7 @@ class Facts:
         people = self.people(frame)
         if any(seen.box is None for seen in people.values()):
             return None
-        clear = [one for one, seen in people.items() if not (seen.hidden or seen.doubtful)]
+        clear = [one for one in people if self.clear(one, frame)]
         among = clear if self.reading.beside == "visible" else [*people]
         ways = {one: away for one in among if (away := self.aside(person, one, frame, side)) is not None}
         nearest = [one for one, away in ways.items() if away == min(ways.values())]
@@ -552,7 +631,7 @@ class Asked:
 
     def read_view(self) -> dict:
         first, _ = self.spell(self.question.values[0])
-        return {"frame": first - self.half, "angle_deg": self.facts.people(first)[self.person].angle}
+        return {"frame": first - self.half, "angle_deg": self.seen(first).angle}
 
     def read_starts(self) -> dict:
         one, two = (self.spell(phrase)[0] for phrase in self.question.values)
@@ -581,12 +660,17 @@ class Asked:
         return {"value": float(len(met - {self.person}))}
 
     def meets(self, other: int, frame: int, label: str) -> bool:
+        if self.facts.judged and not (self.seen(frame) and self.both_clear(other, frame)):
+            return False
         if label:
             return self.facts.together(self.person, other, frame, label) is True
         one, two = self.seen(frame), self.facts.seen(other, frame)
         if self.facts.reading.spell == "possible":
             return one is not None and two is not None and one.group is not None and one.group == two.group
         return self.facts.same_group(self.person, other, frame) is True
+
+    def both_clear(self, other: int, frame: int) -> bool:
+        return self.facts.clear(self.person, frame) and self.facts.clear(other, frame)
 
     def visible(self, frame: int) -> bool:
         if (fact := self.facts.visible(self.person, frame)) is None:
@@ -691,7 +775,7 @@ class _Search:
 
     def __init__(self, recording: Recording, question: Question, choices: list[str]):
         self.recording, self.question, self.choices = recording, question, choices
-        self.people = recording.frames.get(question.frame, {}).keys()
+        self.people = Facts(recording, Reading(), question.judged).people(question.frame).keys()
         self.fits, self.leads, self.answer = map(functools.cache, (self._fits, self._leads, self._answer))
 
     def found(self, reading: Reading) -> Found:
@@ -708,16 +792,17 @@ class _Search:
         return only({one: all_of(fits[one] for fits in links) for one in others}, step.name)
 
     def _fits(self, condition: Condition, reading: Reading) -> dict[int, bool | None]:
-        fact, at = getattr(Facts(self.recording, reading), condition.fact), (self.question.frame,)
+        fact, at = getattr(Facts(self.recording, reading, self.question.judged), condition.fact), (self.question.frame,)
         at = () if condition.fact == "attribute" else at
         return {one: fact(one, *at, *condition.values) for one in self.people}
 
     def _leads(self, link: Link, start: int, reading: Reading) -> dict[int, bool | None]:
-        fact = getattr(Facts(self.recording, reading), link.fact)
+        fact = getattr(Facts(self.recording, reading, self.question.judged), link.fact)
         return {one: fact(start, one, self.question.frame, *link.values) for one in self.people - {start}}
 
     def _answer(self, person: int, reading: Reading) -> dict:
-        return Asked(self.question, self.choices, Facts(self.recording, reading), person).answer()
+        facts = Facts(self.recording, reading, self.question.judged)
+        return Asked(self.question, self.choices, facts, person).answer()
 
 
 def agree(one: dict, other: dict) -> bool:

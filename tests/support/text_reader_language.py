@@ -163,6 +163,7 @@ THINGS |= {"computer accessory": "peripheral", "skateboard or segway or hoverboa
 THINGS |= {"bicycle or scooter": "bicycle/scooter"}
 VERBS = {"handling": "handling/manipulating", "talking on": "talking on", "looking at": "looking at"}
 VIEW = " as seen from the robot"
+IN_VIEW = " Only people in clear view count (at least half of the person can be seen)."
 BY_MIDDLES = " For left and right, go by the middle of each person."
 METRES = r"\((?:([\d.]+) to ([\d.]+)|over ([\d.]+)|under ([\d.]+)) m\)"
 FACING = r"(?:(in front of|behind) [A-D]|to [A-D]'s ((?:front |back )?(?:left|right)))"
@@ -208,6 +209,8 @@ class Question:
     steps: tuple[Step, ...]
     read: str
     values: tuple
+    judged: bool = False
+    """Whether only people in clear view count."""
 
 
 # Descriptions.
@@ -250,10 +253,13 @@ PHRASES: list[tuple[str, Callable[[re.Match], Condition]]] = [
         lambda found: Condition("at_metres", bounds(found.groups()), "metres"),
     ),
     (
-        r"in a group of (\w+) in the picture",
+        r"in a group of (\w+) (?:in the picture|people in clear view)",
         lambda found: Condition("group_size", (SIZES.get(found[1]) or int(found[1]),), "in a group of N"),
     ),
-    (r"in no group in the picture", lambda found: Condition("group_size", (1,), "in no group")),
+    (
+        r"in no group (?:in the picture|with anybody else in clear view)",
+        lambda found: Condition("group_size", (1,), "in no group"),
+    ),
     (
         rf"({'|'.join(PARTNERS)}) someone(?: who comes the other way)?",
         lambda found: Condition("with_someone", (PARTNERS[found[1]],), found[1] + " someone"),
@@ -276,7 +282,7 @@ def linked(text: str) -> list[Link]:
     ).strip()
     if found := re.fullmatch(rf"the first person to the (left|right) of ([A-D]){VIEW}", text):
         return [Link("first_aside", found[2], (found[1],))]
-    if found := re.fullmatch(r"the only other member of ([A-D])'s group in the picture", text):
+    if found := re.fullmatch(r"the only other member of ([A-D])'s group in (?:the picture|clear view)", text):
         return [Link("same_group", found[1], ())]
     text = re.sub("^the only person (?:who is )?", "", text)
     if found := re.fullmatch(rf"within (\d+) degrees to the (left|right) of ([A-D]){VIEW}", text):
@@ -296,7 +302,9 @@ def step(text: str) -> Step | None:
     """A person from a clause, None where it is none of a person."""
     if found := re.fullmatch(r"(?:and )?(?:then )?([B-D]),? (?:is )?(the (?:first|only) .+)", text):
         return Step(found[1], tuple(linked(found[2])))
-    if found := re.fullmatch(r"([A-D]) and ([B-D]) are the only two members of their group in the picture", text):
+    if found := re.fullmatch(
+        r"([A-D]) and ([B-D]) are the only two members of their group in (?:the picture|clear view)", text
+    ):
         return Step(found[2], (Link("same_group", found[1], ()),))
     if found := re.fullmatch(rf"([A-D]) is ({'|'.join(PARTNERS)}) exactly one person, ([B-D])", text):
         return Step(found[3], (Link("together", found[1], (PARTNERS[found[2]],)),))
@@ -344,8 +352,9 @@ def parse(text: str) -> Question:
     for second, frame in re.findall(CLOCK, text):
         if abs(float(second) * FPS - int(frame)) > FPS / 20:
             raise UnreadableError(f"{second} s is not frame {frame}")
-    body = text.removesuffix(BY_MIDDLES)
-    if (body == text) == (VIEW in body):
+    said = text.replace(IN_VIEW, "", 1)
+    body = said.removesuffix(BY_MIDDLES)
+    if (body == said) == (VIEW in body):
         raise UnreadableError(f"{BY_MIDDLES} or not")
     sentences = [sentence.strip().rstrip(".") for sentence in re.split(r"(?<=[.])\s+(?=[A-Z])", body)]
     clauses = sentences[0].split("; ")
@@ -372,4 +381,4 @@ def parse(text: str) -> Question:
         values = (int(later[1]),)
     if read == "count":
         values = (*values, int(re.findall(TIME, text)[-1]))
-    return Question(int(opening["frame"]), described(opening["words"]), tuple(steps), read, values)
+    return Question(int(opening["frame"]), described(opening["words"]), tuple(steps), read, values, said != text)

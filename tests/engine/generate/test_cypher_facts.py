@@ -4,7 +4,7 @@ import random
 from collections import Counter
 
 import pytest
-from random_worlds import lively_world, random_world, sociable_world
+from random_worlds import in_crowds, lively_world, random_world, sociable_world
 from worlds import load_world
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
@@ -12,18 +12,18 @@ from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.relations import QUESTION_RELATIONS
-from jrdb_avr.schema.rules import CONDITION_KINDS, Rules
+from jrdb_avr.schema.rules import CONDITION_KINDS, LoadRules
 
-RULES = Rules()
+RULES = LoadRules()
 
 
-@pytest.fixture(scope="module")
-def worlds(tmp_path_factory):
-    rng, layers = random.Random(23), {}
+@pytest.fixture(scope="module", params=("clear", "any"))
+def worlds(request, tmp_path_factory):
+    rng, layers = random.Random(37), {}
     for number in range(15):
         make = (random_world, lively_world, sociable_world)[number % 3]
-        layers |= make(rng, f"yard-2020-01-01_{number}")
-    return load_world(tmp_path_factory.mktemp("cypher_facts"), layers)
+        layers |= (in_crowds(make) if number % 2 else make)(rng, f"yard-2020-01-01_{number}")
+    return load_world(tmp_path_factory.mktemp("cypher_facts"), layers, rules=LoadRules(visibility=request.param))
 
 
 def keys_of(facts, sequence, rng, most=300):
@@ -38,7 +38,7 @@ def keys_of(facts, sequence, rng, most=300):
             moments = facts.keyframes if condition.object else rng.sample(facts.keyframes, min(3, len(facts.keyframes)))
             for moment in moments:
                 keys.setdefault(condition.kind, []).append(("match", sequence, condition, moment))
-        for who in people:
+        for who in facts.uncovered[frame]:
             for relation in QUESTION_RELATIONS:
                 key = ("follow", sequence, relation, who, frame)
                 keys.setdefault(statement_of(key), []).append(key)
@@ -48,11 +48,11 @@ def keys_of(facts, sequence, rng, most=300):
     return [key for kind in keys.values() for key in rng.sample(kind, min(most, len(kind)))]
 
 
-def check_facts(graph, sequences, rng, with_faces=lambda sequence: True):
+def check_facts(graph, sequences, rng, rules=RULES, with_faces=lambda sequence: True):
     """Each fact is the same; return how many were compared by statement."""
-    compared, source = Counter(), CypherFacts(graph, RULES.load)
+    compared, source = Counter(), CypherFacts(graph, rules)
     for sequence in sequences:
-        facts = Facts(graph, sequence, RULES.load, with_faces=with_faces(sequence))
+        facts = Facts(graph, sequence, rules, with_faces=with_faces(sequence))
         keys = keys_of(facts, sequence, rng)
         if not keys:
             continue
@@ -68,8 +68,9 @@ def check_facts(graph, sequences, rng, with_faces=lambda sequence: True):
 
 
 def test_each_fact_by_statement_equals_that_of_the_sets(worlds):
+    manifest = worlds.manifest()
     with Graph.open(worlds.graph_path, read_only=True) as graph:
-        compared = check_facts(graph, sorted(worlds.manifest().sequences), random.Random(5))
+        compared = check_facts(graph, sorted(manifest.sequences), random.Random(5), manifest.load_rules)
     relations = ("social", "group", "first", "person", "window")
     assert compared.keys() == {
         *(f"condition_{kind}" for kind in CONDITION_KINDS),

@@ -14,8 +14,10 @@ from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.validate.statistics import statistics
 from jrdb_avr.schema.errors import AvrWarning, StoreError
 from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.rules import LoadRules
 
 BOX, OTHER = (1800, 100, 60, 200), (400, 100, 60, 200)
+EVIDENCE = "geometry" if LoadRules().visibility == "clear" else "nothing"
 SEEN, UNSEEN = "yard-2020-01-01_0", "yard-2020-01-02_0"
 
 
@@ -67,10 +69,10 @@ def test_the_statistics_name_them(store):
     with pytest.warns(AvrWarning):
         generate(store, workers=1)
     tables = statistics(store)
-    assert {row["sequence"]: row["occlusion"] for row in tables["sequence"]} == {SEEN: True, UNSEEN: False}
+    assert {row["sequence"]: row["visibility"] for row in tables["sequence"]} == {SEEN: "attributes", UNSEEN: EVIDENCE}
     shutil.rmtree(store.path / "intervals")
     tables = statistics(store)
-    assert [row["occlusion"] for row in tables["sequence"]] == [None, None]
+    assert [row["visibility"] for row in tables["sequence"]] == [None, None]
     result = CliRunner().invoke(group, ["stats", "--store", str(store.path)])
     assert result.exit_code == 0, result.output
 

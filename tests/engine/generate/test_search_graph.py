@@ -30,7 +30,7 @@ MAY = f"{SPAN}, gap"
 
 # Per table of the graph, its rows as SQL over the interval files, columns in the order of the DDL.
 SQL = {
-    "Sequence": "SELECT sequence, fps, frame_count, layers, action_step FROM sequence",
+    "Sequence": "SELECT sequence, fps, frame_count, layers, action_step, visibility FROM sequence",
     "Frame": f"SELECT {FRAME}, sequence, frame, seconds, keyframe, annotated, image FROM frames",
     "Person": f"SELECT {PERSON}, sequence, track, gender, age, ethnicity, first_frame, last_frame FROM persons",
     "Object": f"SELECT {THING}, sequence, object, category_id, category, first_frame, last_frame FROM objects",
@@ -46,11 +46,11 @@ SQL = {
         LEFT JOIN (SELECT * FROM group_info WHERE chosen) USING (sequence, cluster) GROUP BY sequence, cluster""",
     "SeenIn": f"""
         SELECT {PERSON}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle, occlusion, no_eval, clear,
-               face_visible, listed, interactions_listed, handles_listed, pose, group_size, sector,
-               located, distance, distance_word, distance_word_other, cx, cy, cz, heading, robot_view_listed,
-               person_view_listed FROM sightings
+               covered, face_visible, listed, interactions_listed, handles_listed, pose, posed, group_size,
+               group_size_min, group_size_max, sector, located, distance, distance_word, distance_word_other,
+               cx, cy, cz, heading, robot_view_listed, person_view_listed FROM sightings
         UNION ALL
-        SELECT {THING}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle{", NULL" * 20}
+        SELECT {THING}, {FRAME}, sequence, frame, {{'x': x, 'y': y, 'w': w, 'h': h}}, angle{", NULL" * 24}
         FROM object_sightings""",
     "Present": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM presences",
     "Absent": f"SELECT {PERSON}, sequence, sequence, {SPAN}, certain FROM absences",

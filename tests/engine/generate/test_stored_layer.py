@@ -98,7 +98,7 @@ def test_generation_and_replay_make_no_graph_in_memory(loaded, tmp_path, monkeyp
     generate(store, workers=1)
     assert set(opened) == {str(store.graph_path), str(store.path / ".graph.kuzu.building")}
     opened.clear()
-    assert validate(store, replay_proofs=True, workers=1).checked["replay"] > 0
+    assert validate(store, replay_proofs=True).checked["replay"] > 0
     assert set(opened) == {str(store.graph_path)}
 
 

@@ -8,9 +8,11 @@ import ast
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import pytest
 from environment import REAL, SUPPORT
+from keyframe_layers import ANY_VIEW
 from question_files import all_evidence
 from text_reader import Found, Reader, differs
 from text_reader_language import HELD, Reading, parse
@@ -80,7 +82,10 @@ def test_every_paraphrase_of_a_question_is_read_alike(sample_benchmark):
     for row in sample_benchmark.questions("questions").to_pylist():
         plan = plans[row["question_id"]]
         for key in range(6):
-            assert parse(render(row["template"], plan, f"{key:064x}")) == parse(row["question"])
+            read = parse(render(row["template"], plan, f"{key:064x}"))
+            assert read == parse(row["question"])
+            judged = parse(render(row["template"], plan, f"{key:064x}", in_view=True))
+            assert judged == replace(read, judged=True)
 
 
 def real_benchmark(folder, sequences):
@@ -88,15 +93,14 @@ def real_benchmark(folder, sequences):
     from jrdb_avr.loaders.load import load
     from jrdb_avr.loaders.root import find_root
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.schema.rules import LoadRules, Rules
 
     labels = folder / "root" / "labels" / "labels_2d_stitched"
     labels.mkdir(parents=True)
     for path in sequences:
         shutil.copy(path, labels)
     store = Store(folder / "store")
-    load(find_root(folder / "root"), store, LoadRules(), 1)
-    generate(store, Rules(), workers=1)
+    load(find_root(folder / "root"), store, ANY_VIEW.load, 1)
+    generate(store, ANY_VIEW, workers=1)
     return Benchmark(store, folder / "root")
 
 

@@ -140,10 +140,13 @@ def test_the_card_states_licence_canary_and_occlusion(store, folders, monkeypatc
     front = yaml.safe_load(card.split("---\n")[1])
     assert front["license"] == "apache-2.0" and front["configs"][0]["default"] is True
     assert CANARY in card and "**Synthetic" in card and SAMPLE.licence_url in card
-    assert "state how far a person is hidden. Every box that decides" in card
-    monkeypatch.setattr(Store, "without_occlusion", lambda store: sorted(store.manifest().sequences)[:1])
+    assert card.count("| attributes |") == 2
+    evidence = ("attributes", "geometry")
+    monkeypatch.setattr(
+        Store, "visibility", lambda store: dict(zip(sorted(store.manifest().sequences), evidence, strict=True))
+    )
     public, _ = export_folders(store, tmp_path / "again", published=DAY)
-    assert "In 1 of 2 sequences the boxes do not state" in (public / "README.md").read_text()
+    assert all(f"| {kind} |" in (public / "README.md").read_text() for kind in evidence)
 
 
 def test_the_sources_are_those_of_the_layers(store, monkeypatch, tmp_path):

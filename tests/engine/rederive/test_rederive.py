@@ -5,6 +5,7 @@ import pytest
 from readings import HARD, RULES, World, ask, at_t0
 
 from jrdb_avr.engine.rederive import rederive
+from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.templates import TEMPLATES, Slots
 
 SITTING, STANDING, READING = at_t0(action="sitting"), at_t0(action="standing"), at_t0(action="reading")
@@ -36,7 +37,7 @@ SECONDS = range(15, 601, 15)
     ],
 )
 def test_a_clear_view(change, clear):
-    assert World(SECONDS).see(1, [15], **change).read().clear(1, 15) is clear
+    assert World(SECONDS).see(2, [15], x=100).see(1, [15], **change).read().clear(1, 15) is clear
 
 
 def test_without_any_attributes_occlusion_is_not_asked():
@@ -60,11 +61,13 @@ def test_a_description_means_one_person_for_certain():
     nobody = World(SECONDS).see(0, [15]).read()
     assert nobody.find((SITTING,), 15) == ("empty", None)
     assert nobody.find((SITTING,), 16) == ("unknown", None)  # a frame that nobody labelled
-    # The others count however badly they are seen.
+    # The others count however badly they are seen, unless they are covered.
     hidden = (
         World(SECONDS).see(0, [15], ["sitting"]).see(1, [15], ["sitting"], occlusion="Fully_occluded", no_eval=True)
     )
-    assert hidden.read().find((SITTING,), 15) == ("ambiguous", None)
+    any_view, clear_view = (Rules(load=LoadRules(visibility=value)) for value in ("any", "clear"))
+    assert hidden.read(any_view).find((SITTING,), 15) == ("ambiguous", None)
+    assert hidden.read(clear_view).find((SITTING,), 15) == ("defined", 0)
 
 
 def test_each_condition_is_needed():
@@ -113,7 +116,7 @@ def test_change_of_an_unknown_pose():
 
 
 def test_needed_boxes_are_clear_and_have_images():
-    world = walk_in().see(1, [90], ["walking"], occlusion="Severely_occluded")
+    world = walk_in().see(1, [90], ["walking"], occlusion=None)
     assert "the person is not in clear view at frame 90" in ask(world, "change", [READING], [15, 90]).faults
     world = walk_in()
     world.images = [15, 30]

@@ -1,10 +1,11 @@
 """What the second path finds at the end of chains, at events and over time, in worlds to work out by hand."""
 
 import pytest
-from readings import EASY, HARD, World, ask, at_t0, toward
+from readings import EASY, HARD, RULES, World, ask, at_t0, toward
 
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
+from jrdb_avr.schema.rules import LoadRules, Rules
 
 SECONDS = range(15, 601, 15)
 EVERY = range(0, 601)
@@ -21,7 +22,7 @@ def in_a_row(*poses, frames=SECONDS, hidden=(), **more):
     world = World(frames)
     for track, pose in enumerate(poses):
         acts = [pose, "reading"] if track == 0 else [pose]
-        seen = "Fully_occluded" if track in hidden else "Fully_visible"
+        seen = None if track in hidden else "Fully_visible"
         world.see(track, frames, acts, x=toward(100 + 20 * track), occlusion=seen, **more)
     return world
 
@@ -254,12 +255,12 @@ TELLING = Condition(attribute="group_size", value=1, at="t1")
 TYPING = Condition(action="typing", at="t1")
 
 
-def company(meets, frames=SECONDS, unlisted=(), people=6, hidden=()):
+def company(meets, frames=SECONDS, unlisted=(), people=6, hidden=(), degree=None):
     """0 types; others meet it at the frames given by track; the lists of all are read, but for some (track, frame)."""
     world = World(frames)
     for track in range(people):
         for frame in frames:
-            seen = "Fully_occluded" if (track, frame) in hidden else "Fully_visible"
+            seen = degree if (track, frame) in hidden else "Fully_visible"
             acts = ["standing", "typing"] if track == 0 else ["standing"]
             world.see(track, [frame], acts, x=100 + 300 * track, occlusion=seen)
             if (track, frame) not in unlisted:
@@ -269,8 +270,8 @@ def company(meets, frames=SECONDS, unlisted=(), people=6, hidden=()):
     return world
 
 
-def count(world, t1=15, t2=165, relation="conversation"):
-    return ask(world, "gap_count", [TYPING], [t1, t2], relations=[relation])
+def count(world, t1=15, t2=165, relation="conversation", rules=RULES):
+    return ask(world, "gap_count", [TYPING], [t1, t2], relations=[relation], rules=rules)
 
 
 FOUR = {1: [15], 2: [60, 75], 3: [165], 5: [15]}
@@ -279,8 +280,25 @@ FOUR = {1: [15], 2: [60, 75], 3: [165], 5: [15]}
 def test_those_counted_are_shown_where_both_are_seen():
     found = count(company(FOUR, hidden=[(2, 60)]))
     assert ("b2", 2, 75) in boxes(found) and ("a", 0, 75) in boxes(found) and found.faults == ()
-    found = count(company(FOUR, hidden=[(3, 165)]))
+    found = count(company(FOUR, hidden=[(3, 165)]), rules=Rules(load=LoadRules(visibility="any")))
     assert found.faults == ("person 3, who is counted, is never in clear view together with the target",)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "degree", "outcome", "faults"),
+    [
+        ([(2, 60)], None, "defined", 0),  # seen at 75
+        ([(3, 165)], None, "unknown", 1),
+        ([(3, 165)], "Fully_occluded", "defined", 1),  # only three people are left
+        ([(2, 60)], "Fully_occluded", "defined", 0),
+        ([(0, 60)], "Fully_occluded", "defined", 0),
+        ([(0, 165)], "Fully_occluded", "unknown", 1),
+    ],
+)
+def test_only_people_in_clear_view_are_counted(hidden, degree, outcome, faults):
+    world = company(FOUR, hidden=hidden, degree=degree)
+    found = count(world, rules=Rules(load=LoadRules(visibility="clear")))
+    assert (found.outcome, len(found.faults)) == (outcome, faults)
 
 
 def test_a_count_has_rules():

@@ -1,0 +1,64 @@
+"""Covered area of a box: what the boxes of nearer people hide of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import NamedTuple
+
+from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
+
+_PARTS = 256
+"""Number of length units in a pixel."""
+_ROUND = WIDTH * _PARTS
+"""Circumference of the panorama in length units."""
+
+
+class Outline(NamedTuple):
+    """Box in whole length units, cut to the rows of the panorama and to one turn. Both ends are outside the box."""
+
+    left: int
+    right: int
+    top: int
+    bottom: int
+
+    @property
+    def area(self) -> int:
+        return (self.right - self.left) * (self.bottom - self.top)
+
+
+def outline_of(box: Box) -> Outline:
+    """Return the outline of a box. Its left edge is inside the panorama, and its right edge may be beyond the seam."""
+    left, right = round(box.x * _PARTS), round((box.x + box.w) * _PARTS)
+    start = left % _ROUND
+    top, bottom = (min(max(round(row * _PARTS), 0), HEIGHT * _PARTS) for row in (box.y, box.y + box.h))
+    return Outline(start, start + min(right - left, _ROUND), top, bottom)
+
+
+def is_nearer(one: Outline, other: Outline) -> bool:
+    """Return whether the box `other` is nearer: its bottom is lower, or its top higher if both reach the last rows."""
+    cut_off = (HEIGHT - 2) * _PARTS
+    if one.bottom >= cut_off and other.bottom >= cut_off:
+        return one.top - other.top > 4 * _PARTS
+    return other.bottom - one.bottom > 2 * _PARTS
+
+
+def covered_area(own: Outline, others: Iterable[Outline]) -> int:
+    """Return the area of a box inside the union of the nearer ones among other boxes, in square length units."""
+    hiding = [
+        Outline(max(own.left, box.left + turn), min(own.right, box.right + turn), max(own.top, box.top), bottom)
+        for box in others
+        if is_nearer(own, box)
+        for bottom in [min(own.bottom, box.bottom)]
+        for turn in (-_ROUND, 0, _ROUND)
+    ]
+    hiding = sorted(box for box in hiding if box.left < box.right and box.top < box.bottom)
+    rows = sorted({row for box in hiding for row in (box.top, box.bottom)})
+    area = 0
+    for top, bottom in pairwise(rows):
+        reached = own.left
+        for box in hiding:
+            if box.top <= top and box.bottom >= bottom and box.right > reached:
+                area += (box.right - max(box.left, reached)) * (bottom - top)
+                reached = box.right
+    return area

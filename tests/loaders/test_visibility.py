@@ -1,0 +1,372 @@
+"""Who is in clear view: covered shares of boxes, classes, and what load makes of covered people."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from environment import REAL
+from hypothesis import example, given
+from hypothesis import strategies as st
+from loaded_stores import load_root
+from oracle_covering import hidden_share
+from readings import HARD, SEQUENCE, World, toward
+from text_reader import Recording
+
+from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN
+from jrdb_avr.engine.rederive.covering import covered_area, outline_of
+from jrdb_avr.loaders.intervals.derive import derive
+from jrdb_avr.loaders.intervals.visibility import UNIT, covered_areas
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import LoadRules, Rules, override
+
+CLEAR = LoadRules(visibility="clear")
+RULES = Rules(load=CLEAR)
+
+
+def shares(boxes):
+    """The covered share of each of the boxes of one frame, as load computes it; None of empty boxes."""
+    covered, area = covered_areas(np.zeros(len(boxes), np.int64), np.array(boxes, float))
+    return [Fraction(int(c), int(a)) if a > 0 else None for c, a in zip(covered, area, strict=True)]
+
+
+def rows(world, kind="sightings", rules=CLEAR):
+    tables = {
+        name: table.sort_by([("frame", "ascending"), ("track", "ascending")])
+        if "track" in table.column_names
+        else table
+        for name, table in world.tables().items()
+    }
+    return derive(SEQUENCE, tables, rules)[kind].to_pylist()
+
+
+def views(world, rules=CLEAR):
+    """{(track, frame): class}; the second program must agree."""
+    found = {(row["track"], row["frame"]): _view(row) for row in rows(world, rules=rules)}
+    second = world.read(Rules(load=rules))
+    assert {key: second.view(*key) for key in found} == found
+    return found
+
+
+def _view(row):
+    assert not (row["clear"] and row["covered"])
+    return "clear" if row["clear"] else "covered" if row["covered"] else "uncertain"
+
+
+# -- the covered share ------------------------------------------------------------------------------------------------
+
+BEHIND = (1000, 100, 100, 200)
+
+
+@pytest.mark.parametrize(
+    ("nearer", "share"),
+    [
+        ([(1050, 100, 100, 210)], Fraction(1, 2)),
+        ([(1000, 200, 100, 200)], Fraction(1, 2)),  # from half of its height down
+        ([(1000, 100, 50, 210), (1025, 100, 50, 220)], Fraction(3, 4)),  # what two cover counts once
+        ([(1000, 100, 50, 210), (1050, 200, 50, 210)], Fraction(3, 4)),
+        ([(900, 0, 300, 400)], Fraction(1)),
+        ([(1050, 100, 100, 202)], Fraction(0)),  # lower by 2 px is not nearer
+        ([(1050, 100, 100, 202 + 1 / UNIT)], Fraction(1, 2)),
+        ([(1050, 100, 100, 198)], Fraction(0)),
+        ([(1100, 100, 100, 300)], Fraction(0)),  # side by side
+        ([(1050 + 3760, 100, 100, 300)], Fraction(1, 2)),  # the same column one turn later
+        ([(1050 - 3760, 100, 100, 300)], Fraction(1, 2)),
+        ([(1000, -100, 100, 800)], Fraction(1)),  # cut to the picture
+        ([(1000, 500, 100, 50)], Fraction(0)),  # below the picture
+        ([(500, 100, 5000, 300)], Fraction(1)),  # wider than the panorama
+    ],
+)
+def test_the_share_of_a_box_that_nearer_boxes_cover(nearer, share):
+    assert shares([BEHIND, *nearer])[0] == share
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "covered"),
+    [
+        ((100, 200, 50, 280), (125, 195, 50, 285), 1),  # both leave the picture: more than 4 px higher is nearer
+        ((100, 200, 50, 280), (125, 196, 50, 284), None),
+        ((100, 200, 50, 278), (125, 190, 50, 288), 1),  # from y = 478 on
+        ((100, 200, 50, 277), (125, 300, 50, 180), 1),  # else the lower one, if it is lower by more than 2 px
+        ((100, 200, 50, 277), (125, 300, 50, 179), None),
+        ((100, 200, 50, 400), (125, 300, 50, 180), 2),  # bottoms are those of the cut boxes
+    ],
+)
+def test_of_two_boxes_that_reach_the_last_rows_the_higher_one_is_nearer(one, other, covered):
+    assert [share > 0 for share in shares([one, other])] == [covered == 1, covered == 2]
+
+
+def test_boxes_meet_across_the_seam():
+    left, right = (3740, 100, 40, 200), (0, 100, 40, 300)
+    assert shares([left, right]) == [Fraction(1, 2), 0]
+    assert shares([(-20, 100, 40, 200), right]) == [Fraction(1, 2), 0]
+    assert shares([(10, 100, 40, 200), (3750, 100, 40, 300)]) == [Fraction(1, 2), 0]
+
+
+def test_an_empty_box_has_no_share_and_covers_nobody():
+    assert shares([(100, 490, 50, 40), (100, 100, 50, 200)]) == [None, 0]
+    assert shares([(100, 100, 0.001, 300), (100, 100, 50, 200)]) == [None, 0]
+
+
+EDGES = st.sampled_from((0, 1, 2, 3, 3758, 3759, 3760, 1879.5, 40, 44, -5))
+LENGTHS = st.sampled_from((1, 2, 3, 4, 40, 44, 3760, 3759, 4000, 0.004, 0.001))
+TOPS, HEIGHTS = st.sampled_from((-3, 0, 100, 104, 105, 400, 479, 480)), st.sampled_from((1, 2, 3, 76, 78, 80, 378, 600))
+TIED = st.tuples(EDGES, TOPS, LENGTHS, HEIGHTS)
+ANY = st.tuples(st.floats(-100, 8000), st.floats(-50, 520), st.floats(0.001, 900), st.floats(0.001, 600))
+
+
+@given(st.lists(st.one_of(TIED, ANY), min_size=1, max_size=9))
+@example([(3759, 100, 40, 200), (2, 100, 40, 210), (3760, 104, 3760, 378), (0, 100, 3760, 600)])
+def test_three_programs_measure_the_same_share(boxes):
+    expected = [hidden_share(box, [*boxes[:i], *boxes[i + 1 :]]) for i, box in enumerate(boxes)]
+    assert shares(boxes) == expected
+    outlines = [outline_of(Box(*box)) for box in boxes]
+    for i, own in enumerate(outlines):
+        area = covered_area(own, [*outlines[:i], *outlines[i + 1 :]]) if own.area > 0 else 0
+        assert (Fraction(area, own.area) if own.area > 0 else None) == expected[i]
+
+
+def test_frames_do_not_mix():
+    boxes = np.array([BEHIND, (1000, 100, 100, 300)], float)
+    assert covered_areas(np.array([3, 4]), boxes)[0].tolist() == [0, 0]
+
+
+# -- classes ----------------------------------------------------------------------------------------------------------
+
+
+def pair(width, **more):
+    """Somebody 100 px wide behind somebody who covers this much of the width."""
+    return World([0], attributes=False).see(1, [0], x=100, w=100, **more).see(2, [0], x=0, y=0, w=100 + width, h=300)
+
+
+@pytest.mark.parametrize(
+    ("width", "view"),
+    [(0, "clear"), (49.99, "clear"), (50, "uncertain"), (79.99, "uncertain"), (80, "covered"), (100, "covered")],
+)
+def test_without_attributes_the_covered_share_decides(width, view):
+    world = pair(width)
+    assert views(world) == {(1, 0): view, (2, 0): "clear"}
+    assert set(views(world, LoadRules(visibility="any")).values()) == {"clear"}
+    assert rows(world, "sequence")[0]["visibility"] == "geometry"
+    assert rows(world, "sequence", LoadRules(visibility="any"))[0]["visibility"] == "nothing"
+
+
+def test_other_thresholds_decide_otherwise():
+    rules = LoadRules(visibility="clear", max_covered=0.3, min_covered=0.3)
+    assert [views(pair(width), rules)[1, 0] for width in (29.99, 30)] == ["clear", "covered"]
+
+
+@pytest.mark.parametrize("more", [{"h": 39}, {"y": -1}, {"no_eval": True}])
+def test_what_was_no_clear_view_is_uncertain_unless_it_is_covered(more):
+    assert [views(pair(width, **more))[1, 0] for width in (0, 60, 90)] == ["uncertain", "uncertain", "covered"]
+
+
+def test_with_attributes_the_degree_of_occlusion_decides():
+    world = World([0])
+    degrees = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded", None)
+    for track, degree in enumerate(degrees):
+        world.see(track, [0], x=100, occlusion=degree)
+    world.see(9, [0], x=100, h=20, occlusion="Fully_occluded").see(10, [0], x=0, w=300, h=300)
+    classes = ["clear", "clear", "covered", "covered", "uncertain", "covered", "clear"]
+    assert [*views(world).values()] == classes
+    assert rows(world, "sequence")[0]["visibility"] == "attributes"
+
+
+def test_a_sequence_in_which_no_occlusion_can_be_read_is_judged_by_boxes():
+    world = World([0]).see(1, [0], x=100, w=100, occlusion=None).see(2, [0], x=0, w=150, h=200, occlusion=None)
+    assert views(world) == {(1, 0): "uncertain", (2, 0): "clear"}
+    assert set(views(world, LoadRules(visibility="any")).values()) == {"uncertain"}
+
+
+@pytest.mark.parametrize(
+    ("labels", "clear"),
+    [
+        ({0: 7}, [*range(16)]),  # at most a second away
+        ({0: (7, HARD)}, []),
+        ({0: (7, None)}, []),
+        ({0: 7, 10: (7, HARD)}, [*range(6)]),  # of two frames as far away the earlier one
+        ({0: (7, HARD), 10: 7}, [*range(6, 26)]),
+        ({0: None, 10: 7}, [*range(6, 26)]),  # only somebody else has a label there
+    ],
+)
+def test_whoever_is_in_no_certain_group_is_not_clear(labels, clear):
+    frames = range(40)
+    world = World(frames, attributes=False)
+    for frame in frames:
+        world.see(1, [frame], x=100, group=labels.get(frame))
+        world.see(2, [frame], x=1000, group=8 if frame in labels else None)
+    world.group_frames = [*labels]
+    found = views(world)
+    assert [frame for frame in frames if found[1, frame] == "clear"] == clear
+    assert {found[1, frame] for frame in frames} <= {"clear", "uncertain"}
+
+
+@pytest.mark.parametrize(("least", "most"), [("0.5", "0.4"), ("0.9", "0.8")])
+def test_a_person_cannot_be_clear_and_covered(least, most):
+    with pytest.raises(InputError, match="min_covered is at least max_covered"):
+        override(Rules(), {"load.max_covered": least, "load.min_covered": most})
+    assert override(Rules(), {"load.max_covered": most, "load.min_covered": most}).load.min_covered == float(most)
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the slice of real data is not here")
+@pytest.mark.parametrize(
+    "sequence",
+    [
+        "gates-ai-lab-2019-02-08_0",
+        pytest.param("huang-lane-2019-02-12_0", marks=pytest.mark.slow),
+        pytest.param("packard-poster-session-2019-03-20_2", marks=pytest.mark.slow),
+        pytest.param("tressider-2019-04-26_2", marks=pytest.mark.slow),
+    ],
+)
+def test_real_boxes_have_the_class_that_the_text_reader_gives_them(sequence, tmp_path):
+    labels = tmp_path / "root" / "labels" / "labels_2d_stitched"
+    labels.mkdir(parents=True)
+    (labels / f"{sequence}.json").symlink_to(Path(REAL) / "labels" / "labels_2d_stitched" / f"{sequence}.json")
+    store, _ = load_root(tmp_path, tmp_path / "root", visibility="clear")
+    assert [files.sequence for files in find_root(tmp_path / "root").sequences] == [sequence]
+    reader, found = Recording(tmp_path / "root", sequence), store.interval("sightings", sequence).to_pylist()
+    assert {_view(row) for row in found} == {"clear", "covered", "uncertain"}
+    for row in found:
+        assert reader.view(row["track"], row["frame"]) == _view(row)
+
+
+# -- covered people ---------------------------------------------------------------------------------------------------
+
+SECONDS = range(0, 301, 15)
+HIDDEN = {"occlusion": "Fully_occluded"}
+
+
+def test_on_covered_frames_a_written_label_is_unknown_and_another_stays_false():
+    world = World([0, 15], attributes=True).see(1, [0], ["walking", "reading"], **HIDDEN).see(1, [15], ["walking"])
+    annotations = world.read(RULES)
+    states = [annotations.state(1, action, 0) for action in ("walking", "reading", "sitting", "typing")]
+    assert states == [UNKNOWN, UNKNOWN, FALSE, FALSE]
+    assert [(row["frame"], row["pose"]) for row in rows(world)] == [(0, None), (15, "walking")]
+    certain = {(row["action"], row["first"], row["last"]): row["certain"] for row in rows(world, "actions")}
+    assert certain == {("reading", 0, 0): False, ("walking", 0, 0): False, ("walking", 15, 15): True}
+
+
+@pytest.mark.parametrize(
+    ("covered", "starts"),
+    [((), [90]), (range(0, 75), [90]), ([75], []), ([105], []), (range(195, 301), [90])],
+)
+def test_a_segment_may_have_covered_frames_around_it_but_not_in_it(covered, starts):
+    world = World(SECONDS)
+    for frame in SECONDS:
+        doing = ["standing", "reading"] if 90 <= frame <= 180 else ["standing"]
+        world.see(1, [frame], doing, **(HIDDEN if frame in covered else {}))
+    found = [row for row in rows(world, "segments") if row["action"] == "reading"]
+    assert [row["first"] for row in found] == starts
+    assert [segment.first for segment in world.read(RULES).segments(1, "reading")] == starts
+
+
+def test_covered_people_are_not_the_first_to_a_side():
+    world = World([0]).see(1, [0], x=toward(90)).see(2, [0], x=toward(100), **HIDDEN).see(3, [0], x=toward(110))
+    world.see(4, [0], x=toward(130), occlusion=None).see(5, [0], x=toward(131))
+    found = {(row["source"], row["target"]): row["certain"] for row in rows(world, "beside") if "right" in row["label"]}
+    assert found == {(1, 3): True, (3, 4): False, (3, 5): False, (4, 5): True}
+    assert world.read(RULES).first_beside(1, 3, 0, False) == TRUE
+    assert world.read(RULES).first_beside(1, 2, 0, False) == FALSE
+
+
+def test_a_covered_person_is_present_but_not_for_certain():
+    world = World(SECONDS).see(1, SECONDS).see(2, [0]).see(2, [15], **HIDDEN).see(2, [75])
+    spans = {
+        kind: {(row["first"], row["last"], row["certain"]) for row in rows(world, kind) if row["track"] == 2}
+        for kind in ("presences", "absences")
+    }
+    assert spans["presences"] == {(0, 0, True), (15, 15, False), (75, 75, True)}
+    assert spans["absences"] == {(30, 30, False), (45, 45, True), (60, 60, False)}
+
+
+SIZES = {
+    "two clear members": ([{"group": 7}], (2, 2)),
+    "nobody else": ([], (1, 1)),
+    "a covered member counts for nobody": ([{"group": 7, **HIDDEN}], (1, 1)),
+    "an uncertain member": ([{"group": 7, "occlusion": None}], (1, 2)),
+    "a clear person of hard membership": ([{"group": (7, HARD)}], (1, 2)),
+    "a hard member of another group": ([{"group": (8, HARD)}], (1, 2)),
+    "no membership": ([{"group": None}], (1, 2)),
+    "a covered person without membership": ([{"group": None, **HIDDEN}], (1, 1)),
+    "another group": ([{"group": 8}, {"group": 8, "occlusion": None}], (1, 1)),
+    "all of them": ([{"group": 7}, {"group": 7, "occlusion": None}, {"group": None}, {"group": 8}], (2, 4)),
+}
+
+
+@pytest.mark.parametrize("others", SIZES)
+def test_a_group_has_its_clear_members_and_perhaps_the_uncertain_ones(others):
+    people, (least, most) = SIZES[others]
+    world = World([0]).see(1, [0], group=7)
+    for track, person in enumerate(people, start=2):
+        world.see(track, [0], x=100 * track, **person)
+    row = rows(world)[0]
+    assert (row["group_size_min"], row["group_size_max"]) == (least, most)
+    assert row["group_size"] == (least if least == most else None)
+    annotations = world.read(RULES)
+    for size in range(1, 6):
+        fact = TRUE if size == least == most else UNKNOWN if least <= size <= most else FALSE
+        assert annotations.holds(Condition(attribute="group_size", value=size, at="t0"), 1, 0) == fact
+
+
+@pytest.mark.parametrize("own", [{"group": (7, HARD)}, {"group": None}, {"group": 7, **HIDDEN}])
+def test_the_size_of_a_group_is_unknown_if_it_is_not_known_which_group_it_is(own):
+    world = World([0]).see(1, [0], **own).see(2, [0], x=100, group=7)
+    assert rows(world)[0]["group_size_min"] is None
+    assert not world.read(RULES).group_sizes(1, 0)
+
+
+def test_a_group_may_have_any_whole_number():
+    world = World([0]).see(1, [0], group=-1).see(2, [0], x=100, group=-1).see(3, [0], x=200, group=(-1, HARD))
+    assert [(row["group_size_min"], row["group_size_max"]) for row in rows(world)] == [(2, 3), (2, 3), (None, None)]
+
+
+def test_an_uncertain_person_counts_one_in_the_own_group():
+    world = World([0]).see(1, [0], group=7, occlusion=None).see(2, [0], x=100, group=7)
+    assert [(row["group_size_min"], row["group_size_max"]) for row in rows(world)] == [(2, 2), (1, 2)]
+
+
+def test_somebody_out_of_the_picture_counts_for_no_group_and_an_unread_frame_makes_it_unknown():
+    world = World(range(3)).see(1, range(3), group=7).see(2, [0], x=100, group=7)
+    assert [row["group_size"] for row in rows(world) if row["track"] == 1] == [2, 1, 1]
+    world = World(range(3)).see(1, range(3), group=7)
+    world.frames.remove(1)
+    assert [row["group_size"] for row in rows(world)] == [1, None, 1]
+
+
+@pytest.mark.parametrize(("partner", "fact"), [({}, TRUE), ({"occlusion": None}, UNKNOWN), (HIDDEN, UNKNOWN)])
+def test_a_conversation_with_someone_needs_a_partner_in_clear_view(partner, fact):
+    world = World([0]).see(1, [0]).see(2, [0], x=100, **partner).join(1, 2, [0]).list([1, 2], [0])
+    assert world.read(RULES).holds(Condition(interaction="conversation", at="t0"), 1, 0) == fact
+    assert world.read(Rules(load=LoadRules(visibility="any"))).interacts(1, "conversation", 0) == TRUE
+
+
+def test_covered_people_fit_no_description_and_no_hop_leads_to_them():
+    walking = (Condition(action="walking", at="t0"),)
+    world = World([0]).see(1, [0], ["walking"]).see(2, [0], ["walking"], x=100, **HIDDEN).see(3, [0], x=200)
+    world.join(1, 2, [0]).join(1, 3, [0]).list([1, 2, 3], [0])
+    annotations = world.read(RULES)
+    assert annotations.find(walking, 0) == ("defined", 1)
+    assert annotations.step_to("conversation", 1, 0) == ("defined", 3)
+    anybody = world.read(Rules(load=LoadRules(visibility="any")))
+    assert anybody.find(walking, 0) == ("ambiguous", None)
+    assert anybody.step_to("conversation", 1, 0) == ("ambiguous", None)
+
+
+@pytest.mark.parametrize(
+    ("label", "other", "fact"),
+    [
+        ("looking at robot", "looking at robot", UNKNOWN),
+        ("looking at robot", ("looking at robot", HARD), UNKNOWN),
+        ("looking at sth", "looking at robot", FALSE),  # of its own label only
+        ("reading", "reading", FALSE),
+    ],
+)
+@pytest.mark.parametrize("when", [0, 30])
+def test_a_label_that_flickers_is_unknown_beside_a_keyframe_that_has_it(label, other, fact, when):
+    world = World([0, 15, 30]).see(1, [15], ["standing"]).see(1, [when], ["standing", other])
+    assert world.read(RULES).holds(Condition(action=label, at="t0"), 1, 15) == fact
+    assert world.read(RULES).state(1, label, 15) == FALSE
+    assert world.read(Rules(load=LoadRules(visibility="any"))).holds(Condition(action=label, at="t0"), 1, 15) == FALSE
