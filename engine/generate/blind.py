@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import functools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -24,8 +24,10 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
+from jrdb_avr.engine.generate.guessers import LabelCounts, Offer
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, mode_of, same_answer
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, Span, encode_answer
+from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.wording.text import form_of, parse, stated_actions, stated_frames
 
@@ -89,6 +91,25 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
             )
         )
     return found
+
+
+def offers_of(questions: Iterable[QuestionText], counts: LabelCounts) -> list[Offer]:
+    """Return what counting guessers know of published questions with choices, as selection computes it.
+
+    Args:
+        questions: Questions of one template.
+        counts: How common actions are. The frame of a rank is the last time that the text states.
+
+    Returns:
+        The choices of each question.
+    """
+    offers = []
+    for question in questions:
+        truth = answer_of_choice(question.chosen)
+        wrong = tuple(sorted(answer_of_choice(text) for text in question.choices if text != question.chosen))
+        ranks = counts.ranks(question.sequence, question.times[-1], truth, wrong)
+        offers.append(Offer(question.sequence, truth, wrong, ranks))
+    return offers
 
 
 Guesser = Callable[[Sequence[QuestionText]], float | None]

@@ -94,6 +94,11 @@ class Taken:
         if one.event is not None:
             self.events.add((one.person, one.event))
 
+    def copy(self) -> Taken:
+        """Return an independent account of the same questions."""
+        reads = defaultdict(list, {key: list(read) for key, read in self.reads.items()})
+        return Taken(self.rules, reads, set(self.events), Counter(self.questions))
+
     def remove(self, one: Subject) -> None:
         """Count a question as chosen no more."""
         self.reads[one.person, one.template].remove(one.read)

@@ -1,0 +1,145 @@
+"""Decide from a person's action labels which actions are true and false at a time, and which wrong choices fit.
+
+The labels of a person are given at keyframes, one second apart. A missing keyframe is a keyframe without the person or
+without a list of actions.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterable, Mapping
+from functools import lru_cache
+from typing import Final, Literal, NamedTuple
+
+from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, implied_actions, may_be_same
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.rules import KEYFRAME_STEP
+
+LabelOutcome = Literal["same", "different", "unknown"]
+
+_POSES: Final = frozenset(POSES)
+_WINDOW: Final = 3
+"""Number of keyframes before and after the time asked that must lack a wrong choice. For a pose it is one."""
+
+
+class ListedActions(NamedTuple):
+    """The action labels of a person at a keyframe.
+
+    Attributes:
+        certain: Actions that the annotators were certain about.
+        hard: Actions with a hard or unreadable difficulty: they may be true.
+        complete: Whether the whole list was read, so that an action without a label is false.
+    """
+
+    certain: frozenset[str] = frozenset()
+    hard: frozenset[str] = frozenset()
+    complete: bool = True
+
+
+Timeline = Mapping[int, ListedActions]
+"""The labels of a person by keyframe, in frames."""
+
+
+def true_labels(timeline: Timeline, frame: int) -> frozenset[str]:
+    """Find the actions that may be the right choice at a keyframe.
+
+    Args:
+        timeline: The labels of the person.
+        frame: The keyframe asked about.
+
+    Returns:
+        The actions that are certain at the keyframe and at the keyframe before or after it.
+    """
+    near = [timeline[at].certain for at in (frame - KEYFRAME_STEP, frame + KEYFRAME_STEP) if at in timeline]
+    present = timeline.get(frame, ListedActions()).certain.intersection(CHOICE_LABELS)
+    return present & frozenset().union(*near)
+
+
+def false_labels(timeline: Timeline, frame: int) -> frozenset[str]:
+    """Find the actions that may be wrong choices at a keyframe.
+
+    Args:
+        timeline: The labels of the person.
+        frame: The keyframe asked about.
+
+    Returns:
+        The actions that are certainly false at the keyframe and that no keyframe near it has, hard labels included. For
+        poses these are the keyframes within one second, for other actions those within three seconds.
+    """
+    labels = timeline.get(frame)
+    if labels is None:
+        return frozenset()
+    beside = _labels_within(timeline, frame, 1)
+    around = _labels_within(timeline, frame, _WINDOW)
+    return frozenset(
+        label
+        for label in CHOICE_LABELS
+        if label not in (beside if label in _POSES else around) and outcome(labels, label) == "different"
+    )
+
+
+def outcome(labels: ListedActions | None, label: str) -> LabelOutcome:
+    """Compare an action with the labels of a person who has a box and is not covered.
+
+    Args:
+        labels: The labels at a keyframe, or None if no list exists.
+        label: The action.
+
+    Returns:
+        "same" if the action is certain. "different" if it is certainly false: the list is complete, and neither the
+        action nor one that may be called so is in it. A pose is certainly false only beside exactly one certain pose.
+    """
+    if labels is None:
+        return "unknown"
+    if label in labels.certain:
+        return "same"
+    listed = labels.certain | labels.hard
+    if not labels.complete or label in listed or any(label in CALLED.get(other, ()) for other in listed):
+        return "unknown"
+    poses = listed & _POSES
+    if label in _POSES and (len(poses) != 1 or poses & labels.hard):
+        return "unknown"
+    return "different"
+
+
+def wrong_choices(truth: str, false: Collection[str], words: Iterable[str], present: Collection[str]) -> frozenset[str]:
+    """Find the actions that may stand as wrong choices beside a right one.
+
+    Args:
+        truth: The right choice.
+        false: The actions that are false of the target (`false_labels`).
+        words: ListedActions of the actions, interactions and verbs in the text of the question.
+        present: The actions that are certainly true of a person in clear view at a keyframe of the sequence.
+
+    Returns:
+        The actions, or none if the text of the question states or implies the right choice.
+    """
+    implied = frozenset().union(*map(implied_actions, words))
+    if truth in implied:
+        return frozenset()
+    return frozenset(x for x in false if x in present and x not in implied and not may_be_same(x, truth))
+
+
+@lru_cache(maxsize=4096)
+def wrong_sets(wrong: frozenset[str], size: int = 3) -> tuple[tuple[str, ...], ...]:
+    """List the sets of wrong choices without two actions that may be called the same.
+
+    Args:
+        wrong: The actions of `wrong_choices`.
+        size: Number of actions in a set.
+
+    Returns:
+        The sets, each sorted, in lexical order.
+    """
+    return tuple(
+        actions
+        for actions in itertools.combinations(sorted(wrong), size)
+        if not any(may_be_same(*pair) for pair in itertools.combinations(actions, 2))
+    )
+
+
+def _labels_within(timeline: Timeline, frame: int, keyframes: int) -> frozenset[str]:
+    """Return all labels, certain or hard, within a number of keyframes before and after a frame."""
+    steps = range(-keyframes, keyframes + 1)
+    near = [timeline[at] for step in steps if (at := frame + step * KEYFRAME_STEP) in timeline]
+    return frozenset().union(*(labels.certain | labels.hard for labels in near))

@@ -1,0 +1,215 @@
+"""Guessers that count: their shares of right answers bound the sizes of templates and are printed in the blind report.
+
+All shares are exact fractions, so that they depend on no library and no processor.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from typing import Final, NamedTuple
+
+from jrdb_avr.schema.choice_labels import CHOICE_LABELS
+
+BOUND: Final = Fraction(34, 100)
+"""Maximum share of each counting guesser in a template of `JUDGED` or more questions."""
+
+JUDGED: Final = 60
+"""Minimum number of questions of a template that the bound judges."""
+
+COUNTING: Final = ("data", "sequence", "label", "set", "pair")
+"""Guessers that the bound judges: the commonest choice in all data and in the sequence; the choice that is most often
+true elsewhere, by itself, with its set of choices, and beside each of the other choices."""
+
+_PRIOR: Final = 4
+"""Weight of the prior belief, in questions: one choice of four is true."""
+
+
+class Offer(NamedTuple):
+    """The choices of a question.
+
+    Attributes:
+        sequence: Name of the sequence.
+        truth: The right choice.
+        wrong: The wrong choices.
+        ranks: How many choices are commoner than the right one in all data, in the sequence and in the frame; empty if
+            the choices are not actions.
+    """
+
+    sequence: str
+    truth: str
+    wrong: tuple[str, ...]
+    ranks: tuple[int, ...] = ()
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """All choices, sorted."""
+        return tuple(sorted((self.truth, *self.wrong)))
+
+
+class LabelCounts:
+    """How many people in clear view certainly do each action, at each keyframe, in each sequence and in all data.
+
+    Attributes:
+        present: For each sequence, the actions that a person in clear view certainly does at a keyframe.
+    """
+
+    def __init__(self, counts: Mapping[tuple[str, int], Mapping[str, int]]) -> None:
+        """Add up the counts of all keyframes.
+
+        Args:
+            counts: For each (sequence, keyframe), the number of people in clear view by action.
+        """
+        self._at = counts
+        self._orders: dict[tuple[str, int], list[dict[str, int]]] = {}
+        self._data: Counter[str] = Counter()
+        self._in: dict[str, Counter[str]] = defaultdict(Counter)
+        for (sequence, _), number in counts.items():
+            self._data.update(number)
+            self._in[sequence].update(number)
+        self.present = {
+            sequence: frozenset(label for label in number if number[label]) for sequence, number in self._in.items()
+        }
+
+    def doing(self, sequence: str, frame: int) -> frozenset[str]:
+        """Return the actions that people in clear view certainly do at a keyframe."""
+        at = self._at.get((sequence, frame), {})
+        return frozenset(label for label in at if at[label])
+
+    def orders(self, sequence: str, frame: int) -> list[dict[str, int]]:
+        """Return the position of each action, the commonest first, in all data, in the sequence and at the keyframe."""
+        orders = self._orders.get((sequence, frame))
+        if orders is None:
+            numbers = (self._data, self._in[sequence], self._at.get((sequence, frame), {}))
+            ordered = [sorted(CHOICE_LABELS, key=self._by(number)) for number in numbers]
+            orders = [{label: index for index, label in enumerate(labels)} for labels in ordered]
+            self._orders[sequence, frame] = orders
+        return orders
+
+    def ranks(self, sequence: str, frame: int, truth: str, wrong: Iterable[str]) -> tuple[int, ...]:
+        """Return how many wrong choices are commoner than the right one, in each of `orders`.
+
+        Args:
+            sequence: Name of the sequence.
+            frame: Frame of the answer.
+            truth: The right choice.
+            wrong: The wrong choices.
+
+        Returns:
+            The three ranks, or an empty tuple if the choices are not actions.
+        """
+        if truth not in CHOICE_LABELS:
+            return ()
+        wrong = tuple(wrong)
+        return tuple(sum(order[label] < order[truth] for label in wrong) for order in self.orders(sequence, frame))
+
+    def _by(self, number: Mapping[str, int]) -> Callable[[str], tuple[int, int, str]]:
+        """Return the key that sorts the commonest action first."""
+        return lambda label: (-number.get(label, 0), -self._data[label], label)
+
+
+def guesser_shares(offers: Sequence[Offer]) -> dict[str, Fraction]:
+    """Compute the share of right answers of each counting guesser.
+
+    Args:
+        offers: The choices of all questions of a template.
+
+    Returns:
+        The share by the name of the guesser, for each guesser of `COUNTING` that applies. In addition "frame" takes the
+        commonest choice in the frame, and "least label", "least set" and "least pair" take the choice that is least
+        often true elsewhere; they are only information. If n choices are equally good, each counts one nth.
+    """
+    if not offers:
+        return {}
+    shares = {}
+    if all(offer.ranks for offer in offers):
+        for index, name in enumerate(("data", "sequence", "frame")):
+            shares[name] = Fraction(sum(offer.ranks[index] == 0 for offer in offers), len(offers))
+    true, offered = _tallies(offers)
+    for name, keys in _KEYS.items():
+        beliefs = [_beliefs(offer, keys, true, offered) for offer in offers]
+        for prefix, take in (("", max), ("least ", min)):
+            right = sum(_share(belief, offer.truth, take) for belief, offer in zip(beliefs, offers, strict=True))
+            shares[prefix + name] = Fraction(right) / len(offers)
+    return shares
+
+
+def above_bound(offers: Sequence[Offer]) -> str | None:
+    """Name the best guesser above `BOUND`.
+
+    Args:
+        offers: The choices of all questions of a template.
+
+    Returns:
+        The name with its share of right answers, or None if no guesser is above the bound or the questions are too few
+        to be judged.
+    """
+    if len(offers) < JUDGED:
+        return None
+    shares = guesser_shares(offers)
+    share, name = max((shares[name], name) for name in COUNTING if name in shares)
+    return f"{name} {float(100 * share):.1f} %" if share > BOUND else None
+
+
+_Key = tuple[object, ...]
+
+
+def _label(choice: str, choices: Collection[str]) -> Iterator[_Key]:
+    yield (choice,)
+
+
+def _set(choice: str, choices: Collection[str]) -> Iterator[_Key]:
+    yield (choice,)
+    yield choice, "of", tuple(choices)
+
+
+def _pair(choice: str, choices: Collection[str]) -> Iterator[_Key]:
+    yield (choice,)
+    yield from ((choice, other) for other in choices if other != choice)
+
+
+_KEYS: Final[dict[str, Callable[[str, Collection[str]], Iterator[_Key]]]] = {
+    "label": _label,
+    "set": _set,
+    "pair": _pair,
+}
+"""For each guesser, what it counts for a choice, the most general first."""
+
+
+def _tallies(offers: Iterable[Offer]) -> tuple[Counter[_Key], Counter[_Key]]:
+    """Count how often each key is true and offered, in all sequences and in each one (the key's first item)."""
+    true: Counter[_Key] = Counter()
+    offered: Counter[_Key] = Counter()
+    for offer in offers:
+        choices = offer.choices
+        for choice in choices:
+            for key in {*_set(choice, choices), *_pair(choice, choices)}:
+                for scope in ("", offer.sequence):
+                    offered[scope, *key] += 1
+                    true[scope, *key] += choice == offer.truth
+    return true, offered
+
+
+def _beliefs(
+    offer: Offer,
+    keys: Callable[[str, Collection[str]], Iterator[_Key]],
+    true: Mapping[_Key, int],
+    offered: Mapping[_Key, int],
+) -> dict[str, Fraction]:
+    """Return the belief in each choice by the questions of other sequences."""
+    beliefs = {}
+    for choice in offer.choices:
+        belief = Fraction(1, 4)
+        for key in keys(choice, offer.choices):
+            right, all_of = (tally["", *key] - tally[offer.sequence, *key] for tally in (true, offered))
+            belief = (right + _PRIOR * belief) / (all_of + _PRIOR)
+        beliefs[choice] = belief
+    return beliefs
+
+
+def _share(beliefs: Mapping[str, Fraction], truth: str, take: Callable[[Iterable[Fraction]], Fraction]) -> Fraction:
+    """Return the share of a question that a guesser gets who takes the choice with the extreme belief."""
+    extreme = take(beliefs.values())
+    best = [choice for choice, belief in beliefs.items() if belief == extreme]
+    return Fraction(truth in best, len(best))

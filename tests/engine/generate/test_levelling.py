@@ -1,0 +1,254 @@
+"""Selection with choices: its cost from scratch, its bounds, and independence of the order of the input."""
+
+import hashlib
+from collections import Counter
+from itertools import permutations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jrdb_avr.engine.generate.answer_levels import answer_contexts, select_answers
+from jrdb_avr.engine.generate.asked import Candidate, Question, choice_contexts, offer_of, sequence_cap
+from jrdb_avr.engine.generate.choices import wrong_sets
+from jrdb_avr.engine.generate.guessers import LabelCounts, above_bound
+from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.levelling import Level, keep_most, level_choices, select_choices
+from jrdb_avr.engine.generate.mix import quota_of, select_mix
+from jrdb_avr.engine.generate.near_duplicates import Taken
+from jrdb_avr.engine.generate.twins import match_twins, may_be_twins
+from jrdb_avr.schema.choice_labels import may_be_same
+from jrdb_avr.schema.labels import PRESENCE_ANSWERS
+from jrdb_avr.schema.rules import Rules
+
+LABELS = ("walking", "standing", "sitting", "skating", "eating sth", "talking to someone", "holding sth")
+SEQUENCES = ("s0", "s1", "s2")
+
+
+def pick(values, *parts):
+    return values[hash_of(*parts) % len(values)]
+
+
+def candidate(number, template="change", asked=None, truth=None, described=None):
+    sequence, track = pick(SEQUENCES, "s", number), hash_of("p", number) % 9
+    truth = truth or pick(LABELS, "t", number)
+    wrong = frozenset(x for x in LABELS if not may_be_same(x, truth) and hash_of(number, x) % 8)
+    asked = asked or (60 + 45 * (hash_of("k", number) % 8),)
+    contexts = choice_contexts(sequence, [pick(("tall", "male"), number)], pick((None, "left"), number), asked[-1])
+    key = hashlib.sha256(str(number).encode()).hexdigest()
+    return Candidate(key, template, sequence, track, described or str(number), asked, truth, wrong, contexts)
+
+
+def counts_of():
+    return LabelCounts(
+        {
+            (sequence, frame): {x: hash_of(sequence, frame, x) % 4 for x in LABELS}
+            for sequence in SEQUENCES
+            for frame in range(60, 500, 45)
+        }
+    )
+
+
+COUNTS = counts_of()
+
+
+def cost_from_scratch(questions):
+    """The formula of the selection, read word by word."""
+    shares = lambda one: {one.candidate.truth: -3, **dict.fromkeys(one.wrong, 1)}  # noqa: E731
+    x, p, r, weights = Counter(), Counter(), Counter(), {}
+    people, sequences, doing = Counter(), Counter(), 0
+    for one in questions:
+        at = one.candidate
+        for name, weight in at.contexts:
+            weights[name] = weight
+            for label, share in shares(one).items():
+                x[name, label] += share
+        for label, other in permutations(shares(one), 2):
+            p[label, other] += shares(one)[label]
+        for ranking, rank in enumerate(COUNTS.ranks(at.sequence, at.asked[-1], at.truth, one.wrong)):
+            r[ranking, rank] += 1
+        people[at.sequence, at.track] += 1
+        sequences[at.sequence] += 1
+        doing += len(COUNTS.doing(at.sequence, at.asked[-1]) & set(one.wrong))
+    n = len(questions)
+    return (
+        sum(weights[name] * number**2 for (name, _), number in x.items())
+        + 20 * sum(number**2 for number in p.values())
+        + sum(w * (4 * r[g, rank] - n) ** 2 for g, w in enumerate((3, 4, 4)) for rank in range(4))
+        + sum(60 * m * (m - 1) // 2 for m in people.values())
+        + sum(3 * m * (m - 1) // 2 for m in sequences.values())
+        - 10 * doing
+    )
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 1000)), max_size=12, unique_by=lambda one: one[0]))
+@settings(deadline=None)
+def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
+    questions = []
+    for number, choice in drawn:
+        one = candidate(number)
+        if triples := wrong_sets(one.wrong):
+            questions.append(Question(one, triples[choice % len(triples)]))
+    level = Level([one.candidate for one in questions], COUNTS)
+    for place, question in enumerate(questions):
+        before = cost_from_scratch(questions[:place])
+        assert level.cost_of(question) == cost_from_scratch(questions[: place + 1]) - before
+        options = [Question(question.candidate, wrong) for wrong in wrong_sets(question.candidate.wrong)]
+        cost, best = level.cheapest([question.candidate])
+        assert cost + before == min(cost_from_scratch([*questions[:place], option]) for option in options)
+        assert cost + before == cost_from_scratch([*questions[:place], best])
+        level.add(question)
+    # What is removed leaves no trace.
+    for place in range(len(questions) - 1, -1, -1):
+        level.add(questions[place], -1)
+        before = cost_from_scratch(questions[:place])
+        assert level.cost_of(questions[place]) == cost_from_scratch(questions[: place + 1]) - before
+
+
+def selected(candidates, quota=30, twins=()):
+    return select_choices(candidates, quota, COUNTS, Taken(Rules()), len(SEQUENCES), twins).questions
+
+
+def test_selection_depends_on_the_candidates_and_not_on_their_order():
+    pool = [candidate(number) for number in range(150)]
+    assert selected(pool) == selected(pool[::-1])
+    assert level_choices(pool, COUNTS) == level_choices(pool[::-1], COUNTS)
+
+
+def test_selection_levels_choices_under_its_caps():
+    pool = [candidate(number) for number in range(400)]
+    questions = selected(pool, quota=60)
+    assert len(questions) >= 59
+    assert above_bound([offer_of(one, COUNTS) for one in questions]) is None
+    assert len({one.candidate.moment for one in questions}) == len(questions)
+    of_sequence = Counter(one.candidate.sequence for one in questions)
+    assert max(of_sequence.values()) <= sequence_cap(60, 3) == 30
+    for one in questions:
+        assert one.candidate.truth in one.choices
+        assert set(one.choices) - {one.candidate.truth} == set(one.wrong) <= one.candidate.wrong
+    arbitrary = [Question(x, wrong_sets(x.wrong)[0]) for x in pool[:60] if wrong_sets(x.wrong)]
+    assert cost_from_scratch(questions) < cost_from_scratch(arbitrary) // 4
+
+
+def test_levelling_without_selection_keeps_every_candidate():
+    pool = [candidate(number) for number in range(60)]
+    questions = level_choices(pool, COUNTS)
+    assert [one.candidate for one in questions] == sorted((x for x in pool if wrong_sets(x.wrong)), key=lambda x: x.key)
+
+
+@pytest.mark.parametrize(
+    ("quota", "sequences", "percent", "cap"), [(76, 27, 20, 16), (32, 2, 20, 24), (900, 27, 10, 90)]
+)
+def test_cap_of_a_sequence_is_rounded_up(quota, sequences, percent, cap):
+    assert sequence_cap(quota, sequences, percent) == cap
+
+
+def twin(number, frame, truth):
+    return candidate(1, asked=(frame,), truth=truth)._replace(
+        key=hashlib.sha256(f"twin {number}".encode()).hexdigest(), wrong=frozenset(LABELS) - {truth}, track=number
+    )
+
+
+def test_twins_share_four_choices_and_differ_in_one_time_and_their_answers():
+    rules = Rules()
+    first, second = twin(1, 60, "walking"), twin(1, 105, "sitting")
+    assert may_be_twins(first, second, rules)
+    assert not may_be_twins(first, second._replace(asked=(90,)), rules)
+    assert not may_be_twins(first, second._replace(wrong=frozenset({"standing", "skating"})), rules)
+    assert not may_be_twins(first, second._replace(truth="walking"), rules)
+
+
+def test_matched_twins_stay_in_the_selection_with_equal_choices():
+    rules = Rules()
+    pool = [candidate(number) for number in range(60)]
+    pairs = [
+        (twin(n, 60, "walking")._replace(key=f"{n}a"), twin(n, 150, "sitting")._replace(key=f"{n}b"))
+        for n in range(20, 23)
+    ]
+    pool += [one for pair in pairs for one in pair]
+    taken = Taken(rules)
+    matched = match_twins(pool, taken, 40)
+    assert {one.key for pair in matched for one in pair} >= {one.key for pair in pairs for one in pair}
+    assert match_twins(pool[::-1], taken, 40) == matched
+    questions = selected(pool, 20, matched)
+    by_twin = {}
+    for one in questions:
+        if one.twin:
+            by_twin.setdefault(one.twin, []).append(one)
+    assert len(by_twin) >= len(pairs)
+    for first, second in by_twin.values():
+        assert first.choices == second.choices
+        assert first.candidate.truth != second.candidate.truth
+        assert first.candidate.described == second.candidate.described
+
+
+def presence(number):
+    sequence = pick(SEQUENCES, "s", number)
+    t1 = 60 + hash_of("1", number) % 300
+    asked = (t1, t1 + 45 + hash_of("2", number) % 300)
+    answers = PRESENCE_ANSWERS + PRESENCE_ANSWERS[:1] * 3
+    truth = pick(answers, "a", number)
+    key = hashlib.sha256(str(number).encode()).hexdigest()
+    contexts = answer_contexts(sequence, 900, 0, asked, [pick(("tall", "male"), number)])
+    wrong = frozenset(PRESENCE_ANSWERS) - {truth}
+    described = str(hash_of("d", number) % 40)
+    return Candidate(key, "presence", sequence, hash_of(number) % 30, described, asked, truth, wrong, contexts)
+
+
+def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
+    pool = [presence(number) for number in range(1500)]
+    questions = select_answers(pool, 120, Taken(Rules()), len(SEQUENCES)).questions
+    assert questions == select_answers(pool[::-1], 120, Taken(Rules()), len(SEQUENCES)).questions
+    answers = Counter(one.candidate.truth for one in questions)
+    assert 100 * max(answers.values()) <= 31 * len(questions)
+    assert len(questions) > 100
+    described = Counter((one.candidate.sequence, one.candidate.described) for one in questions)
+    assert max(described.values()) <= 4
+    assert max(Counter(one.candidate.sequence for one in questions).values()) <= sequence_cap(120, 3, 10)
+
+
+@pytest.mark.parametrize(
+    ("selected", "located", "distance", "presence"),
+    [({"change": 300}, True, 660, 660), ({"change": 350}, False, 0, 1270), ({}, True, 810, 810)],
+)
+def test_presence_takes_what_change_and_distance_leave(selected, located, distance, presence):
+    quotas = {"unique_anchor": 1620, "two_hop": 76}
+    assert quota_of("change", quotas, {}, located) == 350
+    assert quota_of("distance", quotas, selected, located) == distance
+    assert quota_of("presence", quotas, selected | {"distance": distance}, located) == presence
+    assert quota_of("two_hop", quotas, selected, located) == 76
+
+
+def test_a_mix_reports_each_template_and_keeps_the_caps_of_people_in_all():
+    pool = {
+        "two_hop": [candidate(number, "two_hop") for number in range(80)],
+        "change": [candidate(number) for number in range(80, 200)],
+        "presence": [presence(number) for number in range(300)],
+    }
+    taken = Taken(Rules())
+    questions, rows = select_mix(pool, {"unique_anchor": 100, "two_hop": 20}, COUNTS, taken, 3, False)
+    by_template = Counter(one.candidate.template for one in questions)
+    assert by_template == {row["template"]: row["reached"] for row in rows if row["reached"]}
+    assert {row["template"]: row["quota"] for row in rows}["change"] == 100
+    assert by_template["presence"] <= 100 - by_template["change"]
+    assert all(row["shortage"] or row["reached"] == row["quota"] for row in rows if row["quota"])
+    people = Counter((one.candidate.sequence, one.candidate.track) for one in questions)
+    assert people == taken.questions
+    assert max(people.values()) <= Rules().max_per_person_in_all
+
+
+@pytest.mark.parametrize("limit", [*range(0, 11), 50])
+def test_as_many_twins_stay_as_the_bound_allows(limit):
+    tried = []
+    assert keep_most(10, lambda count: tried.append(count) or (count if count <= limit else None)) == (
+        min(limit, 10) or None
+    )
+    assert len(tried) <= 5
+
+
+def test_twins_never_exceed_the_size_of_a_template():
+    pairs = [(twin(n, 60, "walking"), twin(100 + n, 150, "sitting")._replace(track=n)) for n in range(20, 29)]
+    pool = [one for pair in pairs for one in pair]
+    questions = select_choices(pool, 10, COUNTS, Taken(Rules()), 1, pairs).questions
+    assert len(questions) == 10
+    assert sum(one.twin is not None for one in questions) == 10
