@@ -42,6 +42,9 @@ ACTION_PHRASES: Final = _SPELLED_OUT | {
     "pulling": "pulling something",
 }
 
+_CHOICE_PHRASES: Final = ACTION_PHRASES | {"looking into sth": "looking into something (a screen, a phone, a book)"}
+"""Phrases of actions as choices. In the text of a question, a phrase has no comma."""
+
 JOINT_PHRASES: Final[dict[str, str]] = {
     "walking together": "walking together with {someone}",
     "standing together": "standing together with {someone}",
@@ -153,12 +156,12 @@ def overlapping(pose: str) -> frozenset[str]:
 
 
 def choice_text(answer: str) -> str:
-    """An answer as a choice says it, in the words of questions: a pose as its phrase.
+    """Return an answer as a choice says it: an action as its phrase.
 
     >>> choice_text("bending"), choice_text("neither time")
     ('bending down', 'neither time')
     """
-    return ACTION_PHRASES.get(answer, answer)
+    return _CHOICE_PHRASES.get(answer, answer)
 
 
 def choice_of(answer: str, choices: Sequence[str]) -> int | None:
@@ -170,7 +173,7 @@ def choice_of(answer: str, choices: Sequence[str]) -> int | None:
 
 def answer_of_choice(text: str) -> str:
     """The answer that a choice says: the reverse of `choice_text`."""
-    return next((action for action, phrase in ACTION_PHRASES.items() if phrase == text), text)
+    return next((action for action, phrase in _CHOICE_PHRASES.items() if phrase == text), text)
 
 
 IMPOSSIBLE: Final = "impossible"

@@ -186,6 +186,7 @@ _TWO_HOPS: Final = (("a", "b"), ("b", "c"))
 _FIND: Final = "Find {who} at {t0}; call that person A. At that moment, {says1}. {Says2}. "
 _SCENE: Final = "In the scene at {t0}, A is {who}. {Says1}. {Says2}. "
 _STEPS: Final = "At {t0}, find A, {who}; then B, {the1}; and then C, {the2}. "
+_ONE: Final = "Only one is true."
 _ANGLES: Final = (
     "Panorama angles are in degrees: 0 is behind the robot, 90 is to the robot's left, 180 is straight ahead of the "
     "robot and 270 is to the robot's right."
@@ -230,14 +231,15 @@ _ROWS: Final = (
         "unique_anchor",
         AnswerSpec(mode="multiple_choice", read="action", of="a", at="t1"),
         (
-            "Find {who} at {t0}. What is that person's posture or movement at {t1}?",
-            "At {t0}, find {who}. What is this person's posture or movement later, at {t1}?",
-            "Consider {who} at {t0}. When the video has reached {t1}, what is that person's posture or movement?",
+            f"Find {{who}} at {{t0}}. Which of these is that person doing at {{t1}}? {_ONE}",
+            f"At {{t0}}, find {{who}}. Which of these is this person doing later, at {{t1}}? {_ONE}",
+            "Consider {who} at {t0}. When the video has reached {t1}, which of these is that person doing? "
+            f"{_ONE}",
         ),
         stated=("t0", "t1"),
         time_proof="times",
         time_queries="pose",
-        seeks="the known pose of somebody described is another one three seconds or more later",
+        seeks="a described person does something three seconds or more later, but not at the time of the description",
     ),
     Template(
         "presence",
@@ -280,27 +282,27 @@ _ROWS: Final = (
         "chain_2hop",
         AnswerSpec(mode="multiple_choice", read="action", of="c", at="t0"),
         (
-            _FIND + "What is C's posture or movement then?",
-            _SCENE + "What is C's posture or movement?",
-            _STEPS + "What is C's posture or movement at that moment?",
+            f"{_FIND}Which of these is C doing then? {_ONE}",
+            f"{_SCENE}Which of these is C doing? {_ONE}",
+            f"{_STEPS}Which of these is C doing at that moment? {_ONE}",
         ),
         edges=_TWO_HOPS,
         time_proof="program",
-        seeks="from somebody described two certain relations lead on to a person of known pose",
+        seeks="from somebody described two certain relations lead on to a person of known actions",
     ),
     Template(
         "three_hop",
         "chain_3hop",
         AnswerSpec(mode="multiple_choice", read="action", of="d", at="t0"),
         (
-            _FIND + "{Says3}. What is D's posture or movement then?",
-            _SCENE + "{Says3}. What is D's posture or movement?",
-            "At {t0}, find A, {who}; then B, {the1}; then C, {the2}; and then D, {the3}. What is D's posture or "
-            "movement at that moment?",
+            f"{_FIND}{{Says3}}. Which of these is D doing then? {_ONE}",
+            f"{_SCENE}{{Says3}}. Which of these is D doing? {_ONE}",
+            "At {t0}, find A, {who}; then B, {the1}; then C, {the2}; and then D, {the3}. Which of these is D doing at "
+            f"that moment? {_ONE}",
         ),
         edges=(*_TWO_HOPS, ("c", "d")),
         time_proof="program",
-        seeks="from somebody described three certain relations lead on to a person of known pose",
+        seeks="from somebody described three certain relations lead on to a person of known actions",
     ),
     Template(
         "fork_join",
@@ -308,11 +310,11 @@ _ROWS: Final = (
         AnswerSpec(mode="multiple_choice", read="action", of="d", at="t0"),
         (
             _FIND + "Leaving A, B and C aside, D is the only person who is {holds3} and who is also {holds4}. "
-            "What is D's posture or movement then?",
+            f"Which of these is D doing then? {_ONE}",
             _SCENE + "Apart from A, B and C there is only one person, D, who is {holds3} and also {holds4}. "
-            "What is D's posture or movement?",
+            f"Which of these is D doing? {_ONE}",
             "At {t0}, find A, {who}; then B, {the1}; and C, {the2}. Not counting these three, only one person is "
-            "{holds3} and also {holds4}. What is that person's posture or movement?",
+            f"{{holds3}} and also {{holds4}}. Which of these is that person doing? {_ONE}",
         ),
         edges=(("a", "b"), ("a", "c"), ("b", "d"), ("c", "d")),
         time_proof="program",
@@ -339,31 +341,28 @@ _ROWS: Final = (
         seeks="two certain relations lead to somebody who starts an action later, in another direction",
     ),
     Template(
-        "later_pose",
+        "later_action",
         "long_range",
         AnswerSpec(mode="multiple_choice", read="action", of="c", at="t1"),
         (
-            _FIND + "What is C's posture or movement later, at {t1}?",
-            _SCENE + "When the video has reached {t1}, what is C's posture or movement?",
-            _STEPS + "Keep your eyes on C: what is C's posture or movement at {t1}?",
+            f"{_FIND}Which of these is C doing later, at {{t1}}? {_ONE}",
+            f"{_SCENE}When the video has reached {{t1}}, which of these is C doing? {_ONE}",
+            f"{_STEPS}Keep your eyes on C: which of these is C doing at {{t1}}? {_ONE}",
         ),
         stated=("t0", "t1"),
         edges=_TWO_HOPS,
         time_proof="times",
         time_queries="pose",
-        seeks="two certain relations lead to somebody whose known pose is another one ten seconds later",
+        seeks="two certain relations lead to a person who does something ten seconds later, but not at first",
     ),
     Template(
         "consequence",
         "long_range",
         AnswerSpec(mode="multiple_choice", read="next_action", of="a", at="t1"),
         (
-            "Find {who} at {t0}. For some time after that, this person's posture or movement stays what it is at that "
-            "moment. When it changes for the first time, what does it change to?",
-            "At {t0}, find {who}. This person keeps the posture or movement of that moment for some time. Which "
-            "posture or movement comes next?",
-            "Consider {who} at {t0}. When that person's posture or movement at that moment comes to an end, which one "
-            "follows it?",
+            f"Find {{who}} at {{t0}}. Which of these does that person do next? {_ONE}",
+            f"At {{t0}}, find {{who}}. Keep your eyes on that person: which of these does the person do next? {_ONE}",
+            f"Consider {{who}} at {{t0}}. Which of these does that person do first after that moment? {_ONE}",
         ),
         events={"t1": Time(event="end", of="a", after="t0")},
         read=("start",),

@@ -45,7 +45,7 @@ def read_action(found: ResolvedPlan) -> Reading:
     """The pose at one time; at a later one it differs from that at the description's."""
     frame, rules = found.frame(0), found.rules
     if found.plan.answer.times[0] != found.described:
-        found.wait(found.t0, frame, rules.long_wait_s if found.template == "later_pose" else rules.min_wait_s)
+        found.wait(found.t0, frame, rules.long_wait_s if found.template == "later_action" else rules.min_wait_s)
     if found.annotations.absent(found.target, frame):
         raise Undefined("empty", f"the person is absent at frame {frame}")
     pose = found.annotations.pose(found.target, frame)

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.schema.choice_labels import implied_actions
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import ACTION_PHRASES, POSES_OF_INTERACTIONS
 from jrdb_avr.schema.plan import Condition, Plan, canonical
@@ -305,6 +306,15 @@ def stated_actions(plan: Plan) -> tuple[str, ...]:
     words |= {word for edge in plan.edges for word in poses_of(edge.relation)}
     words |= {time.action for time in plan.times.values() if time.action is not None}
     return tuple(sorted(words | set(poses_of(plan.answer.relation or ""))))
+
+
+def implied_choices(plan: Plan) -> frozenset[str]:
+    """Return the actions that the words of a question state or imply. None of them is a choice of the question."""
+    conditions = [condition for node in plan.nodes for condition in node.conditions]
+    words = {condition.action or condition.interaction or condition.verb for condition in conditions}
+    words |= {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
+    words.add(plan.answer.relation)
+    return frozenset().union(*(implied_actions(word) for word in words if word is not None))
 
 
 def stated_frames(plan: Plan) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ from jrdb_avr.engine.cli import group
 
 NAMES = {
     *("start", "span", "change", "presence", "distance", "gap", "consequence"),
-    *("two_hop", "three_hop", "fork_join", "action_search", "later_pose"),
+    *("two_hop", "three_hop", "fork_join", "action_search", "later_action"),
 }
 LEAST = 30
 

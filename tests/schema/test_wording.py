@@ -107,7 +107,7 @@ def make_plan(form, conditions, frames, actions=("walking", "typing"), relations
             {"t1": start_of("c", first)},
             "ab bc",
         ),
-        "later_pose": (choice("action", "c", "t1"), {}, "ab bc"),
+        "later_action": (choice("action", "c", "t1"), {}, "ab bc"),
         "consequence": (choice("next_action", "a", "t1"), {"t1": {"event": "end", "of": "a", "after": "t0"}}, ""),
         "gap_starts": (seconds("t1", "t2"), {"t1": start, "t2": start_of("a", second)}, ""),
         "gap_absence": (seconds("t1", "t2"), {"t1": leaves, "t2": returns}, ""),
@@ -141,9 +141,9 @@ def make_plan(form, conditions, frames, actions=("walking", "typing"), relations
 
 STATED = dict.fromkeys(("start", "span", "two_hop", "three_hop", "fork_join", "action_search", "consequence"), 1)
 STATED |= {"gap_starts": 1, "gap_absence": 1}
-STATED |= {"change": 2, "distance": 2, "later_pose": 2, "gap_count": 2, "presence": 3}
+STATED |= {"change": 2, "distance": 2, "later_action": 2, "gap_count": 2, "presence": 3}
 """How many times each form states as frames."""
-HOPS_OF = {"two_hop": 2, "three_hop": 3, "action_search": 2, "later_pose": 2}
+HOPS_OF = {"two_hop": 2, "three_hop": 3, "action_search": 2, "later_action": 2}
 EVENTS = {"start", "span", "action_search", "gap_starts", "gap_absence"}
 """Templates that ask when something happens."""
 
@@ -464,7 +464,7 @@ def test_render_refuses_what_it_cannot_say():
         ("no plan of the template", "start", make_plan("span", [sitting], [150])),
         ("no plan of the template", "gap", make_plan("start", [sitting], [150])),
         ("no plan of the template", "three_hop", two_hop),
-        ("no plan of the template", "later_pose", two_hop),
+        ("no plan of the template", "later_action", two_hop),
         ("no plan of the template", "change", two_hop),
         ("in_order", "change", make_plan("change", [far, sitting], [150, 225])),
         ("no words for the action", *plan_of(action="juggling", at="t0")),

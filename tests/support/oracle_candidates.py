@@ -632,7 +632,7 @@ class Chains(Asked):
             if label not in FIRST and [self.related(t0, source, label, d) for d in rest].count(YES) >= 2:
                 yield label
 
-    def later_pose(self, track, t0):
+    def later_action(self, track, t0):
         found = set()
         if (conditions := self.anchors(track, t0)) is None:
             return found
@@ -651,7 +651,7 @@ class Chains(Asked):
                     continue
                 if self.needs_time(t0, (t1,), answer, lambda times, last=last: self.pose_at(times[0], last)):
                     plan = self.plan(conditions, {"t0": t0, "t1": t1}, {**CHOICE, "at": "t1"}, labels)
-                    found.add(("later_pose", last, plan, answer))
+                    found.add(("later_action", last, plan, answer))
         return found
 
     def action_search(self, track, t0):
@@ -818,7 +818,7 @@ class World(Alone, Chains, Gaps):
             self.distance,
             self.consequence,
             self.poses_of_chains,
-            self.later_pose,
+            self.later_action,
             self.action_search,
             self.fork_join,
             self.gap_starts,

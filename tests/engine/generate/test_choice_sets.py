@@ -110,13 +110,13 @@ def test_a_family_that_lacks_its_number_takes_what_level_answers_allow():
 
 
 def test_a_template_has_its_even_share_before_another_fills_for_it():
-    poses = [(pose, sets, "later_pose") for pose, sets in TELLING_SETS.items() for _ in range(40)]
+    poses = [(pose, sets, "later_action") for pose, sets in TELLING_SETS.items() for _ in range(40)]
     poses += [(pose, APART[:1], "consequence") for pose in APART[0] for _ in range(40)]
     rows = [candidate(n, pose, sets, name, "long_range") for n, (pose, sets, name) in enumerate(poses)]
     table = pa.Table.from_pylist(rows, schema=POOL)
     # Of 30 questions each of three templates has ten, of which three answers with 34 % each make nine; gap has none.
     chosen = Counter(select(table, Rules(), "paper", 0).table["template"].to_pylist())
-    assert chosen == {"later_pose": 9, "consequence": 21}
+    assert chosen == {"later_action": 9, "consequence": 21}
 
 
 def test_the_record_follows_the_chosen_set():

@@ -102,7 +102,7 @@ def test_who_fills_for_whom():
     rows = [
         {"family": "long_range", "template": "gap", "aim": 10, "kept": 15},
         {"family": "long_range", "template": "consequence", "aim": 10, "kept": 4},
-        {"family": "long_range", "template": "later_pose", "aim": 10, "kept": 10},
+        {"family": "long_range", "template": "later_action", "aim": 10, "kept": 10},
         {"family": "chain_2hop", "template": "two_hop", "aim": 76, "kept": 76},
         {"family": "unique_anchor", "template": "change", "aim": None, "kept": 700},
     ]

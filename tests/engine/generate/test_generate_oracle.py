@@ -27,7 +27,7 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.templates import TEMPLATES
 
 SIMPLE = {"start", "span", "change", "presence", "distance"}
-CHAINED = {"consequence", "two_hop", "three_hop", "later_pose", "action_search", "fork_join", "gap"}
+CHAINED = {"consequence", "two_hop", "three_hop", "later_action", "action_search", "fork_join", "gap"}
 FORMS = {"gap_count", "gap_absence"}
 MAKERS = [random_world, lively_world, sociable_world]
 MAKERS += [in_other_words(make) for make in MAKERS]

@@ -175,8 +175,8 @@ def test_world(title, tmp_path):
 # -- what the worlds cover ------------------------------------------------------------------------------------------
 
 ALONE = ("start", "span", "change", "presence", "distance", "consequence", "gap_starts", "gap_absence", "gap_count")
-FORMS = (*ALONE, "two_hop", "three_hop", "fork_join", "action_search", "later_pose")
-HOPS = {"two_hop": 2, "three_hop": 3, "action_search": 2, "later_pose": 2}
+FORMS = (*ALONE, "two_hop", "three_hop", "fork_join", "action_search", "later_action")
+HOPS = {"two_hop": 2, "three_hop": 3, "action_search": 2, "later_action": 2}
 TIMELESS = {"start", "span", "action_search", "consequence", "gap_starts", "gap_absence", "gap_count"}
 NEVER = (
     ("held_out", set(FORMS), "only a training set is kept apart from another store's questions"),

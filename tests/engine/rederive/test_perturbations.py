@@ -167,7 +167,7 @@ def test_a_chain_stopped_and_with_a_hop_left_out():
 
 def test_people_before_the_last_are_read_at_the_later_time():
     world = row_of("standing", "walking", "sitting", changed=("walking", None, "standing"), at=range(150, 301, 15))
-    found = proofs(world, "later_pose", [60, 225], [FIRST_RIGHT] * 2)
+    found = proofs(world, "later_action", [60, 225], [FIRST_RIGHT] * 2)
     assert found["hop.stop", "0"] == ("different", "walking") and found["hop.stop", "1"] == ("empty", None)
     assert found["hop.skip", "1"] == ("empty", None)
     assert found["time.shift", "+3 s"] == ("same", "standing")

@@ -116,9 +116,9 @@ def later(change=300, pose="walking", **more):
     )
 
 
-def test_a_later_pose_is_another_one_at_least_ten_seconds_later():
+def test_a_later_action_is_another_one_at_least_ten_seconds_later():
     def found(t1, world=None):
-        return ask(world or later(), "later_pose", [READING], [15, t1], relations=[FIRST_RIGHT] * 2)
+        return ask(world or later(), "later_action", [READING], [15, t1], relations=[FIRST_RIGHT] * 2)
 
     assert (found(300).answer, found(300).target, found(300).faults) == ("walking", 2, ())
     assert boxes(found(300)) == [("a", 0, 15), ("b", 1, 15), ("c", 2, 15), ("c", 2, 300)]

@@ -138,7 +138,7 @@ EDGES = {
 }
 
 VALUES = {
-    "hops": "CASE WHEN family = 'chain_3hop' THEN 3 WHEN starts_with(family, 'chain') OR template = 'later_pose' THEN 2"
+    "hops": "CASE WHEN family = 'chain_3hop' THEN 3 WHEN starts_with(family, 'chain') OR template = 'later_action' THEN 2"
     " ELSE 0 END",
     "words": "length(question) - length(replace(question, ' ', '')) + 1",
 }
