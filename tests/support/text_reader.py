@@ -574,7 +574,7 @@ class Asked:
     def later(self) -> list[int]:
         return [frame for frame in self.recording.order if frame > self.question.frame]
 
-    def read_pose(self, frame: int | None = None) -> dict:
+    def read_action(self, frame: int | None = None) -> dict:
         frame = frame if frame is not None else (*self.question.values, self.question.frame)[0]
         chosen = only({choice: self.facts.doing(self.person, frame, choice) for choice in self.choices}, "choices")
         return self.choice(chosen)
@@ -590,7 +590,7 @@ class Asked:
             return poses[0] if len(poses) == 1 and listed[poses[0]] < 3 else None
 
         first = pose(self.question.frame)
-        return self.read_pose(next((frame for frame in self.later() if pose(frame) not in (None, first)), -1))
+        return self.read_action(next((frame for frame in self.later() if pose(frame) not in (None, first)), -1))
 
     def spell(self, phrase: str) -> tuple[int, int]:
         """First and last frame of the first spell of an action after the description."""
@@ -709,7 +709,7 @@ NEEDS = {
     "beside": {"first_aside"},
     "facing": {"facing"},
     "metres": {"at_metres", "near", "distance"},
-    "words": {"doing", "handling", "together", "with_someone", "pose", "next_pose", "count", *SPELLS},
+    "words": {"doing", "handling", "together", "with_someone", "action", "next_pose", "count", *SPELLS},
     "group": {"group_size"},
     "seen": {"presence", "distance", "absence"},
     "spell": {"count", *SPELLS},

@@ -122,7 +122,7 @@ def test_reader_finds_every_answer_of_the_real_annotations(tmp_path):
 # The reader itself, on worlds of a few people.
 
 CHOICES = ["walking", "standing", "sitting", "lying down"]
-ASKED = "What is that person's posture or movement at 4.0 s (frame 60)?"
+ASKED = "Which of these is that person doing at 4.0 s (frame 60)? Only one is true."
 
 
 def person(number, degrees, *actions, width=40, prefix="pedestrian", group=None):
