@@ -42,6 +42,7 @@ _IMPLIED: Final = {
     "eating together": ("eating sth",),
     "holding sth together": ("holding sth",),
     "looking into sth together": ("looking into sth",),
+    **dict.fromkeys(("looking at sth together", "looking at", "observing"), ("looking at sth",)),
     "looking into": ("looking into sth",),
     "talking on": ("talking on the phone",),
     "riding": ("cycling", "skating", "scootering"),

@@ -318,7 +318,7 @@ class _QuestionCheck:
         self.check("plans", family == record.family, f"template {record.template!r} is of family {family!r}")
         self._check_text(plan)
         self._check_proofs(plan, answer)
-        found = rederive(self.annotations, plan, record.template, self.rules)
+        found = rederive(self.annotations, plan, record.template, self.rules, record.choices)
         again: dict[str, Any] = {
             "answer": found.answer,
             "target_track": found.target,
