@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from oracle_candidates import EMPTY, MAYBE, RELATIONS, SEVERAL, WINDOWS, World
 from oracle_choices import NO, YES, doing, false_choices, same, true_choices, wrong_sets
 from oracle_files import ACTIONS
-from random_worlds import in_other_words, lively_world, random_world, sociable_world
+from random_worlds import in_other_words, lively_world, random_world, sociable_world, with_chorus
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, prove_again, rederive
 from jrdb_avr.engine.rederive.choices import is_false_around, is_supported
@@ -278,7 +278,6 @@ def test_the_second_path_accepts_exactly_what_the_oracle_proves(tmp_path, visibi
     rules, counts = Rules(load=LoadRules(visibility=visibility)), Counter()
     worlds = [(lively_world, 0), (lively_world, 5), (sociable_world, 7), (sociable_world, 12)]
     for make, seed in worlds + [(in_other_words(lively_world), 3)] * DEEP:
-        world = make(random.Random(seed), f"yard-{seed:02d}")
+        world = with_chorus(make)(random.Random(seed), f"yard-{seed:02d}")
         counts += compare(memory_store(tmp_path / f"{seed}", world, rules), rules, 30 if DEEP else 8)
-    print(counts)
     assert {query for query, kind, *_ in counts if kind == "proven"} == {row.query for row in TEMPLATES.values()}
