@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 FPS = 15
 
@@ -54,6 +54,18 @@ WIDER = {
     "listening to someone": {"talking on the phone"},
 }
 """Labels that a reader may call by a phrase too, beside the phrase's own."""
+WIDER_CHOICES = {
+    "talking to someone": {"listening to someone"},
+    "listening to someone": {"talking to someone"},
+    "holding something": {"looking into sth", "typing", "writing"},
+    "looking into something": {"typing", "writing", "sitting"},
+    "typing": {"writing", "reading", "sitting"},
+    "writing": {"typing", "reading", "sitting"},
+    "cycling": {"scootering"},
+    "skating": {"scootering"},
+    "riding a scooter": {"cycling", "skating"},
+}
+"""Further labels that a reader may call by a phrase among the choices."""
 
 WIDER_PARTNERS = {
     "moving together": {"walking together", "cycling together", "going upstairs together", "going downstairs together"},
@@ -212,6 +224,7 @@ class Question:
     values: tuple
     judged: bool = False
     """Whether only people in clear view count."""
+    text: str = field(default="", compare=False)
 
 
 # Descriptions.
@@ -383,4 +396,5 @@ def parse(text: str) -> Question:
         values = (int(later[1]),)
     if read == "count":
         values = (*values, int(re.findall(TIME, text)[-1]))
-    return Question(int(opening["frame"]), described(opening["words"]), tuple(steps), read, values, said != text)
+    who = described(opening["words"])
+    return Question(int(opening["frame"]), who, tuple(steps), read, values, said != text, text)
