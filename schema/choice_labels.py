@@ -8,6 +8,9 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.schema.labels import ACTIONS, ALSO, POSES, POSES_OF_INTERACTIONS
 
+CHOICE_COUNT: Final = 4
+"""Number of choices of a question."""
+
 CHOICE_LABELS: Final = tuple(
     label
     for label in ACTIONS
@@ -44,6 +47,7 @@ _IMPLIED: Final = {
     "eating together": ("eating sth",),
     "holding sth together": ("holding sth",),
     "looking into sth together": ("looking into sth",),
+    **dict.fromkeys(("looking at sth together", "looking at", "observing"), ("looking at sth",)),
     "looking into": ("looking into sth",),
     "talking on": ("talking on the phone",),
     "riding": ("cycling", "skating", "scootering"),

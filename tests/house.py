@@ -45,7 +45,6 @@ LANGUAGE_LATER = (
     "agent/reference/",
     "agent/simulated/",
     "engine/generate/",
-    "engine/rederive/",
     "loaders/intervals/",
     "loaders/synthetic/",
     "queries/beliefs/",

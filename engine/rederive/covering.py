@@ -1,4 +1,4 @@
-"""Covered area of a box: what the boxes of nearer people hide of it."""
+"""Covered area of a box: its part inside the boxes of nearer people."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class Outline(NamedTuple):
 
     @property
     def area(self) -> int:
+        """Area in square length units."""
         return (self.right - self.left) * (self.bottom - self.top)
 
 
@@ -35,28 +36,38 @@ def outline_of(box: Box) -> Outline:
     return Outline(start, start + min(right - left, _ROUND), top, bottom)
 
 
-def is_nearer(one: Outline, other: Outline) -> bool:
-    """Return whether the box `other` is nearer: its bottom is lower, or its top higher if both reach the last rows."""
+def is_nearer(outline: Outline, rival: Outline) -> bool:
+    """Return whether a rival box is nearer: its bottom is lower, or its top higher if both reach the last rows."""
     cut_off = (HEIGHT - 2) * _PARTS
-    if one.bottom >= cut_off and other.bottom >= cut_off:
-        return one.top - other.top > 4 * _PARTS
-    return other.bottom - one.bottom > 2 * _PARTS
+    if outline.bottom >= cut_off and rival.bottom >= cut_off:
+        return outline.top - rival.top > 4 * _PARTS
+    return rival.bottom - outline.bottom > 2 * _PARTS
 
 
-def covered_area(own: Outline, others: Iterable[Outline]) -> int:
-    """Return the area of a box inside the union of the nearer ones among other boxes, in square length units."""
+def covered_area(outline: Outline, rivals: Iterable[Outline]) -> int:
+    """Return the area of a box inside the union of the nearer boxes.
+
+    Args:
+        outline: The box.
+        rivals: The boxes of the other people in the frame.
+
+    Returns:
+        Area in square length units.
+    """
     hiding = [
-        Outline(max(own.left, box.left + turn), min(own.right, box.right + turn), max(own.top, box.top), bottom)
-        for box in others
-        if is_nearer(own, box)
-        for bottom in [min(own.bottom, box.bottom)]
+        Outline(
+            max(outline.left, box.left + turn), min(outline.right, box.right + turn), max(outline.top, box.top), bottom
+        )
+        for box in rivals
+        if is_nearer(outline, box)
+        for bottom in [min(outline.bottom, box.bottom)]
         for turn in (-_ROUND, 0, _ROUND)
     ]
     hiding = sorted(box for box in hiding if box.left < box.right and box.top < box.bottom)
     rows = sorted({row for box in hiding for row in (box.top, box.bottom)})
     area = 0
     for top, bottom in pairwise(rows):
-        reached = own.left
+        reached = outline.left
         for box in hiding:
             if box.top <= top and box.bottom >= bottom and box.right > reached:
                 area += (box.right - max(box.left, reached)) * (bottom - top)

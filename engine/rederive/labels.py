@@ -28,14 +28,14 @@ _COLUMNS: Final = {
     "handles": ("frame", "track", "object", "category_id", "verb", "difficulty"),
     "categories": ("category_id", "category"),
 }
-"""The columns that are read of each layer: half of their bytes."""
+"""Columns that are read of each layer. They have half of the bytes of all columns."""
 
 
 class _LayerTables(Mapping[str, pa.Table]):
-    """A sequence's annotation tables by layer, each read when it is used and not held.
+    """Annotation tables of a sequence by layer. Each is read when it is used, and not kept.
 
-    A load writes a table of each layer, empty where the sequence lacks it: a missing file is a damaged store. Taken for
-    an empty layer it would refute most questions.
+    `load` writes a table for every layer, empty if the sequence lacks it. A missing file is therefore an error of the
+    store, and not an empty layer, which would refute most questions.
     """
 
     def __init__(self, store: Store, sequence: str) -> None:
@@ -52,7 +52,7 @@ class _LayerTables(Mapping[str, pa.Table]):
 
 
 class Annotations(RelationFacts):
-    """One sequence's annotation tables, indexed by frame and by person."""
+    """Annotation tables of one sequence, indexed by frame and by person."""
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
@@ -60,13 +60,34 @@ class Annotations(RelationFacts):
 
     @classmethod
     def read(cls, store: Store, sequence: str, rules: Rules) -> Annotations:
-        """Read a sequence's tables. Raises StoreError for a missing or broken file."""
+        """Read the tables of a sequence.
+
+        Args:
+            store: Store with the annotations.
+            sequence: Name of the sequence.
+            rules: Thresholds.
+
+        Returns:
+            The annotations.
+
+        Raises:
+            StoreError: If a file is missing or broken.
+        """
         return cls(_LayerTables(store, sequence), rules)
 
     # -- descriptions -------------------------------------------------------------------------------------------
 
     def holds(self, condition: Condition, track: int, frame: int) -> int:
-        """A condition of a description, of a person with a box at the frame."""
+        """Evaluate a condition of a description.
+
+        Args:
+            condition: Condition.
+            track: Track of a person with a box at the frame.
+            frame: Frame.
+
+        Returns:
+            Whether the condition holds: FALSE, TRUE or UNKNOWN.
+        """
         if condition.action is not None:
             fact = self.state(track, condition.action, frame)
             return UNKNOWN if fact == FALSE and self._flickers(track, condition.action, frame) else fact
@@ -75,36 +96,44 @@ class Annotations(RelationFacts):
         if condition.object is not None and condition.verb is not None:
             return self.handles(track, condition.verb, condition.object, frame)
         match condition.attribute, condition.value:
-            case ("gender" | "age") as name, str(wanted):
-                return self.attribute(track, name, wanted)
-            case "group_size", int(wanted):
+            case ("gender" | "age") as name, str(value):
+                return self.attribute(track, name, value)
+            case "group_size", int(size):
                 sizes = self.group_sizes(track, frame)
-                return UNKNOWN if not sizes else among(wanted, sizes)
-            case "sector", str(wanted):
-                return self.in_sector(track, wanted, frame) if wanted in AXES else FALSE
-            case "distance", str(wanted):
-                return among(wanted, self.distance_words(track, frame))
+                return UNKNOWN if not sizes else among(size, sizes)
+            case "sector", str(word):
+                return self.in_sector(track, word, frame) if word in AXES else FALSE
+            case "distance", str(word):
+                return among(word, self.distance_words(track, frame))
         return UNKNOWN
 
     def _flickers(self, track: int, action: str, frame: int) -> bool:
-        """Return whether an action whose labels come and go is labelled one keyframe earlier or later."""
+        """Return whether an action with unsteady labels has a label one second earlier or later."""
         near = (frame - KEYFRAME_STEP, frame + KEYFRAME_STEP)
-        return self.judges_views and action in FLICKERING and any(self.writes(track, action, one) for one in near)
+        return self.judges_views and action in FLICKERING and any(action in self.written(track, at) for at in near)
 
     def held(self, condition: Condition, frame: int) -> dict[int, int]:
-        """A condition of everybody with a box at the frame who is not covered."""
+        """Evaluate a condition for all people with a box at the frame who are not covered. Returns facts by track."""
         key = (condition, frame)
         if key not in self._held:
             self._held[key] = {track: self.holds(condition, track, frame) for track in self.uncovered_people(frame)}
         return self._held[key]
 
     def could_match(self, conditions: Iterable[Condition], frame: int) -> list[int]:
-        """Everybody at the frame whom none of the conditions excludes."""
+        """Return all people at the frame for whom no condition is false."""
         facts = [self.held(condition, frame) for condition in conditions]
         return [track for track in self.uncovered_people(frame) if all(fact[track] != FALSE for fact in facts)]
 
     def find(self, conditions: tuple[Condition, ...], frame: int) -> tuple[OutcomeKind, int | None]:
-        """The one person of a description at a frame; `ambiguous`, `empty` or `unknown` where it is not one."""
+        """Find the only person of a description at a frame.
+
+        Args:
+            conditions: Conditions of the description.
+            frame: Frame.
+
+        Returns:
+            "defined" and the track of the person, or the reason why it is not one person, and None.
+        """
         if not self.knows(frame):
             return "unknown", None
         facts = [self.held(condition, frame) for condition in conditions]
@@ -112,37 +141,55 @@ class Annotations(RelationFacts):
 
     # -- relations ----------------------------------------------------------------------------------------------
 
-    def related(self, relation: str, track: int, other: int, frame: int) -> int:
-        """Whether another person has the relation to a person; both have a box at the frame."""
+    def related(self, relation: str, track: int, partner: int, frame: int) -> int:
+        """Evaluate a relation between two people.
+
+        Args:
+            relation: Name of the relation.
+            track: Track of the source, with a box at the frame.
+            partner: Track of the target, with a box at the frame.
+            frame: Frame.
+
+        Returns:
+            Whether the relation holds: FALSE, TRUE or UNKNOWN.
+        """
         row = RELATIONS.get(relation)
         if row is None:
             return UNKNOWN
         match row.kind:
             case "social":
-                return self.together(track, other, relation, frame)
+                return self.together(track, partner, relation, frame)
             case "group":
-                return self.same_group(track, other, frame)
+                return self.same_group(track, partner, frame)
             case "first":
-                return self.first_beside(track, other, frame, row.side == "left")
+                return self.first_beside(track, partner, frame, row.side == "left")
             case "person":
-                return self.seen_from(track, other, row.sector, row.distance, frame)
+                return self.seen_from(track, partner, row.sector, row.distance, frame)
             case "window":
-                return self.within(track, other, row.degrees, frame, row.side == "left")
+                return self.within(track, partner, row.degrees, frame, row.side == "left")
 
     def step_to(self, relation: str, track: int, frame: int) -> tuple[OutcomeKind, int | None]:
-        """The one other person at the frame to whom a relation leads from a person, or why there is none."""
-        others = [other for other in self.uncovered_people(frame) if other != track]
-        return only({other: self.related(relation, track, other, frame) for other in others})
+        """Find the only person at the frame to whom a relation leads from a person. Results are those of `find`."""
+        partners = [partner for partner in self.uncovered_people(frame) if partner != track]
+        return only({partner: self.related(relation, track, partner, frame) for partner in partners})
 
 
 def conjunction(facts: Iterable[int]) -> int:
-    """Whether all of the facts hold."""
-    found = set(facts)
-    return FALSE if FALSE in found else UNKNOWN if UNKNOWN in found else TRUE
+    """Return whether all facts hold."""
+    values = set(facts)
+    return FALSE if FALSE in values else UNKNOWN if UNKNOWN in values else TRUE
 
 
 def only(facts: dict[int, int]) -> tuple[OutcomeKind, int | None]:
-    """The one person of whom a fact is certain while it is false of everybody else; else what there is instead."""
+    """Find the only person for whom a fact is true.
+
+    Args:
+        facts: Facts by track.
+
+    Returns:
+        "defined" and the track if the fact is true for one person and false for all others. Else None and the reason:
+        "ambiguous" if it is true for several, "empty" if it is false for all, or "unknown".
+    """
     could = [track for track, fact in facts.items() if fact != FALSE]
     does = [track for track in could if facts[track] == TRUE]
     if len(does) > 1:

@@ -21,7 +21,7 @@ ViewClass = Literal["clear", "covered", "uncertain"]
 
 
 class _Person2D(NamedTuple):
-    """One 2D box with what its record says."""
+    """2D box with the other values of its record."""
 
     box: Box
     occlusion: str | None
@@ -30,7 +30,15 @@ class _Person2D(NamedTuple):
 
 
 class PersonBoxes:
-    """Boxes of one sequence, indexed by frame and by person, and the frames that its layers know."""
+    """Boxes of one sequence, indexed by frame and by person, and the frames that its layers know.
+
+    Attributes:
+        rules: Thresholds.
+        layers: Annotated frames by layer.
+        judges_views: Whether the rules classify people as clear, covered or uncertain.
+        has_attributes: Whether the degrees of occlusion decide about views.
+        keyframes: Keyframes of the sequence.
+    """
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         self.rules = rules
@@ -64,34 +72,34 @@ class PersonBoxes:
         numbers = sorted(self.layers.get(leading, []))
         if numbers and step_of(numbers) == 1:
             numbers = [f for f in range(numbers[0], numbers[-1] + 1) if f % KEYFRAME_STEP == 0]
-        # Boxes in a frame that the 2D layer does not list: somebody else there could not be read.
+        # Because a frame with boxes that the 2D layer does not list may have more people, who could not be read.
         return frozenset(f for f in numbers if self.knows(f) or not self._people.get(f))
 
     def knows(self, frame: int, layer: str = "2d") -> bool:
-        """Whether a layer knows the frame: a fact that it does not list there is false."""
+        """Return whether a layer knows the frame, so that a fact without a label is false in it."""
         return frame in self._known.get(layer, ())
 
     def frames_between(self, first: int, last: int) -> range:
-        """The frames strictly between two of the 2D layer's that it should know."""
+        """Return the frames between two frames of the 2D layer that the layer should know."""
         step = step_of(sorted(self.layers.get("2d", [])))
         return range(first + step, last, step)
 
     def boxes(self, track: int) -> dict[int, Box]:
-        """Every 2D box of a person by frame."""
+        """Return every 2D box of a person by frame."""
         return {frame: self._people[frame][track].box for frame in self._tracks.get(track, [])}
 
     def box(self, track: int, frame: int) -> Box | None:
-        """The person's 2D box, if any."""
+        """Return the person's 2D box, or None."""
         person = self._people.get(frame, {}).get(track)
         return None if person is None else person.box
 
     def angle(self, track: int, frame: int) -> float:
-        """Panorama angle, degrees, of the centre of a person's box, which must be there."""
+        """Return the panorama angle, in degrees, of the centre of a person's box. The box must exist."""
         box = self._people[frame][track].box
         return center_angle(box.x, box.w)
 
     def people(self, frame: int) -> list[int]:
-        """Everybody with a 2D box at the frame."""
+        """Return all people with a 2D box at the frame, in order."""
         return sorted(self._people.get(frame, {}))
 
     def clear(self, track: int, frame: int) -> bool:
@@ -99,11 +107,11 @@ class PersonBoxes:
         return self.box(track, frame) is not None and self.view(track, frame) == "clear"
 
     def covered(self, track: int, frame: int) -> bool:
-        """Return whether the person is certainly not in clear view, and counts for nobody. False without a 2D box."""
+        """Return whether the person is certainly not in clear view, and is ignored. False without a 2D box."""
         return self.box(track, frame) is not None and self.view(track, frame) == "covered"
 
     def uncovered_people(self, frame: int) -> list[int]:
-        """Return everybody with a 2D box at the frame who is not covered."""
+        """Return all people with a 2D box at the frame who are not covered, in order."""
         return [track for track in self.people(frame) if self.view(track, frame) != "covered"]
 
     def view(self, track: int, frame: int) -> ViewClass:
@@ -124,29 +132,29 @@ class PersonBoxes:
             return "clear" if usable and person.occlusion in CLEAR_OCCLUSIONS else "uncertain"
         if not self.judges_views:
             return "clear" if usable else "uncertain"
-        own = outline_of(box)
-        if own.area <= 0:
+        outline = outline_of(box)
+        if outline.area <= 0:
             return "uncertain"
-        others = (outline_of(other.box) for number, other in self._people[frame].items() if number != track)
-        thousandths = 1000 * covered_area(own, others)
-        if thousandths >= round(1000 * load.min_covered) * own.area:
+        rivals = (outline_of(rival.box) for number, rival in self._people[frame].items() if number != track)
+        thousandths = 1000 * covered_area(outline, rivals)
+        if thousandths >= round(1000 * load.min_covered) * outline.area:
             return "covered"
-        visible = usable and thousandths < round(1000 * load.max_covered) * own.area
+        visible = usable and thousandths < round(1000 * load.max_covered) * outline.area
         return "clear" if visible and self._has_certain_group(track, frame) else "uncertain"
 
     def _has_certain_group(self, track: int, frame: int) -> bool:
         """Return whether the nearest frame with group labels, at most a second away, has an easy one of the person."""
         labelled = self._grouped_frames
-        place = bisect_left(labelled, frame)
-        near = [one for one in labelled[max(place - 1, 0) : place + 1] if abs(one - frame) <= KEYFRAME_STEP]
-        nearest = min(near, key=lambda one: abs(one - frame), default=-1)
+        index = bisect_left(labelled, frame)
+        near = [number for number in labelled[max(index - 1, 0) : index + 1] if abs(number - frame) <= KEYFRAME_STEP]
+        nearest = min(near, key=lambda number: abs(number - frame), default=-1)
         return not labelled or self._groups.get((nearest, track), (0, False))[1]
 
     def absent(self, track: int, frame: int) -> bool:
-        """Whether the person is certainly not there."""
+        """Return whether the person is certainly absent: without a box at the frame, one second before and after."""
         near = (frame - KEYFRAME_STEP, frame, frame + KEYFRAME_STEP)
         return all(self.knows(f) and self.box(track, f) is None for f in near)
 
     def has_image(self, frame: int) -> bool:
-        """Whether the frame has an image; true for all frames of a sequence without images."""
+        """Return whether the frame has an image. True for all frames of a sequence without images."""
         return "images" not in self._known or self.knows(frame, "images")

@@ -1,8 +1,8 @@
 """Prove a question again: evaluate every perturbation of its plan from the annotation tables.
 
-A perturbation is another plan: another target, a hop left out, times moved, a condition dropped. Its people are found
-and its answer is read as for any plan, and its outcome says how that answer compares with the question's own. Kinds and
-variants have the names that questions store.
+A perturbation is another plan: with another target, without a hop, at other times, or without a condition. Its people
+are found and its answer is read as for any plan. Its outcome compares that answer with the answer of the question.
+Kinds and variants have the names that questions store.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from msgspec.structs import replace as changed
 
 from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.plan import ResolvedPlan, find_people, join
-from jrdb_avr.engine.rederive.reads import reading_of
+from jrdb_avr.engine.rederive.reads import compare_action, reading_of
 from jrdb_avr.engine.rederive.truth import FALSE, SLACK, TRUE, Outcome, Undefined
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
@@ -28,106 +28,129 @@ from jrdb_avr.schema.questions import NeededBox, Proof
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
 
 _PROVING: Final = ("different", "ambiguous", "empty")
-"""Outcomes of a perturbed plan that certainly does not give the question's answer."""
+"""Outcomes of a perturbed plan that certainly does not give the answer of the question."""
 
 _AHEAD_DEG: Final = 180.0
+"""Panorama angle of the direction straight ahead of the robot."""
 
 
-def prove_again(annotations: Annotations, plan: Plan, template: str, rules: Rules, own: Outcome) -> tuple[Proof, ...]:
-    """Compute every proof of a question a second time; `own` is what `rederive` returns for its plan."""
-    perturbed = _Perturbed(find_people(annotations, plan, template, rules), own)
-    clear = all(annotations.clear(box.track, box.frame) for box in own.needed)
+def prove_again(
+    annotations: Annotations, plan: Plan, template: str, rules: Rules, result: Outcome
+) -> tuple[Proof, ...]:
+    """Compute every proof of a question a second time.
+
+    Args:
+        annotations: Annotations of the sequence.
+        plan: Plan of the question.
+        template: Name of the template.
+        rules: Thresholds.
+        result: What `rederive` returns for the question.
+
+    Returns:
+        The proofs in the order in which questions store them.
+    """
+    perturbed = _Perturbed(find_people(annotations, plan, template, rules), result)
+    clear = all(annotations.clear(box.track, box.frame) for box in result.needed)
     return (
-        Proof("anchor", "match", True, "same", own.answer),
+        Proof("anchor", "match", True, "same", result.answer),
         *perturbed.conditions(),
-        Proof("evidence", "clear views", clear, "same" if clear else "unknown", own.answer if clear else None),
+        Proof("evidence", "clear views", clear, "same" if clear else "unknown", result.answer if clear else None),
         *perturbed.hops(),
         *perturbed.times(),
         *perturbed.views(),
-        Proof("rederive", "annotations", True, "same", own.answer),
+        Proof("rederive", "annotations", True, "same", result.answer),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Perturbed:
-    """A plan with its people, and its outcome, with which the outcomes of its perturbations are compared."""
+    """A plan with its people, and its result, with which the results of its perturbations are compared."""
 
-    found: ResolvedPlan
-    own: Outcome
+    resolved: ResolvedPlan
+    result: Outcome
 
     def conditions(self) -> Iterator[Proof]:
-        """Each condition left out: two people or more could match the others."""
-        plan, annotations = self.found.plan, self.found.annotations
+        """Yield the proofs without a condition: two people or more could match the other conditions."""
+        plan, annotations = self.resolved.plan, self.resolved.annotations
         stated = next(node.conditions for node in plan.nodes if node.id == plan.root)
         for condition in stated:
-            others = annotations.could_match([one for one in stated if one is not condition], self.found.t0)
-            several = len(others) >= 2
+            rest = [kept for kept in stated if kept is not condition]
+            several = len(annotations.could_match(rest, self.resolved.t0)) >= 2
             yield Proof("anchor", f"without {condition.words}", several, "ambiguous" if several else "same")
 
     def hops(self) -> Iterator[Proof]:
-        """The answer read at each earlier person, and each hop left out."""
-        edges, target = self.found.plan.edges, self.found.plan.target
+        """Yield the proofs that read the answer at an earlier person, or leave out a hop."""
+        edges, target = self.resolved.plan.edges, self.resolved.plan.target
         if not edges:
             return
-        for place, node in enumerate(list(self.found.people)[:-1]):
-            yield self._prove("hop.stop", str(place), partial(_stopped, self.found, node))
-        # To leave out the last hop of a path is to stop one person early; of a fork each of both can be left out.
+        for number, node in enumerate(list(self.resolved.people)[:-1]):
+            yield self._prove("hop.stop", str(number), partial(_stopped, self.resolved, node))
+        # Because a path without its last hop is the path stopped one person early. A fork has two last hops.
         joins = sum(edge.target == target for edge in edges) > 1
         for number, edge in enumerate(edges, start=1):
             if joins or edge.target != target:
-                yield self._prove("hop.skip", str(number), partial(_skipped, self.found, edge))
+                yield self._prove("hop.skip", str(number), partial(_skipped, self.resolved, edge))
 
     def times(self) -> Iterator[Proof]:
-        """Stated times moved, both ways and to every keyframe: those after the description's, with the people held, or
-        else the description's, with everybody found anew. An answer that is itself a time proves that time matters."""
-        found, stated = self.found, self.found.stated
-        answer = found.plan.answer
+        """Yield the proofs at other times: shifted both ways, and at every keyframe.
+
+        The times after the description move, and the people stay. Without such times the description's time moves, and
+        all people are found anew. If the answer is itself a time, no time is moved.
+        """
+        resolved, stated = self.resolved, self.resolved.stated
+        answer = resolved.plan.answer
         if answer.read == "count" or any(name not in stated for name in answer.times):
             yield from (Proof(kind, "by construction", None, "not_run") for kind in ("time.shift", "time.drop"))
             return
-        later = [frame for name, frame in stated.items() if name != found.described]
-        keyframes = sorted(found.annotations.keyframes) or [found.t0]
-        moved, earliest = (later, found.t0 + 1) if later else ([found.t0], keyframes[0])
-        step = frames(found.rules.shift_s)
+        later = [frame for name, frame in stated.items() if name != resolved.described]
+        keyframes = sorted(resolved.annotations.keyframes) or [resolved.t0]
+        moved, earliest = (later, resolved.t0 + 1) if later else ([resolved.t0], keyframes[0])
+        step = frames(resolved.rules.shift_s)
         for by in (-step, step):
             variant = f"{by / FPS:+g} s"
             if min(moved) + by < max(earliest, keyframes[0]) or max(moved) + by > keyframes[-1]:
                 yield Proof("time.shift", variant, False, "outside")
             else:
-                yield self._prove("time.shift", variant, partial(_moved, found, by))
-        begin = found.t0 + frames(found.rules.min_wait_s) if later else keyframes[0]
+                yield self._prove("time.shift", variant, partial(_moved, resolved, by))
+        begin = resolved.t0 + frames(resolved.rules.min_wait_s) if later else keyframes[0]
         moves = [frame - min(moved) for frame in keyframes if frame >= begin]
-        answers = [self._prove("time.drop", "", partial(_moved, found, by)).answer for by in moves]
-        known = [text for text in answers if text is not None]
+        proofs = [self._prove("time.drop", "", partial(_moved, resolved, by)) for by in moves]
+        known = [(proof.outcome, proof.answer) for proof in proofs if proof.outcome in ("same", "different")]
         outcome = "different" if len(set(known)) > 1 else "same" if len(known) > 1 else "empty"
         yield Proof("time.drop", "all keyframes", outcome in _PROVING, outcome)
 
     def views(self) -> Iterator[Proof]:
-        """Whether the forward view shows every decisive box, and any one view every needed box."""
-        share, needed = self.found.rules.visible_share, self.own.needed
+        """Yield two proofs: whether the forward view shows all decisive boxes, and a single view all needed boxes."""
+        share, needed = self.resolved.rules.visible_share, self.result.needed
         ahead = all(_shows(box, share)[int(crop_left(_AHEAD_DEG))] for box in needed if box.decisive)
-        yield Proof("view.ahead", "180", not ahead, "same" if ahead else "empty", self.own.answer if ahead else None)
+        yield Proof("view.ahead", "180", not ahead, "same" if ahead else "empty", self.result.answer if ahead else None)
         single = bool(np.logical_and.reduce([_shows(box, share) for box in needed]).any())
-        outcome, answer = ("same", self.own.answer) if single else ("empty", None)
+        outcome, answer = ("same", self.result.answer) if single else ("empty", None)
         yield Proof("view.single", "any angle", not single, outcome, answer)
 
     def _prove(self, kind: str, variant: str, perturb: Callable[[], ResolvedPlan]) -> Proof:
-        """Return the proof by the plan that `perturb` makes; its answer, where it is a choice, is stored too."""
+        """Return the proof by the plan that `perturb` makes, with its answer if that is a choice.
+
+        For actions there is an answer only if the outcome is "same", because a person performs several actions.
+        """
         outcome, answer = "unknown", None
         try:
             perturbed = perturb()
             if perturbed.plan.answer.read == "start_view":
                 outcome = self._compare_starts(perturbed)
+            elif perturbed.plan.answer.read == "action":
+                outcome = compare_action(perturbed, self.result.answer or "")
+                answer = self.result.answer if outcome == "same" else None
             else:
                 answer = reading_of(perturbed).answer
-                outcome = "same" if answer == self.own.answer else "different"
+                outcome = "same" if answer == self.result.answer else "different"
         except Undefined as reason:
             outcome = reason.outcome
         return Proof(kind, variant, outcome in _PROVING, outcome, answer)
 
     def _compare_starts(self, perturbed: ResolvedPlan) -> str:
-        """Where no start is certain, the outcome is unknown only if a start could be near enough to score."""
-        stored = decode_answer("frame_viewpoint", self.own.answer or "")
+        """Compare two starts. Without a certain start, the outcome is unknown only if a start could score."""
+        stored = decode_answer("frame_viewpoint", self.result.answer or "")
         try:
             again = decode_answer("frame_viewpoint", reading_of(perturbed).answer)
         except Undefined:
@@ -139,47 +162,48 @@ class _Perturbed:
 # -- perturbed plans ------------------------------------------------------------------------------------------------
 
 
-def _stopped(found: ResolvedPlan, node: str) -> ResolvedPlan:
-    """The plan read at another of its people."""
-    plan = found.plan
+def _stopped(resolved: ResolvedPlan, node: str) -> ResolvedPlan:
+    """Return the plan with another person of it as target."""
+    plan = resolved.plan
     times = {name: changed(time, of=node) if time.of == plan.target else time for name, time in plan.times.items()}
-    return replace(found, plan=changed(plan, target=node, times=times, answer=changed(plan.answer, of=node)))
+    return replace(resolved, plan=changed(plan, target=node, times=times, answer=changed(plan.answer, of=node)))
 
 
-def _skipped(found: ResolvedPlan, skipped: Edge) -> ResolvedPlan:
-    """The plan without a hop: the hops after it go out from where it began, and its person is nobody of the plan."""
-    plan = found.plan
+def _skipped(resolved: ResolvedPlan, skipped: Edge) -> ResolvedPlan:
+    """Return the plan without a hop and without its target. The next hops begin at the source of the hop."""
+    plan = resolved.plan
     edges = [edge for edge in plan.edges if edge is not skipped]
     if skipped.target == plan.target:
-        people = {node: track for node, track in found.people.items() if node != plan.target}
-        found = replace(found, people=people)
-        people[plan.target] = join(found, [edge for edge in edges if edge.target == plan.target])
-        return found
+        people = {node: track for node, track in resolved.people.items() if node != plan.target}
+        resolved = replace(resolved, people=people)
+        people[plan.target] = join(resolved, [edge for edge in edges if edge.target == plan.target])
+        return resolved
     edges = [changed(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges]
     nodes = tuple(node for node in plan.nodes if node.id != skipped.target)
-    return find_people(found.annotations, changed(plan, nodes=nodes, edges=tuple(edges)), found.template, found.rules)
+    plan = changed(plan, nodes=nodes, edges=tuple(edges))
+    return find_people(resolved.annotations, plan, resolved.template, resolved.rules)
 
 
-def _moved(found: ResolvedPlan, by: int) -> ResolvedPlan:
-    """The plan with its later times moved, or without such times the whole plan. Nothing is known between keyframes."""
-    whole = len(found.stated) == 1
-    stated = {name: at + by if whole or name != found.described else at for name, at in found.stated.items()}
-    if not found.annotations.keyframes.issuperset(stated.values()):
-        raise Undefined("unknown", "a time is no keyframe")
+def _moved(resolved: ResolvedPlan, by: int) -> ResolvedPlan:
+    """Return the plan with later times, or without such times the whole plan, moved to another keyframe."""
+    whole = len(resolved.stated) == 1
+    stated = {name: at + by if whole or name != resolved.described else at for name, at in resolved.stated.items()}
+    if not resolved.annotations.keyframes.issuperset(stated.values()):
+        raise Undefined("unknown", "a time is not a keyframe")
     if not whole:
-        return replace(found, stated=stated)
+        return replace(resolved, stated=stated)
     times = {name: Time(frame=frame) for name, frame in stated.items()}
-    return find_people(found.annotations, changed(found.plan, times=times), found.template, found.rules)
+    return find_people(resolved.annotations, changed(resolved.plan, times=times), resolved.template, resolved.rules)
 
 
-# -- what a perturbed plan could read, and what a view shows --------------------------------------------------------
+# -- possible starts, and boxes in a view -----------------------------------------------------------------------------
 
 
 def _could_start(perturbed: ResolvedPlan, stored: FrameViewpoint) -> bool:
-    """Whether the person could start the action within a second of the stored start, in nearly the same direction: the
-    action is not false there, and not certainly true one keyframe earlier.
+    """Return whether the person could start the action near the stored start in time and in direction.
 
-    Where labels come once per second, a start lies up to half a second before the label that shows it.
+    A start is possible in a frame if the action is not false in it and not certain one second earlier. If labels come
+    once per second, a start is up to half a second before its first label.
     """
     annotations, track = perturbed.annotations, perturbed.target
     action = perturbed.plan.times[perturbed.plan.answer.times[0]].action or ""
@@ -195,8 +219,8 @@ def _could_start(perturbed: ResolvedPlan, stored: FrameViewpoint) -> bool:
 
 
 def _shows(box: NeededBox, share: float) -> Bools:
-    """Per column of the panorama: whether the crop that begins there shows at least this share of a box's width."""
+    """Return, for each column of the panorama, whether the crop from it shows at least this share of a box's width."""
     begin = (box.x - np.arange(WIDTH)) % WIDTH
-    # The box may begin in the crop, or before it and reach into it across the crop's left edge.
+    # Because the box may begin in the crop, or before the crop and reach across its left edge.
     seen = np.clip(CROP - begin, 0, box.w) + np.clip(begin - WIDTH + box.w, 0, CROP)
     return np.asarray(seen >= share * box.w - SLACK)

@@ -1,6 +1,6 @@
-"""Attributes, groups, interactions, handled objects, and places: sector, distance, and where others are from a person.
+"""Attributes, groups, interactions, handled things, and positions relative to the robot and to people.
 
-Left of a person, and from the robot's view, is counter-clockwise seen from above; panorama angles grow clockwise.
+Left, of a person and in the robot's view, is counter-clockwise as seen from above. Panorama angles grow clockwise.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES
 
 _Labels = dict[int, bool]
-"""Frames at which a fact is labelled, and whether the label is certain."""
+"""Labelled frames of a fact, and whether each label is certain."""
 
-_WORDS: Final = {"gender": GENDERS, "age": AGES}
+_VOCABULARY: Final = {"gender": GENDERS, "age": AGES}
 
 
 class SocialFacts(ActionFacts):
-    """The social, group and reasoning labels of one sequence, in addition to its actions."""
+    """Actions of one sequence with the social, group and reasoning labels."""
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
-        self._chosen = _chosen(tables["demographics"])
-        self._faces = _faces(tables["poses"])
+        self._agreed = _agreed_values(tables["demographics"])
+        self._faces = _visible_faces(tables["poses"])
         self._listed: dict[str, set[tuple[int, int]]] = {
             layer: set(rows(tables["listed"].filter(pc.field("layer") == layer), "frame", "track"))
             for layer in ("interactions", "handles")
@@ -52,15 +52,15 @@ class SocialFacts(ActionFacts):
         self._together: dict[tuple[int, int, str], _Labels] = defaultdict(dict)
         columns = ("frame", "track", "partner", "label", "difficulty")
         for frame, track, partner, label, difficulty in rows(tables["interactions"], *columns):
-            # A label of one of two people holds for both; a partner without a box in the frame gives no fact.
-            there = self._people.get(frame, ())
-            if track in there and partner in there:
+            # A label of one of two people holds for both. A partner without a box in the frame gives no fact.
+            present = self._people.get(frame, ())
+            if track in present and partner in present:
                 pair = min(track, partner), max(track, partner)
                 _add_label(self._together[*pair, label], frame, difficulty)
-                for other in also_said(label):
-                    _add_label(self._together[*pair, other], frame, None)
+                for wider in also_said(label):
+                    _add_label(self._together[*pair, wider], frame, None)
             else:
-                # With somebody unseen, so that nothing is known of whom else it could be said.
+                # Because labels with a missing person may leave further labels out, the list is not complete.
                 self._listed["interactions"] -= {(frame, track), (frame, partner)}
         names = dict(rows(tables["categories"], "category_id", "category"))
         self._handled: dict[tuple[int, str], dict[tuple[int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
@@ -68,8 +68,8 @@ class SocialFacts(ActionFacts):
         for frame, track, thing, category, verb, difficulty in things:
             if track in self._people.get(frame, ()) and names.get(category) not in PERSON_CATEGORIES:
                 _add_label(self._handled[track, verb][category, thing], frame, difficulty)
-                for other in also_said(verb):
-                    _add_label(self._handled[track, other][category, thing], frame, None)
+                for wider in also_said(verb):
+                    _add_label(self._handled[track, wider][category, thing], frame, None)
         self._categories = {number: name for number, name in names.items() if name in OBJECTS}
         numbers = sorted(self.layers.get("2d", []))
         self._unread = self._find_unread(numbers) if numbers else frozenset()
@@ -77,19 +77,19 @@ class SocialFacts(ActionFacts):
         self._steps = {layer: step_of(sorted(self.layers.get(layer, []))) for layer in layers}
 
     def _find_unread(self, numbers: list[int]) -> frozenset[int]:
-        """Frames that the 2D layer, of these frames, should know and does not, up to a second beyond its ends.
+        """Return the frames that the 2D layer lacks, up to one second before its first and after its last frame.
 
-        Beyond them it should know what lies within the frames of any box and of the layer of groups.
+        Frames before the first or after the last frame of all boxes and of the layer of groups do not count.
         """
-        others = set(self._people).union(numbers, self.layers.get("groups", ()))
-        first, last = min(others), max(others)
+        labelled = set(self._people).union(numbers, self.layers.get("groups", ()))
+        first, last = min(labelled), max(labelled)
         near = range(numbers[0] - KEYFRAME_STEP, numbers[-1] + KEYFRAME_STEP + 1, step_of(numbers))
-        return frozenset(one for one in near if first <= one <= last and not self.knows(one))
+        return frozenset(frame for frame in near if first <= frame <= last and not self.knows(frame))
 
-    def _when(self, labels: _Labels, frame: int, layer: str) -> bool | None:
-        """Whether a fact is labelled with certainty at a frame; a closed gap is not certain, None means not labelled.
+    def _certainty(self, labels: _Labels, frame: int, layer: str) -> bool | None:
+        """Return whether a fact is certain at a frame, or None if it has no label. A closed gap is not certain.
 
-        Of a layer with one frame per second, a fact labelled in two consecutive frames holds between them.
+        If a layer has one frame per second, a fact with equal labels in two consecutive frames holds between them.
         """
         if frame in labels:
             return labels[frame]
@@ -100,21 +100,21 @@ class SocialFacts(ActionFacts):
                 return labels[before]
         return None
 
-    def tells(self, track: int, frame: int, layer: str) -> bool:
-        """Whether the whole list of a person could be read, so that what it lacks is false."""
+    def is_complete(self, track: int, frame: int, layer: str) -> bool:
+        """Return whether the whole list of a person was read, so that a fact without a label is false."""
         return (frame, track) in self._listed[layer]
 
-    # -- what a person is ---------------------------------------------------------------------------------------
+    # -- attributes ---------------------------------------------------------------------------------------------
 
-    def attribute(self, track: int, name: str, wanted: str) -> int:
-        """Gender or age: what all frames that tell it say."""
-        value = self._chosen.get((track, name))
-        if value not in _WORDS[name] or wanted in also_said(value):
+    def attribute(self, track: int, name: str, value: str) -> int:
+        """Return whether a person's gender or age has a value, by all frames with certain labels."""
+        agreed = self._agreed.get((track, name))
+        if agreed not in _VOCABULARY[name] or value in also_said(agreed):
             return UNKNOWN
-        return int(value == wanted)
+        return int(agreed == value)
 
     def face_visible(self, track: int, frame: int) -> bool:
-        """Whether head or eyes are visible; true where the sequence has no poses."""
+        """Return whether head or eyes are visible. True if the sequence has no keypoints."""
         return not self.layers.get("pose") or self._faces.get((frame, track), False)
 
     # -- groups -------------------------------------------------------------------------------------------------
@@ -128,101 +128,102 @@ class SocialFacts(ActionFacts):
         if not certain or not self.knows(frame) or self.covered(track, frame):
             return range(0)
         least = most = 1
-        for other in self.uncovered_people(frame):
-            group, easy = self._groups.get((frame, other), (0, False))
-            if other != track and (not easy or group == cluster):
+        for person in self.uncovered_people(frame):
+            group, easy = self._groups.get((frame, person), (0, False))
+            if person != track and (not easy or group == cluster):
                 most += 1
-                least += easy and self.clear(other, frame)
+                least += easy and self.clear(person, frame)
         return range(least, most + 1)
 
     def _size_of_all(self, track: int, frame: int) -> int | None:
-        """People in the person's group, oneself included; None where a membership that matters is unknown."""
-        own = self._groups.get((frame, track))
-        if own is None or not self.knows(frame):
+        """Return the size of the person's group if all people count. None if a membership that matters is unknown."""
+        membership = self._groups.get((frame, track))
+        if membership is None or not self.knows(frame):
             return None
-        members = [self._groups.get((frame, other)) for other in self.people(frame)]
-        if None in members:
+        memberships = [self._groups.get((frame, person)) for person in self.people(frame)]
+        if None in memberships:
             return None
-        same = [member for member in members if member is not None and member[0] == own[0]]
-        return len(same) if all(certain for _, certain in same) and not self._somebody_away(own[0], frame) else None
+        same = [member for member in memberships if member is not None and member[0] == membership[0]]
+        certain = all(easy for _, easy in same) and not self._may_miss_member(membership[0], frame)
+        return len(same) if certain else None
 
-    def _somebody_away(self, cluster: int, frame: int) -> bool:
-        """Whether somebody without a box at the frame is in the group within a second of it, or could be.
+    def _may_miss_member(self, cluster: int, frame: int) -> bool:
+        """Return whether a person without a box at the frame is, or could be, in the group within one second of it.
 
-        Whose membership or whole record could not be read there could be in any group.
+        A person with an unread membership or record could be in any group.
         """
         near = range(frame - KEYFRAME_STEP, frame + KEYFRAME_STEP + 1)
         if not self._unread.isdisjoint(near):
             return True
-        there = set(self.people(frame))
+        present = set(self.people(frame))
         return any(
-            self._groups.get((one, track), (cluster,))[0] == cluster
-            for one in near
-            for track in self.people(one)
-            if track not in there
+            self._groups.get((at, track), (cluster,))[0] == cluster
+            for at in near
+            for track in self.people(at)
+            if track not in present
         )
 
-    def same_group(self, track: int, other: int, frame: int) -> int:
-        """Whether two people belong to one group."""
-        mine, theirs = self._memberships(track, frame), self._memberships(other, frame)
-        shared = mine.keys() & theirs.keys()
+    def same_group(self, track: int, partner: int, frame: int) -> int:
+        """Return whether two people belong to one group."""
+        first, second = self._memberships(track, frame), self._memberships(partner, frame)
+        shared = first.keys() & second.keys()
         if shared:
-            return TRUE if any(mine[cluster] and theirs[cluster] for cluster in shared) else UNKNOWN
-        return FALSE if mine and theirs else UNKNOWN
+            return TRUE if any(first[cluster] and second[cluster] for cluster in shared) else UNKNOWN
+        return FALSE if first and second else UNKNOWN
 
     def _memberships(self, track: int, frame: int) -> dict[int, bool]:
-        """Groups that a person is or could be in, and whether certainly."""
-        found = {}
+        """Return the groups that a person is or could be in, and whether certainly."""
+        memberships = {}
         for cluster, labels in self._clusters.get(track, {}).items():
-            certain = self._when(labels, frame, "groups")
+            certain = self._certainty(labels, frame, "groups")
             if certain is not None:
-                found[cluster] = certain
-        return found
+                memberships[cluster] = certain
+        return memberships
 
     # -- interactions and objects --------------------------------------------------------------------------------
 
-    def together(self, track: int, other: int, label: str, frame: int) -> int:
-        """Whether two people, both with a box at the frame, are in the interaction."""
-        labels = self._together.get((min(track, other), max(track, other), label))
-        certain = None if labels is None else self._when(labels, frame, "interactions")
+    def together(self, track: int, partner: int, label: str, frame: int) -> int:
+        """Return whether two people, both with a box at the frame, are in the interaction."""
+        labels = self._together.get((min(track, partner), max(track, partner), label))
+        certain = None if labels is None else self._certainty(labels, frame, "interactions")
         if certain is not None:
             return TRUE if certain else UNKNOWN
-        both = self.tells(track, frame, "interactions") and self.tells(other, frame, "interactions")
+        both = all(self.is_complete(person, frame, "interactions") for person in (track, partner))
         return FALSE if both else UNKNOWN
 
     def interacts(self, track: int, label: str, frame: int) -> int:
-        """Whether a person is in the interaction with anybody."""
+        """Return whether a person is in the interaction with any person in clear view."""
         facts = set()
-        for other in self.people(frame):
-            fact = FALSE if other == track else self.together(track, other, label, frame)
-            unseen = self.judges_views and not self.clear(other, frame)
+        for partner in self.people(frame):
+            fact = FALSE if partner == track else self.together(track, partner, label, frame)
+            unseen = self.judges_views and not self.clear(partner, frame)
             facts.add(UNKNOWN if fact == TRUE and unseen else fact)
         return TRUE if TRUE in facts else UNKNOWN if UNKNOWN in facts else FALSE
 
     def handles(self, track: int, verb: str, category: str, frame: int) -> int:
-        """Whether a person does this with a thing of the category; a thing of unknown category could be one.
+        """Return whether a person does this with a thing of the category. A thing of unknown category could be one.
 
-        Verbs that are postures, and what is done with people, are unknown.
+        Unknown for verbs that are poses, and for things that are people.
         """
         if verb in POSES or category in PERSON_CATEGORIES:
             return UNKNOWN
         possible = False
         for (number, _), labels in self._handled.get((track, verb), {}).items():
-            of = self._categories.get(number)
-            certain = self._when(labels, frame, "handles") if of in (category, None) else None
-            if certain and of == category:
+            handled = self._categories.get(number)
+            certain = self._certainty(labels, frame, "handles") if handled in (category, None) else None
+            if certain and handled == category:
                 return TRUE
             possible |= certain is not None
-        return FALSE if not possible and self.tells(track, frame, "handles") else UNKNOWN
+        return FALSE if not possible and self.is_complete(track, frame, "handles") else UNKNOWN
 
 
 def _add_label(labels: _Labels, frame: int, difficulty: int | None) -> None:
-    """Add one label; of several for one frame the easiest counts."""
+    """Add one label. The easiest of several labels in one frame counts."""
     labels[frame] = labels.get(frame, False) or difficulty in (1, 2)
 
 
-def _chosen(table: pa.Table) -> dict[tuple[int, str], str]:
-    """(track, attribute) -> the one value of all frames where it is easy to tell."""
+def _agreed_values(table: pa.Table) -> dict[tuple[int, str], str]:
+    """Return (track, attribute) -> the value, if all frames with an easy or medium label agree."""
     votes: dict[tuple[int, str], set[str]] = defaultdict(set)
     for track, attribute, value, difficulty in distinct_rows(table, "track", "attribute", "value", "difficulty"):
         if value is not None and difficulty in (1, 2):
@@ -230,18 +231,18 @@ def _chosen(table: pa.Table) -> dict[tuple[int, str], str]:
     return {topic: min(values) for topic, values in votes.items() if len(values) == 1}
 
 
-def _faces(table: pa.Table) -> dict[tuple[int, int], bool]:
-    """(frame, track) -> whether head, right eye or left eye, the first three points, is marked visible (2)."""
+def _visible_faces(table: pa.Table) -> dict[tuple[int, int], bool]:
+    """Return (frame, track) -> whether one of the first three keypoints (head, both eyes) is marked visible (2)."""
     points = table["keypoints"].combine_chunks().flatten().to_numpy(zero_copy_only=False).reshape(-1, 51)
     seen = (points[:, [2, 5, 8]] == 2).any(axis=1).tolist()
     return {(frame, track): face for (frame, track), face in zip(rows(table, "frame", "track"), seen, strict=True)}
 
 
 AXES: Final = {"ahead": 180.0, "left": 90.0, "behind": 0.0, "right": 270.0}
-"""The panorama angle of the axis of each of the robot's sectors."""
+"""Panorama angle of the axis of each sector of the robot, in degrees."""
 
 _BEGINS_M: Final = dict(zip(DISTANCE_WORDS, (0.0, *DISTANCE_BOUNDS_M), strict=True))
-"""Metres at which each distance word begins."""
+"""Lower bound of each distance word, in metres."""
 
 _SIDES: Final = {
     "front": (-20, 20, -90, 90),
@@ -253,11 +254,11 @@ _SIDES: Final = {
     "right": (250, 290, 180, 360),
     "front right": (317, 328, 270, 360),
 }
-"""Sectors of a person, in degrees turned to the left: where each is true from and to, and where it may be."""
+"""Sectors of a person, in degrees turned to the left: bounds of true, then bounds of possible directions."""
 
 
-def _stands(sector: str, turn_deg: float) -> int:
-    """Whether somebody in this direction, degrees to the left of straight ahead, is in a sector."""
+def _in_person_sector(sector: str, turn_deg: float) -> int:
+    """Return whether a direction, in degrees to the left of straight ahead, is in a sector of a person."""
     low, high, least, most = _SIDES[sector]
     turns = [turn_deg % 360 + 360 * lap for lap in (-1, 0, 1)]
     if any(low - SLACK <= turn <= high + SLACK for turn in turns):
@@ -266,7 +267,7 @@ def _stands(sector: str, turn_deg: float) -> int:
 
 
 class _Solid(NamedTuple):
-    """A 3D box with lidar points: its centre in the robot frame, its heading in radians, its distance in metres."""
+    """3D box with lidar points: centre in the robot frame (metres), heading (radians), distance (metres)."""
 
     x: float
     y: float
@@ -276,7 +277,7 @@ class _Solid(NamedTuple):
 
 
 class RelationFacts(SocialFacts):
-    """The places of the people of one sequence, from 2D and 3D boxes."""
+    """Labels of one sequence with the positions of its people from 2D and 3D boxes."""
 
     def __init__(self, tables: Mapping[str, pa.Table], rules: Rules) -> None:
         super().__init__(tables, rules)
@@ -291,7 +292,7 @@ class RelationFacts(SocialFacts):
     # -- from the robot -----------------------------------------------------------------------------------------
 
     def distance(self, track: int, frame: int) -> float | None:
-        """Metres from the robot where the person has a 2D box, and a 3D box with lidar points."""
+        """Return the metres from the robot, or None without a 2D box, or a 3D box with lidar points."""
         solid = self._solid(track, frame)
         return None if solid is None else solid.distance
 
@@ -299,18 +300,18 @@ class RelationFacts(SocialFacts):
         return self._solids.get((frame, track)) if self.box(track, frame) is not None else None
 
     def in_sector(self, track: int, word: str, frame: int) -> int:
-        """Whether the person, who has a box at the frame, stands in this direction from the robot."""
+        """Return whether a person with a box at the frame is in this sector of the robot."""
         load, off = self.rules.load, abs((self.angle(track, frame) - AXES[word] + 180) % 360 - 180)
         if off <= load.sector_true_deg + SLACK:
             return TRUE
         return UNKNOWN if off <= load.sector_false_deg + SLACK else FALSE
 
     def distance_words(self, track: int, frame: int) -> list[str]:
-        """The distance words that could be right of the person: two near a bound, all where nothing is known."""
+        """Return the distance words that could be true: two near a bound, and all if the distance is unknown."""
         metres = self.distance(track, frame)
-        return list(DISTANCE_WORDS) if metres is None else self._words(metres)
+        return list(DISTANCE_WORDS) if metres is None else self._distance_words(metres)
 
-    def _words(self, metres: float) -> list[str]:
+    def _distance_words(self, metres: float) -> list[str]:
         margin = self.rules.load.distance_margin
         lows = (-math.inf, *(bound * (1 - margin) - SLACK for bound in DISTANCE_BOUNDS_M))
         highs = (*(bound * (1 + margin) + SLACK for bound in DISTANCE_BOUNDS_M), math.inf)
@@ -318,54 +319,53 @@ class RelationFacts(SocialFacts):
 
     # -- from a person, in space --------------------------------------------------------------------------------
 
-    def seen_from(self, track: int, other: int, sector: str, word: str, frame: int) -> int:
-        """Whether another person is in this sector of a person's, at the distance of this word."""
-        here, there = self._solid(track, frame), self._solid(other, frame)
-        if here is None or there is None:
+    def seen_from(self, track: int, partner: int, sector: str, word: str, frame: int) -> int:
+        """Return whether another person is in a person's sector, at the distance of a word."""
+        source, target = self._solid(track, frame), self._solid(partner, frame)
+        if source is None or target is None:
             return UNKNOWN
         load = self.rules.load
-        ahead, left, up = there.x - here.x, there.y - here.y, there.z - here.z
+        ahead, left, up = target.x - source.x, target.y - source.y, target.z - source.z
         metres = math.sqrt(ahead**2 + left**2 + up**2)
         if metres > load.pair_max_m + load.pair_margin_m + SLACK:
             return FALSE
-        words = [word for word in self._words(metres) if _BEGINS_M[word] < load.pair_max_m]
-        towards = _stands(sector, math.degrees(math.atan2(left, ahead) - here.heading))
-        if word not in words or towards == FALSE:
+        possible = [word for word in self._distance_words(metres) if _BEGINS_M[word] < load.pair_max_m]
+        towards = _in_person_sector(sector, math.degrees(math.atan2(left, ahead) - source.heading))
+        if word not in possible or towards == FALSE:
             return FALSE
         level = abs(up) <= load.pair_vertical_m
         near = metres < load.pair_max_m - load.pair_margin_m - SLACK
-        return TRUE if len(words) == 1 and towards == TRUE and level and near else UNKNOWN
+        return TRUE if len(possible) == 1 and towards == TRUE and level and near else UNKNOWN
 
-    # -- from a person, as the robot sees it --------------------------------------------------------------------
+    # -- from a person, in the robot's view -----------------------------------------------------------------------
 
-    def turn(self, track: int, other: int, frame: int, left: bool) -> float:
-        """Degrees, [0, 360), from one person to another, turning to the left or to the right."""
-        apart = (self.angle(other, frame) - self.angle(track, frame)) % 360.0 % 360.0
+    def turn(self, track: int, partner: int, frame: int, left: bool) -> float:
+        """Return the degrees, [0, 360), from one person to another, turning to the left or to the right."""
+        apart = (self.angle(partner, frame) - self.angle(track, frame)) % 360.0 % 360.0
         return (360.0 - apart if apart > 0 else 0.0) if left else apart
 
-    def first_beside(self, track: int, other: int, frame: int, left: bool) -> int:
-        """Whether another person is the first met when turning from a person to one side."""
+    def first_beside(self, track: int, partner: int, frame: int, left: bool) -> int:
+        """Return whether another person is the first one met when turning from a person to one side."""
         key = (track, frame, int(left))
         if key not in self._firsts:
-            self._firsts[key] = self._meet(track, frame, left)
-        return self._firsts[key].get(other, FALSE)
+            self._firsts[key] = self._find_first(track, frame, left)
+        return self._firsts[key].get(partner, FALSE)
 
-    def _meet(self, track: int, frame: int, left: bool) -> dict[int, int]:
-        """Everybody who is or could be the first met: one person for certain, or several perhaps."""
+    def _find_first(self, track: int, frame: int, left: bool) -> dict[int, int]:
+        """Return all people who are or could be the first one met: one for certain, or several possible ones."""
         margin, reach = self.rules.load.neighbor_margin_deg, self.rules.load.neighbor_max_deg
-        turns = {
-            other: self.turn(track, other, frame, left) for other in self.uncovered_people(frame) if other != track
-        }
-        settling = [other for other, turn in turns.items() if margin <= turn <= reach and self.clear(other, frame)]
+        people = [person for person in self.uncovered_people(frame) if person != track]
+        turns = {person: self.turn(track, person, frame, left) for person in people}
+        settling = [person for person, turn in turns.items() if margin <= turn <= reach and self.clear(person, frame)]
         if not settling:
-            return {other: UNKNOWN for other, turn in turns.items() if turn <= reach}
-        nearest = min(turns[other] for other in settling)
-        met = [other for other, turn in turns.items() if turn < nearest + margin]
+            return {person: UNKNOWN for person, turn in turns.items() if turn <= reach}
+        nearest = min(turns[person] for person in settling)
+        met = [person for person, turn in turns.items() if turn < nearest + margin]
         return dict.fromkeys(met, TRUE if len(met) == 1 else UNKNOWN)
 
-    def within(self, track: int, other: int, degrees: int, frame: int, left: bool) -> int:
-        """Whether another person is at most so far to one side of a person."""
-        margin, turn = self.rules.load.neighbor_margin_deg, self.turn(track, other, frame, left)
+    def within(self, track: int, partner: int, degrees: int, frame: int, left: bool) -> int:
+        """Return whether another person is at most some degrees to one side of a person."""
+        margin, turn = self.rules.load.neighbor_margin_deg, self.turn(track, partner, frame, left)
         if min(turn, 360.0 - turn) <= margin or abs(turn - degrees) <= margin:
             return UNKNOWN
         return int(turn < degrees)

@@ -21,16 +21,21 @@ FALSE, TRUE, UNKNOWN = 0, 1, 2
 """Values of a fact."""
 
 SLACK: Final = 1e-9
-"""Tolerance at edges, so that decimals such as 0.55 lie on the edge they name."""
+"""Tolerance at bounds, so that a decimal such as 0.55 counts as equal to the bound that it names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the second program finds.
+    """Result of the second program for a plan.
 
-    `answer` is a choice's text or another answer's stored JSON, None unless the outcome is "defined". `people` are the
-    tracks of the plan's nodes, `times` the frames of its times (for an event the frame that a question means), `faults`
-    the rules of the template that do not hold.
+    Attributes:
+        outcome: Kind of the outcome.
+        answer: An action or a fixed answer for a question with choices, else the stored JSON. None if not defined.
+        target: Track of the target.
+        people: Names of the plan's nodes with their tracks.
+        times: Names of the plan's times with their frames. The frame of an event is the frame that the question means.
+        needed: Boxes that must be seen.
+        faults: Rules that the question breaks.
     """
 
     outcome: OutcomeKind
@@ -42,8 +47,8 @@ class Outcome:
     faults: tuple[str, ...] = ()
 
 
-class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer is one of these outcomes
-    """Raised where a plan has no answer."""
+class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer has one of these outcomes
+    """Signal that a plan has no answer."""
 
     def __init__(self, outcome: OutcomeKind, reason: str) -> None:
         super().__init__(reason)
@@ -52,45 +57,45 @@ class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer is o
 
 @functools.cache
 def also_said(label: str) -> tuple[str, ...]:
-    """Labels whose words may also be said of somebody with this one: unknown of that person, not false."""
-    return tuple(other for own, other in ALSO if own == label)
+    """Return the labels with words that fit a person with `label`, too. They are unknown of that person, not false."""
+    return tuple(wider for narrow, wider in ALSO if narrow == label)
 
 
 def rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Rows of a table as tuples of the columns named."""
+    """Yield the rows of a table as tuples of the named columns."""
     return zip(*(_values(table[name]) for name in names), strict=True)
 
 
 def _values(column: pa.ChunkedArray) -> list[Any]:
-    """The values of a column. Equal texts are one object: there are millions of few different ones."""
+    """Return the values of a column. Equal texts share one object, because there are few distinct texts."""
     if column.null_count:
         return column.to_pylist()  # type: ignore[no-any-return]
     if pa.types.is_string(column.type):
         coded = column.combine_chunks().dictionary_encode()
         return [*map(coded.dictionary.to_pylist().__getitem__, coded.indices.to_numpy().tolist())]
-    # Much faster than by way of Arrow's own scalars.
+    # Because NumPy's conversion is much faster than that of Arrow's scalars.
     return column.to_numpy().tolist()  # type: ignore[no-any-return]
 
 
 def distinct_rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Distinct rows of the columns named, in any order."""
+    """Yield the distinct rows of the named columns, in any order."""
     return rows(table.group_by(list(names)).aggregate([]), *names)
 
 
 def step_of(numbers: list[int]) -> int:
-    """Frames between annotated frames: 15 where all lie whole seconds apart, else 1."""
+    """Return the number of frames between annotated frames: 15 if all are whole seconds apart, else 1."""
     apart = math.gcd(*(b - a for a, b in itertools.pairwise(numbers)))
     return KEYFRAME_STEP if apart % KEYFRAME_STEP == 0 else 1
 
 
-def in_closed_gap(named: Callable[[int], bool], frame: int, longest: int) -> bool:
-    """Whether a frame at which a fact is not named lies between two at which it is, at most `longest` apart."""
-    before = next((back for back in range(1, longest + 1) if named(frame - back)), None)
-    return before is not None and any(named(frame + on) for on in range(1, longest + 2 - before))
+def in_closed_gap(has_label: Callable[[int], bool], frame: int, longest: int) -> bool:
+    """Return whether a frame without a label is between two frames with it that enclose at most `longest` frames."""
+    before = next((back for back in range(1, longest + 1) if has_label(frame - back)), None)
+    return before is not None and any(has_label(frame + on) for on in range(1, longest + 2 - before))
 
 
-def among(wanted: object, possible: Sequence[object]) -> int:
-    """Whether the wanted word is right, where one of the possible words is."""
-    if wanted not in possible:
+def among(value: object, possible: Sequence[object]) -> int:
+    """Return whether a value is the true one of some possible values: unknown if it is one of several."""
+    if value not in possible:
         return FALSE
     return TRUE if len(possible) == 1 else UNKNOWN

@@ -18,7 +18,6 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
 from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
@@ -27,8 +26,8 @@ from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice, Number
+from jrdb_avr.schema.choice_labels import CHOICE_COUNT
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
-from jrdb_avr.schema.labels import answer_of_choice, overlapping
 from jrdb_avr.schema.panorama import Box, angle_error
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY, QuestionRecord
@@ -332,9 +331,6 @@ class _QuestionCheck:
         self.check("rules", record.rules == rules_hash(self.rules), f"generated under the rules {record.rules}")
         complete = count == len(set(record.choices)) == (CHOICE_COUNT if MODES[mode].is_choice else 0)
         self.check("choices", complete, f"choices {list(record.choices)} for an answer of mode {mode}")
-        labels = set(map(answer_of_choice, record.choices))
-        both = sorted(label for label in labels if overlapping(label) & labels)
-        self.check("choices", not both, f"{both} may be true at the same time")
         answer = decode_answer(mode, record.answer)
         inside = _is_inside(answer, count, self.info["frame_count"])
         self.check("answers", inside, f"{record.answer} is outside the sequence or the choices")
@@ -348,7 +344,7 @@ class _QuestionCheck:
         self.check("plans", family == record.family, f"template {record.template!r} belongs to the family {family!r}")
         self._check_text(plan)
         self._check_proofs(plan, answer)
-        outcome = rederive(self.annotations, plan, record.template, self.rules)
+        outcome = rederive(self.annotations, plan, record.template, self.rules, record.choices)
         again = self._compute_columns(plan, outcome)
         faults = [f"{record.question_id}: {fault}" for fault in outcome.faults]
         self.report.add("rederive", len(again), [*faults, *compare_record(record, again)])

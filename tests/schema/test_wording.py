@@ -232,6 +232,18 @@ def test_a_question_says_once_that_only_people_in_clear_view_count(case, key, ab
                 parse(broken)
 
 
+@settings(max_examples=examples(40), deadline=None)
+@given(plans(), KEYS, st.booleans())
+def test_questions_with_actions_as_choices_say_that_one_is_true(case, key, in_view):
+    form, plan = case
+    text = render(template_of(form), plan, key, in_view=in_view)
+    asked = TEMPLATES[form].pose_answer
+    assert asked == (form in {"change", "two_hop", "three_hop", "fork_join", "later_action", "consequence"})
+    words = r"hich of these is (C|D|that person|this person) doing|hich of these does (that|the) person do (next|first)"
+    assert (text.count(" Only one is true."), bool(re.search(words, text))) == (asked, asked)
+    assert "movement" not in text
+
+
 def every_text(form):
     """{plan: text} of a form, each place of its text varied alone over all that may stand there, per paraphrase."""
     relations = {"gap_count": (COUNTS,), "fork_join": (HOPS, HOPS, JOINS, JOINS)}.get(
@@ -340,10 +352,13 @@ def test_an_altered_question_is_refused_or_says_something_else(case, key, data):
     assert altered == text or (found, canonical(back)) != (template_of(form), canonical(plan))
 
 
-QUESTION = "Find the only person who is walking at {}. What is that person's posture or movement at 15.0 s (frame 225)?"
+QUESTION = (
+    "Find the only person who is walking at {}. Which of these is that person doing at 15.0 s (frame 225)? Only one is "
+    "true."
+)
 HOPPED = (
     "In the scene at 10.0 s (frame 150), A is the only {}. {} is having a conversation with exactly one person, "
-    "B. B and C are the only two members of their group in the picture. What is C's posture or movement?"
+    "B. B and C are the only two members of their group in the picture. Which of these is C doing? Only one is true."
 )
 
 
@@ -408,8 +423,8 @@ READ = {
         "Find the only person who is sitting at 10.0 s (frame 150); call that person A. At that moment, A is hugging "
         "exactly one person, B. A and C are the only two members of their group in the picture. Leaving A, B and C "
         "aside, D is the only person who is within 45 degrees to the left of B as seen from the robot and who is "
-        "also at a moderate distance from C (1.5 to 5 m) and behind C (from C's own point of view). What is D's "
-        "posture or movement then? For left and right, go by the middle of each person."
+        "also at a moderate distance from C (1.5 to 5 m) and behind C (from C's own point of view). Which of these is "
+        "D doing then? Only one is true. For left and right, go by the middle of each person."
     ),
     ("action_search", 1, (FIRST_RIGHT, "sitting together")): (
         "In the scene at 10.0 s (frame 150), A is the only person who is sitting. B is the first person to the right "
@@ -437,7 +452,7 @@ def test_questions_read_so(case):
 def test_a_long_text_is_refused_soon():
     for text in ("Find the only person" + " at " * 900, "Find " + "the only person at 1.0 s (frame 15)" * 110):
         with pytest.raises(PlanError):
-            parse(text + ". What is that person's posture or movement at 15.0 s (frame 225)?")
+            parse(text + ". Which of these is that person doing at 15.0 s (frame 225)? Only one is true.")
     many = in_order([Condition(action=action, at="t0") for action in ACTIONS] * 10)
     with pytest.raises(PlanError, match=r"too many|length <= 8"):
         render("change", make_plan("change", many, [0, 225]), "0" * 64)

@@ -12,6 +12,7 @@ import json
 import math
 from functools import cache, cached_property
 
+from oracle_choices import MAYBE, NO, YES, doing, shown_actions, true_choices, wrong_sets
 from oracle_facts import JUDGED, LABELED, Oracle, distance_words, off_axis
 from oracle_files import ACTIONS, AGES, OTHERS, POSES, TOGETHER, VERBS, read_root
 
@@ -30,8 +31,7 @@ WINDOWS = {
 }
 RELATIONS = (*TOGETHER, GROUP, *FIRST, *PLACES)
 KINDS = ("gender", "age", "pose", "action", "object", "interaction", "group_size", "sector", "distance")
-YES, NO, MAYBE = "true", "false", "unknown"
-EMPTY, SEVERAL = "empty", "several"
+EMPTY, SEVERAL, OTHER = "empty", "several", "something else"
 
 
 def text(value):
@@ -312,6 +312,7 @@ class People(Oracle):
 
 WAIT = SHIFT = 45
 LONG = 150
+CHOICE = {"mode": "multiple_choice", "read": "action"}
 
 
 class Asked(People):
@@ -341,15 +342,29 @@ class Asked(People):
         plan["nodes"][0]["conditions"] = self.plain(conditions, next(iter(times)))
         return text(plan)
 
-    @staticmethod
-    def stated(conditions, labels=()):
-        """The poses that a question's words name."""
-        named = [condition_poses(condition) for condition in conditions] + [poses_in(label) for label in labels]
-        return set().union(*named)
+    @cached_property
+    def shown_actions(self):
+        return shown_actions(self)
 
-    def pose_at(self, frame, track):
-        """The pose read of a person, EMPTY of somebody absent, None where it is unknown."""
-        return EMPTY if self.seen(frame, track) is False else self.pose(frame, track)
+    def has_choices(self, frame, track, answer, conditions, labels=(), among=ACTIONS):
+        """Whether there are three wrong choices for an action, which the words of the question do not give away."""
+        words = {value[1] if kind == "object" else value for kind, value in conditions} | {*labels}
+        return bool(wrong_sets(self, frame, track, answer, words, among))
+
+    def action_at(self, frame, track, answer):
+        """The answer if a person certainly does it, OTHER if certainly not, EMPTY if absent, None where unknown."""
+        if self.seen(frame, track) is False:
+            return EMPTY
+        return {YES: answer, NO: OTHER, MAYBE: None}[doing(self, frame, track, answer)]
+
+    def new_actions(self, t0, t1, track):
+        """What somebody begins to do between two times, as far as it may be the answer."""
+        return [one for one in true_choices(self, t1, track) if doing(self, t0, track, one) == NO]
+
+    def descriptions(self, track, t0):
+        """The description of a person and the one without a posture."""
+        found = [self.anchored(track, t0, poseless) for poseless in (False, True)]
+        return {conditions for conditions in found if conditions is not None}
 
     def quiet(self, track, action, t0, first):
         """Whether an action is false from t0 until just before a frame."""
@@ -400,23 +415,16 @@ class Alone(Asked):
 
     def change(self, track, t0):
         found = set()
-        before = self.pose(t0, track)
-        if not {"2d", "actions"} <= self.layers or before is None:
-            return found
-        if (conditions := self.anchored(track, t0, poseless=True)) is None:
-            return found
-
-        for t1 in self.later(t0):
-            after = self.pose(t1, track)
-            if after in (None, before) or not self.clear(t1, track) or not self.shown(t1) or self.ahead(t1, track):
-                continue
-            if after in self.stated(conditions):
-                continue
-            if self.needs_time(t0, (t1,), after, lambda times: self.pose_at(times[0], track)):
-                plan = self.plan(
-                    conditions, {"t0": t0, "t1": t1}, {"mode": "multiple_choice", "read": "action", "at": "t1"}
-                )
-                found.add(("change", track, plan, after))
+        for conditions in self.descriptions(track, t0) if {"2d", "actions"} <= self.layers else ():
+            for t1 in self.later(t0):
+                if not self.clear(t1, track) or not self.shown(t1) or self.ahead(t1, track):
+                    continue
+                for after in self.new_actions(t0, t1, track):
+                    if not self.has_choices(t1, track, after, conditions):
+                        continue
+                    if self.needs_time(t0, (t1,), after, lambda times, a=after: self.action_at(times[0], track, a)):
+                        plan = self.plan(conditions, {"t0": t0, "t1": t1}, {**CHOICE, "at": "t1"})
+                        found.add(("change", track, plan, after))
         return found
 
     def presence(self, track, t0):
@@ -475,34 +483,37 @@ class Alone(Asked):
                 found.add(("distance", track, self.plan(conditions, {"t0": t0, "t1": t1}, how), answer))
         return found
 
+    def next_pose(self, frame, track):
+        """The first keyframe, or the second after the last one, at which somebody no longer has the pose of a frame."""
+        held = self.pose(frame, track)
+        while frame in self.keyframes and self.pose(frame, track) == held:
+            frame += 15
+        return frame
+
     def consequence(self, track, t0):
         """The pose of t0 holds at every keyframe for ten seconds; the next keyframe lies in a stable one of another."""
         found = set()
-        held = self.pose(t0, track)
-        if not {"2d", "actions"} <= self.layers or held is None:
+        if not {"2d", "actions"} <= self.layers or self.pose(t0, track) is None:
             return found
-        if (conditions := self.anchored(track, t0, poseless=True)) is None:
-            return found
-        last = t0
-        while last + 15 in self.keyframes and self.pose(last + 15, track) == held:
-            last += 15
+        last = self.next_pose(t0, track) - 15
         for row in self.segments:
             first, after = row["first"], row["action"]
             if row["track"] != track or not last < first <= last + 15 or last < t0 + LONG:
                 continue
             if last + 15 not in self.keyframes or self.pose(last + 15, track) != after:
                 continue
-            if after in self.stated(conditions) or not self.shown(first) or self.ahead(first, track):
+            if not self.shown(first) or self.ahead(first, track):
                 continue
-            times = {"t0": t0, "t1": {"event": "end", "of": "a", "after": "t0"}}
-            how = {"mode": "multiple_choice", "read": "next_action", "at": "t1"}
-            found.add(("consequence", track, self.plan(conditions, times, how), after))
+            for conditions in self.descriptions(track, t0):
+                if self.has_choices(last + 15, track, after, conditions, among=POSES):
+                    times = {"t0": t0, "t1": {"event": "end", "of": "a", "after": "t0"}}
+                    how = {"mode": "multiple_choice", "read": "next_action", "at": "t1"}
+                    found.add(("consequence", track, self.plan(conditions, times, how), after))
         return found
 
 
 SEARCH = 30
 NOWHERE = (EMPTY, SEVERAL, MAYBE)
-CHOICE = {"mode": "multiple_choice", "read": "action"}
 
 
 class Chains(Asked):
@@ -536,14 +547,14 @@ class Chains(Asked):
         found = [None if end == MAYBE else end if end in NOWHERE else read(end) for end in ends]
         return not {None, answer} & set(found)
 
-    def program(self, conditions, labels, t):
-        """The pose at the end of a path from whom the conditions fit at t; None where it is unknown."""
+    def program(self, conditions, labels, t, answer):
+        """What is read at the end of a path from whom the conditions fit at t."""
         start = self.fits(conditions, t)
-        return self.pose_there(t, start if start in NOWHERE else self.walk(t, start, labels))
+        return self.action_there(t, start if start in NOWHERE else self.walk(t, start, labels), answer)
 
     def program_needs_time(self, conditions, labels, t0, answer):
         """time.shift and time.drop of the whole program."""
-        return self.program_moves(lambda t: self.program(conditions, labels, t), t0, answer)
+        return self.program_moves(lambda t: self.program(conditions, labels, t, answer), t0, answer)
 
     def program_moves(self, program, t0, answer):
         shifted = [program(t0 + by) for by in (-SHIFT, SHIFT) if t0 + by in self.keyframes]
@@ -555,7 +566,7 @@ class Chains(Asked):
     def anchors(self, track, t0):
         return self.anchored(track, t0) if {"2d", "actions"} <= self.layers else None
 
-    def poses_of_chains(self, track, t0):
+    def actions_of_chains(self, track, t0):
         """two_hop and three_hop."""
         found = set()
         if (conditions := self.anchors(track, t0)) is None:
@@ -563,16 +574,18 @@ class Chains(Asked):
         for hops, template in ((2, "two_hop"), (3, "three_hop")):
             for labels, people in self.paths(t0, (track,), hops):
                 last = people[-1]
-                answer = self.pose(t0, last)
-                if answer is None or answer in self.stated(conditions, labels) or self.ahead(t0, last):
+                if self.ahead(t0, last) or not all(self.clear(t0, person) for person in people):
                     continue
-                if not all(self.clear(t0, person) for person in people):
-                    continue
-                if not self.needs_hops(t0, labels, people, answer, lambda end: self.pose(t0, end)):
-                    continue
-                if self.program_needs_time(conditions, labels, t0, answer):
-                    plan = self.plan(conditions, {"t0": t0}, {**CHOICE, "at": "t0"}, labels)
-                    found.add((template, last, plan, answer))
+                for answer in true_choices(self, t0, last):
+                    if not self.has_choices(t0, last, answer, conditions, labels):
+                        continue
+                    if not self.needs_hops(
+                        t0, labels, people, answer, lambda end, a=answer: self.action_at(t0, end, a)
+                    ):
+                        continue
+                    if self.program_needs_time(conditions, labels, t0, answer):
+                        plan = self.plan(conditions, {"t0": t0}, {**CHOICE, "at": "t0"}, labels)
+                        found.add((template, last, plan, answer))
         return found
 
     def joined(self, frame, b, r3, c, r4, apart):
@@ -581,7 +594,7 @@ class Chains(Asked):
         both = {d: [self.related(frame, b, r3, d), self.related(frame, c, r4, d)] for d in others}
         return self.only(both)
 
-    def fork_program(self, conditions, labels, t):
+    def fork_program(self, conditions, labels, t, answer):
         r1, r2, r3, r4 = labels
         a = self.fits(conditions, t)
         if a in NOWHERE:
@@ -591,11 +604,11 @@ class Chains(Asked):
             return EMPTY
         if MAYBE in (b, c):
             return None
-        return self.pose_there(t, self.joined(t, b, r3, c, r4, (a, b, c)))
+        return self.action_there(t, self.joined(t, b, r3, c, r4, (a, b, c)), answer)
 
-    def pose_there(self, t, end):
-        """The pose of whoever stands at an end, if anybody does; None where it is unknown."""
-        return None if end == MAYBE else end if end in NOWHERE else self.pose(t, end)
+    def action_there(self, t, end, answer):
+        """What is read of whoever stands at an end, if anybody does; None where it is unknown."""
+        return None if end == MAYBE else end if end in NOWHERE else self.action_at(t, end, answer)
 
     def fork_join(self, track, t0):
         found = set()
@@ -607,24 +620,28 @@ class Chains(Asked):
             b, c = reached[r1], reached[r2]
             if r1 >= r2 or b == c or not all(self.clear(t0, person) for person in (b, c)):
                 continue
-            read = [self.pose(t0, person) for person in (track, b, c)]
             rest = [person for person in self.counting(t0) if person not in (track, b, c)]
             for r3, r4 in itertools.product(self.several(t0, b, rest), self.several(t0, c, rest)):
                 d = self.joined(t0, b, r3, c, r4, (track, b, c))
                 if d in NOWHERE or not self.clear(t0, d) or self.ahead(t0, d):
                     continue
-                answer, labels = self.pose(t0, d), (r1, r2, r3, r4)
-                if answer is None or answer in self.stated(conditions, labels):
-                    continue
-                without_b = self.pose_there(t0, self.joined(t0, track, r3, c, r4, (track, c)))
-                without_c = self.pose_there(t0, self.joined(t0, b, r3, track, r4, (track, b)))
-                if {read[0], without_b, without_c} & {None, answer} or not {*read[1:]} - {None, answer}:
-                    continue
-                if self.program_moves(lambda t, labels=labels: self.fork_program(conditions, labels, t), t0, answer):
-                    edges = (("a", r1, "b"), ("a", r2, "c"), ("b", r3, "d"), ("c", r4, "d"))
-                    plan = self.graph_plan(conditions, {"t0": t0}, {**CHOICE, "at": "t0"}, edges)
-                    found.add(("fork_join", d, plan, answer))
+                for answer in true_choices(self, t0, d):
+                    if self.joins_prove(conditions, (r1, r2, r3, r4), t0, (track, b, c, d), answer):
+                        edges = (("a", r1, "b"), ("a", r2, "c"), ("b", r3, "d"), ("c", r4, "d"))
+                        plan = self.graph_plan(conditions, {"t0": t0}, {**CHOICE, "at": "t0"}, edges)
+                        found.add(("fork_join", d, plan, answer))
         return found
+
+    def joins_prove(self, conditions, labels, t0, people, answer):
+        (_, _, r3, r4), (a, b, c, d) = labels, people
+        if not self.has_choices(t0, d, answer, conditions, labels):
+            return False
+        stops = [self.action_at(t0, person, answer) for person in (a, b, c)]
+        without_b = self.action_there(t0, self.joined(t0, a, r3, c, r4, (a, c)), answer)
+        without_c = self.action_there(t0, self.joined(t0, b, r3, a, r4, (a, b)), answer)
+        if {stops[0], without_b, without_c} & {None, answer} or not {*stops[1:]} - {None, answer}:
+            return False
+        return self.program_moves(lambda t: self.fork_program(conditions, labels, t, answer), t0, answer)
 
     def several(self, t0, source, rest):
         """The relations that certainly hold of two or more of the rest; who is first is one person only."""
@@ -638,20 +655,23 @@ class Chains(Asked):
             return found
         for labels, people in self.paths(t0, (track,), 2):
             last = people[-1]
-            before = self.pose(t0, last)
-            if before is None or not all(self.clear(t0, person) for person in people):
+            if not all(self.clear(t0, person) for person in people):
                 continue
             for t1 in self.keyframes:
-                answer = self.pose(t1, last)
-                if t1 < t0 + LONG or answer in (None, before) or answer in self.stated(conditions, labels):
+                if t1 < t0 + LONG or not self.clear(t1, last) or not self.shown(t1) or self.ahead(t1, last):
                     continue
-                if not self.clear(t1, last) or not self.shown(t1) or self.ahead(t1, last):
-                    continue
-                if not self.needs_hops(t0, labels, people, answer, lambda end, t1=t1: self.pose_at(t1, end)):
-                    continue
-                if self.needs_time(t0, (t1,), answer, lambda times, last=last: self.pose_at(times[0], last)):
-                    plan = self.plan(conditions, {"t0": t0, "t1": t1}, {**CHOICE, "at": "t1"}, labels)
-                    found.add(("later_action", last, plan, answer))
+                for answer in self.new_actions(t0, t1, last):
+                    if not self.has_choices(t1, last, answer, conditions, labels):
+                        continue
+
+                    def read(end, t1=t1, answer=answer):
+                        return self.action_at(t1, end, answer)
+
+                    if not self.needs_hops(t0, labels, people, answer, read):
+                        continue
+                    if self.needs_time(t0, (t1,), answer, lambda t, last=last, a=answer: self.action_at(t[0], last, a)):
+                        plan = self.plan(conditions, {"t0": t0, "t1": t1}, {**CHOICE, "at": "t1"}, labels)
+                        found.add(("later_action", last, plan, answer))
         return found
 
     def action_search(self, track, t0):
@@ -817,7 +837,7 @@ class World(Alone, Chains, Gaps):
             self.presence,
             self.distance,
             self.consequence,
-            self.poses_of_chains,
+            self.actions_of_chains,
             self.later_action,
             self.action_search,
             self.fork_join,

@@ -386,6 +386,20 @@ def in_crowds(make):
     return made
 
 
+def with_chorus(make):
+    """A maker of worlds with people who do one thing each in the last frame, so that all these may be choices."""
+
+    def made(rng, name):
+        world = make(rng, name)
+        frames = world[name]["2d"]
+        for n, action in enumerate(("walking", "standing", "sitting", "lying", "skating", "cycling", "pushing")):
+            record = person(60 + n, (470 * n + 300, 100, 50, 150), {action: 1})
+            frames[max(frames)].append(record)
+        return world
+
+    return made
+
+
 SEQUENCE = "yard-2020-01-01_0"
 
 

@@ -17,7 +17,7 @@ from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perception.support import rank
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.engine.rederive import Annotations, rederive
-from jrdb_avr.schema.labels import AGES, GENDERS, may_be_called
+from jrdb_avr.schema.labels import AGES, GENDERS, answer_of_choice, may_be_called
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, angle_of_azimuth, column_of_angle
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import FIRST_LEFT
@@ -69,6 +69,13 @@ class World:
                 place = {"cx": float(forward), "cy": float(left), "cz": float(up), "l": 1.0, "w": 1.0, "h": 1.8}
                 turned = {"rot_z": math.pi - math.radians(heading), "num_points": points}
                 self.rows["boxes_3d"].append(where | place | turned)
+        return self
+
+    def show(self, actions, occlusion="Fully_visible"):
+        """In the last frame each of these actions is done by another person."""
+        for action in actions:
+            track = 900 + len(self.rows["boxes_2d"])
+            self.see(track, self.frames[-1:], [action], x=track % 60 * 60, occlusion=occlusion)
         return self
 
     def tell(self, track, frames, **values):
@@ -137,13 +144,19 @@ def at_t0(**kwargs):
     return Condition(at="t0", **kwargs)
 
 
-def ask(world, form, conditions, frames, action=None, rules=RULES, actions=(), relations=()):
-    """What the second path finds for a question of a form of the wording's table."""
+CHOICES = ("walking", "standing", "sitting", "lying down")
+
+
+def ask(world, form, conditions, frames, action=None, rules=RULES, actions=(), relations=(), choices=CHOICES,
+        shown=None):  # fmt: skip
+    """What the second path finds for a question of a form of the wording's table; somebody does what choices say."""
     row = TEMPLATES[form]
+    if row.pose_answer:
+        world.show([answer_of_choice(choice) for choice in (choices if shown is None else shown)])
     times = dict(zip(row.stated, frames, strict=True))
     named = (action,) if action else tuple(actions)
     plan = row.build(Slots(tuple(conditions), times, named, tuple(relations)))
-    return rederive(world.read(rules), plan, row.name, rules)
+    return rederive(world.read(rules), plan, row.name, rules, choices)
 
 
 POSES = ("walking", "standing", "sitting")

@@ -29,6 +29,7 @@ from text_reader_language import (
     SIDES,
     WIDER,
     WIDER_AGES,
+    WIDER_CHOICES,
     WIDER_PARTNERS,
     WIDER_VERBS,
     Condition,
@@ -359,6 +360,26 @@ class Facts:
             return None if any(one is not None and ACTIONS[phrase] & one.actions.keys() for one in near) else False
         return fact
 
+    def performs(self, person: int, frame: int, phrase: str) -> bool | None:
+        """Whether a choice is right: surely, surely not, or by a label that some would call so."""
+        seen = self.seen(person, frame)
+        if seen is None or not seen.actions or self.covered(person, frame):
+            return None
+        own, whole = ACTIONS[phrase], seen.actions.keys() <= KNOWN
+        certain = {label for label, level in seen.actions.items() if level <= CERTAIN}
+        poses = seen.actions.keys() & set(POSES.values())
+        one_pose = phrase not in POSES or (len(poses) == 1 and poses <= certain)
+        if own & certain and one_pose and (whole or phrase not in POSES):
+            return True
+        called = own | WIDER.get(phrase, set()) | WIDER_CHOICES.get(phrase, set())
+        return None if called & seen.actions.keys() or not whole or not one_pose else False
+
+    def about(self, person: int, frame: int, phrase: str, seconds: int) -> set[int]:
+        """Difficulties of a choice's own labels in so many seconds before and after a time."""
+        steps = (by for by in range(-seconds, seconds + 1) if by)
+        about = (self.seen(person, frame + by * FPS) for by in steps)
+        return {level for seen in about if seen for label, level in seen.actions.items() if label in ACTIONS[phrase]}
+
     def handling(self, person: int, frame: int, verb: str, kind: str) -> bool | None:
         seen = self.seen(person, frame)
         if seen is None or seen.things is None:
@@ -538,6 +559,11 @@ class Facts:
         return low <= angle <= high
 
 
+def phrase_of(choice: str) -> str:
+    """The phrase of a choice, without its examples."""
+    return choice.partition(" (")[0]
+
+
 class ConfusedError(Exception):
     """The reader finds nobody, several people or no answer; the message says which."""
 
@@ -574,10 +600,24 @@ class Asked:
     def later(self) -> list[int]:
         return [frame for frame in self.recording.order if frame > self.question.frame]
 
-    def read_pose(self, frame: int | None = None) -> dict:
-        frame = frame if frame is not None else (*self.question.values, self.question.frame)[0]
-        chosen = only({choice: self.facts.doing(self.person, frame, choice) for choice in self.choices}, "choices")
+    def read_action(self) -> dict:
+        frame = (*self.question.values, self.question.frame)[0]
+        chosen = self.chosen(frame)
+        if min(self.facts.about(self.person, frame, phrase_of(chosen), 1), default=9) > CERTAIN:
+            raise ConfusedError(f"choices: {chosen} is labelled for a moment only")
         return self.choice(chosen)
+
+    def chosen(self, frame: int) -> str:
+        """The one choice that is right at a frame; labels beside the frame may not make another one right."""
+        facts = {choice: self.facts.performs(self.person, frame, phrase_of(choice)) for choice in self.choices}
+        right = only(facts, "choices")
+        for choice in self.choices:
+            phrase = phrase_of(choice)
+            if re.search(rf"\b{phrase}\b", self.question.text):
+                raise ConfusedError(f"choices: the text says {phrase}")
+            if choice != right and self.facts.about(self.person, frame, phrase, 1 if phrase in POSES else 3):
+                raise ConfusedError(f"choices: {choice} is labelled about that time, too")
+        return right
 
     def choice(self, words: str) -> dict:
         return {"choice": self.choices.index(words) + 1}
@@ -590,7 +630,8 @@ class Asked:
             return poses[0] if len(poses) == 1 and listed[poses[0]] < 3 else None
 
         first = pose(self.question.frame)
-        return self.read_pose(next((frame for frame in self.later() if pose(frame) not in (None, first)), -1))
+        later = (frame for frame in self.later() if frame % FPS == 0 or self.recording.step != 1)
+        return self.choice(self.chosen(next((frame for frame in later if pose(frame) not in (None, first)), -1)))
 
     def spell(self, phrase: str) -> tuple[int, int]:
         """First and last frame of the first spell of an action after the description."""
@@ -709,7 +750,7 @@ NEEDS = {
     "beside": {"first_aside"},
     "facing": {"facing"},
     "metres": {"at_metres", "near", "distance"},
-    "words": {"doing", "handling", "together", "with_someone", "pose", "next_pose", "count", *SPELLS},
+    "words": {"doing", "handling", "together", "with_someone", "count", *SPELLS},
     "group": {"group_size"},
     "seen": {"presence", "distance", "absence"},
     "spell": {"count", *SPELLS},

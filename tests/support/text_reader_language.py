@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 FPS = 15
 
@@ -54,6 +54,18 @@ WIDER = {
     "listening to someone": {"talking on the phone"},
 }
 """Labels that a reader may call by a phrase too, beside the phrase's own."""
+WIDER_CHOICES = {
+    "talking to someone": {"listening to someone"},
+    "listening to someone": {"talking to someone"},
+    "holding something": {"looking into sth", "typing", "writing"},
+    "looking into something": {"typing", "writing", "sitting"},
+    "typing": {"writing", "reading", "sitting"},
+    "writing": {"typing", "reading", "sitting"},
+    "cycling": {"scootering"},
+    "skating": {"scootering"},
+    "riding a scooter": {"cycling", "skating"},
+}
+"""Further labels that a reader may call by a phrase among the choices."""
 
 WIDER_PARTNERS = {
     "moving together": {"walking together", "cycling together", "going upstairs together", "going downstairs together"},
@@ -164,6 +176,7 @@ THINGS |= {"bicycle or scooter": "bicycle/scooter"}
 VERBS = {"handling": "handling/manipulating", "talking on": "talking on", "looking at": "looking at"}
 VIEW = " as seen from the robot"
 IN_VIEW = " Only people in clear view count (at least half of the person can be seen)."
+ONE_TRUE = " Only one is true."
 BY_MIDDLES = " For left and right, go by the middle of each person."
 METRES = r"\((?:([\d.]+) to ([\d.]+)|over ([\d.]+)|under ([\d.]+)) m\)"
 FACING = r"(?:(in front of|behind) [A-D]|to [A-D]'s ((?:front |back )?(?:left|right)))"
@@ -211,6 +224,7 @@ class Question:
     values: tuple
     judged: bool = False
     """Whether only people in clear view count."""
+    text: str = field(default="", compare=False)
 
 
 # Descriptions.
@@ -264,7 +278,7 @@ PHRASES: list[tuple[str, Callable[[re.Match], Condition]]] = [
         rf"({'|'.join(PARTNERS)}) someone(?: who comes the other way)?",
         lambda found: Condition("with_someone", (PARTNERS[found[1]],), found[1] + " someone"),
     ),
-    (rf"({'|'.join(ACTIONS)})", lambda found: Condition("doing", (found[1],), found[1])),
+    (f"({'|'.join(ACTIONS)})", lambda found: Condition("doing", (found[1],), found[1])),
     (
         r"(\w+ing(?: at| into| on| out)?) ((?:an?|some) (?:(?!,| and | who ).)+)",
         lambda found: Condition("handling", (VERBS.get(found[1], found[1]), thing_of(found[2])), found[0].strip()),
@@ -340,10 +354,10 @@ READS = (
     ("start", rf"start {PHRASE}\b"),
     ("absence", r"seconds.*(?:absence|seen again)"),
     ("count", rf"(?:Count all|[Hh]ow many) .*people.* ({GROUP}|{'|'.join(PARTNERS)}) that person"),
-    ("next_pose", r"posture or movement.*(?:follows it|comes next|change to)\?"),
+    ("next_pose", r"which of these does th(?:at|e) person do (?:next|first after that moment)\?"),
     ("distance", rf"{TIME}.*within a metre.*not in view"),
     ("presence", rf"{TIME}.*{TIME}.*(?:if at either|at neither)"),
-    ("pose", r"posture or movement"),
+    ("action", r"which of these is (?:[CD]|that person|this person) doing"),
 )
 
 
@@ -356,7 +370,8 @@ def parse(text: str) -> Question:
     body = said.removesuffix(BY_MIDDLES)
     if (body == said) == (VIEW in body):
         raise UnreadableError(f"{BY_MIDDLES} or not")
-    sentences = [sentence.strip().rstrip(".") for sentence in re.split(r"(?<=[.])\s+(?=[A-Z])", body)]
+    asked = body.removesuffix(ONE_TRUE)
+    sentences = [sentence.strip().rstrip(".") for sentence in re.split(r"(?<=[.])\s+(?=[A-Z])", asked)]
     clauses = sentences[0].split("; ")
     if len(clauses) > 1 and clauses[1] == "call that person A":
         clauses = clauses[:1]
@@ -372,13 +387,14 @@ def parse(text: str) -> Question:
         else:
             rest.append(clause)
     tail = ". ".join(rest)
-    matches = ((read, match) for read, form in READS if (match := re.search(form, tail)))
+    matches = ((read, match) for read, form in READS if (match := re.search(form, tail, re.IGNORECASE)))
     read, match = next(matches, ("", None))
-    if match is None:
+    if match is None or (read in ("action", "next_pose")) == (asked == body):
         raise UnreadableError(tail)
     values = tuple(int(group) if group.isdigit() else group for group in match.groups() if group)
-    if read == "pose" and (later := re.search(TIME, tail)):
+    if read == "action" and (later := re.search(TIME, tail)):
         values = (int(later[1]),)
     if read == "count":
         values = (*values, int(re.findall(TIME, text)[-1]))
-    return Question(int(opening["frame"]), described(opening["words"]), tuple(steps), read, values, said != text)
+    who = described(opening["words"])
+    return Question(int(opening["frame"]), who, tuple(steps), read, values, said != text, text)

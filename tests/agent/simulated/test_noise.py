@@ -43,7 +43,7 @@ NEAR = 4 * (RATE * (1 - RATE) / N) ** 0.5
 
 QUESTION = (
     "Find the only person who is standing at 1.0 s (frame 15). "
-    "What is that person's posture or movement at 4.0 s (frame 60)?"
+    "Which of these is that person doing at 4.0 s (frame 60)? Only one is true."
 )
 
 

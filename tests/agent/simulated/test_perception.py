@@ -178,7 +178,7 @@ def test_what_is_seen_depends_on_seed_question_and_picture_alone():
 STAGE = "Your next turn, as one JSON object:"
 HEADING = (
     "Question: Find the only person who is standing at 1.0 s (frame 15). "
-    "What is that person's posture or movement at 4.0 s (frame 60)?"
+    "Which of these is that person doing at 4.0 s (frame 60)? Only one is true."
 )
 
 

@@ -138,7 +138,7 @@ def post(url, body):
 
 KNOWN = (
     "Find the only person who is standing at 1.0 s (frame 15). "
-    "What is that person's posture or movement at 4.0 s (frame 60)?"
+    "Which of these is that person doing at 4.0 s (frame 60)? Only one is true."
 )
 ANSWER, FACTS, PLACE_STAGE, BOX, CHOICE, REACT, *_ = STAGES
 PLACE = '{"frame_id":"000000","angle_deg":0.0,"left":3520}'

@@ -16,7 +16,7 @@ FRAMES = tuple(range(0, 301, 5))
 HER = Box(1700, 120, 70, 220)
 QUESTION = (
     "Find the only person who is standing at 1.0 s (frame 15). "
-    "What is that person's posture or movement at 10.0 s (frame 150)?"
+    "Which of these is that person doing at 10.0 s (frame 150)? Only one is true."
 )
 HEADING = f"Question: {QUESTION}\nChoices:\n1. sitting\n2. standing\nLegal frames: 000000 to 000300 in steps of 5"
 

@@ -82,25 +82,28 @@ def test_each_condition_is_needed():
 # -- change -------------------------------------------------------------------------------------------------------
 
 
+PHONING = at_t0(action="talking on the phone")
+
+
 def walk_in():
     world = World(SECONDS).see(9, SECONDS, ["standing"], x=100)
-    return world.see(1, [15, 30, 45], ["sitting", "reading"]).see(1, [60, 75], ["walking"])
+    return world.see(1, [15, 30, 45], ["sitting", "talking on the phone"]).see(1, [60, 75], ["walking"])
 
 
-def test_change_reads_the_pose():
-    outcome = ask(walk_in(), "change", [READING], [15, 60])
+def test_change_reads_the_action():
+    outcome = ask(walk_in(), "change", [PHONING], [15, 75])
     assert (outcome.outcome, outcome.answer, outcome.target, outcome.faults) == ("defined", "walking", 1, ())
-    assert outcome.times == (("t0", 15), ("t1", 60))
-    assert [(n.track, n.frame, n.decisive) for n in outcome.needed] == [(1, 15, False), (1, 60, True)]
+    assert outcome.times == (("t0", 15), ("t1", 75))
+    assert [(n.track, n.frame, n.decisive) for n in outcome.needed] == [(1, 15, False), (1, 75, True)]
 
 
 @pytest.mark.parametrize(
     ("conditions", "times", "said"),
     [
-        ([READING], [15, 45], "less than 3 s"),
-        ([SITTING], [15, 60], "states a pose"),
-        ([READING], [30, 45], "the same as the answer"),
-        ([READING], [15, 61], "frame 61 is no keyframe"),
+        ([PHONING], [15, 45], "less than 3 s"),
+        ([SITTING], [15, 75], "imply the choice 'sitting'"),
+        ([PHONING], [30, 45], "not certainly false at frame 30"),
+        ([PHONING], [15, 61], "frame 61 is not a keyframe"),
     ],
 )
 def test_change_has_rules(conditions, times, said):
@@ -108,19 +111,20 @@ def test_change_has_rules(conditions, times, said):
     assert any(said in fault for fault in ask(world, "change", conditions, times).faults)
 
 
-def test_change_of_an_unknown_pose():
+def test_change_of_an_unknown_action():
     world = walk_in().see(1, [90], [("walking", HARD)])
-    assert ask(world, "change", [READING], [15, 90]).outcome == "unknown"
-    assert ask(walk_in(), "change", [READING], [15, 90]).outcome == "unknown"  # gone, but seen at 75
-    assert ask(walk_in(), "change", [READING], [15, 105]).outcome == "empty"
+    assert ask(world, "change", [PHONING], [15, 90]).outcome == "unknown"
+    assert ask(walk_in(), "change", [PHONING], [15, 90]).outcome == "unknown"  # gone, but seen at 75
+    assert ask(walk_in(), "change", [PHONING], [15, 105]).outcome == "empty"
+    assert ask(walk_in(), "change", [PHONING], [15, 75], choices=()).outcome == "unknown"
 
 
 def test_needed_boxes_are_clear_and_have_images():
     world = walk_in().see(1, [90], ["walking"], occlusion=None)
-    assert "the person is not in clear view at frame 90" in ask(world, "change", [READING], [15, 90]).faults
+    assert "the person is not in clear view at frame 90" in ask(world, "change", [PHONING], [15, 90]).faults
     world = walk_in()
     world.images = [15, 30]
-    assert ask(world, "change", [READING], [15, 60]).faults == ("frame 60 has no image",)
+    assert ask(world, "change", [PHONING], [15, 75]).faults == ("frame 75 has no image",)
 
 
 # -- presence and distance ----------------------------------------------------------------------------------------
