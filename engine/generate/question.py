@@ -56,6 +56,10 @@ COLUMNS: Final = pa.schema([*dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS[
 """Columns of the tables `questions` and `answers`, and the key of `key_of`."""
 
 
+AT_FIRST: Final = "description's time"
+"""Name of a wrong choice that is true at the time of the description."""
+
+
 class Chosen(NamedTuple):
     """A selected question, with the form and the row that make its proposal again."""
 
@@ -300,7 +304,7 @@ def _mistakes(search: Search, proposal: Proposal) -> Iterator[tuple[str, str]]:
             if name == kind:
                 yield from _named(search, hopped, f"{kind}({variant})")
     if program.read == "action" and program.times[0] != program.frame:
-        yield from _named(search, replace(program, times=(program.frame,)), "description's time")
+        yield from _named(search, replace(program, times=(program.frame,)), AT_FIRST)
     for variant, shifted in shifts(program, facts.keyframes, search.rules):
         if shifted is not None:
             yield from _named(search, shifted, f"time.shift {variant}")
