@@ -95,7 +95,7 @@ LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Leaves": ("Person", "Absence", ()),
 }
 
-STORAGE_VERSION: Final = 12
+STORAGE_VERSION: Final = 11
 """Version of the tables of the graph. A graph with another version must be built again."""
 
 
