@@ -2,7 +2,8 @@
 
 A description is a set of few conditions that are certain of one person at a keyframe and exclude each other person in
 that frame. The shortest set is the best one. Among equally short sets the order of kinds in the rules decides, then a
-hash. A second description is the best one that names no posture, so that more postures can be choices of a question.
+hash. A second description is the best one of those whose words imply the fewest actions, so that more actions can be
+choices of a question.
 """
 
 from __future__ import annotations
@@ -16,11 +17,10 @@ from typing import Final
 import msgspec
 
 from jrdb_avr.engine.generate.facts import Facts
-from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording.people import in_order
-from jrdb_avr.schema.wording.text import actions_of
+from jrdb_avr.schema.wording.text import implied_by
 
 _WEAK: Final = ("sector", "distance")
 """Kinds of conditions that do not describe a person by themselves, because they fit whoever comes by."""
@@ -32,7 +32,7 @@ class Description:
 
     Attributes:
         conditions: Conditions in the order of kinds in the rules.
-        general: Whether the description is the best one of all. Otherwise it is the best one that names no posture.
+        general: Whether the description is the best one of all. Otherwise its words imply fewer actions.
     """
 
     conditions: tuple[Condition, ...]
@@ -50,22 +50,25 @@ def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) ->
         rules: Order of kinds, and the maximum number of conditions.
 
     Returns:
-        At most two descriptions: the best one, and the best one that names no posture. Often one is both.
+        At most two descriptions: the best one, and one whose words imply the fewest actions. Often one is both.
     """
     order = rules.condition_order
     held = [condition for condition in facts.conditions_of(who, frame) if condition.kind in order]
     held.sort(key=lambda condition: order.index(condition.kind))
     could = {condition: facts.match(condition, frame).could for condition in held}
-    best: dict[str, tuple[Condition, ...]] = {}
+    minimal: list[tuple[Condition, ...]] = []
     for size in range(1, rules.max_conditions + 1):
-        singling = [some for some in combinations(held, size) if _describes(some, could)]
-        poseless = [some for some in singling if not any(set(actions_of(c)) & set(POSES) for c in some)]
-        for use, sets in (("general", singling), ("poseless", poseless)):
-            if sets and use not in best:
-                best[use] = _best_of(sets, f"{sequence}\n{who}\n{frame}\n", order)
-        if len(best) == 2:
-            break
-    return [Description(some, some == best["general"]) for some in dict.fromkeys(best.values())]
+        # A set with a smaller one inside has a condition that is not needed.
+        sets = [some for some in combinations(held, size) if not any(set(less) <= set(some) for less in minimal)]
+        minimal += [some for some in sets if _describes(some, could)]
+    if not minimal:
+        return []
+    prefix = f"{sequence}\n{who}\n{frame}\n"
+    general = _best_of([some for some in minimal if len(some) == len(minimal[0])], prefix, order)
+    least = min(len(implied_by(some)) for some in minimal)
+    quiet = [some for some in minimal if len(implied_by(some)) == least]
+    shortest = [some for some in quiet if len(some) == len(quiet[0])]
+    return [Description(some, some == general) for some in dict.fromkeys((general, _best_of(shortest, prefix, order)))]
 
 
 def _describes(conditions: tuple[Condition, ...], could: dict[Condition, Set[int]]) -> bool:

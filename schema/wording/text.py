@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache, lru_cache
 from string import Formatter
 from typing import Any, Final
@@ -310,10 +310,15 @@ def stated_actions(plan: Plan) -> tuple[str, ...]:
 
 def implied_choices(plan: Plan) -> frozenset[str]:
     """Return the actions that the words of a question state or imply. None of them is a choice of the question."""
-    conditions = [condition for node in plan.nodes for condition in node.conditions]
-    words = {condition.action or condition.interaction or condition.verb for condition in conditions}
-    words |= {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
+    words = {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
     words.add(plan.answer.relation)
+    stated = [condition for node in plan.nodes for condition in node.conditions]
+    return implied_by(stated).union(*(implied_actions(word) for word in words if word is not None))
+
+
+def implied_by(conditions: Iterable[Condition]) -> frozenset[str]:
+    """Return the actions that the words of conditions state or imply."""
+    words = (condition.action or condition.interaction or condition.verb for condition in conditions)
     return frozenset().union(*(implied_actions(word) for word in words if word is not None))
 
 
