@@ -208,7 +208,7 @@ def test_a_template_takes_a_row_and_a_query(copy, tmp_path):
         ("generate", "--store", store, "--json", *ALONE),
         ("sql", query, "--store", store, "--json"),
         # Proofs, the second program, and the plan over the graph.
-        ("validate", "--replay", "--store", store, "--json", *ALONE),
+        ("validate", "--replay", "--store", store, "--json"),
     )
     assert '"toy"' in generated
     questions = [row["question"] for row in json.loads(found)]

@@ -7,34 +7,32 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jrdb_avr.engine.commands._options import executor_option, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
-    from jrdb_avr.queries.workers import Executor
 
 
 @click.command(epilog="Example: jrdb-avr validate --store store --replay")
 @store_option()
 @click.option("--replay", is_flag=True, help="Also repeat all proofs, and run each plan as a Cypher query.")
-@executor_option
 @pairs_option("--rule", "overrides", "Use this value of a rule, not its default. Repeat each --rule of 'generate'.")
 @form_option
-def command(store: Store, replay: bool, workers: Executor, overrides: list[tuple[str, str]], form: RowFormat) -> None:
+def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: RowFormat) -> None:
     """Check the questions of a store, and derive all answers and proofs again with a second program.
 
     The command checks files, ids, choices, answers, texts and evidence. The second program reads only the annotation
-    tables, and shares no code with 'generate'. With --replay, the code of 'generate' also repeats all proofs of the
-    stored plans. Each plan then also runs as a Cypher query on the graph. The query must find the stored people and the
-    stored answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
+    tables, and shares no code with 'generate'. With --replay, Cypher statements on the graph also repeat all proofs of the
+    stored plans. Each plan then also runs as one Cypher query. The query must find the stored people and the stored
+    answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override
 
     with progress_bar() as progress:
         rules = override(Rules(), dict(overrides))
-        found = validate(store, rules, replay_proofs=replay, workers=workers, progress=progress)
+        found = validate(store, rules, replay_proofs=replay, progress=progress)
     if form:
         print_data(found.rows(), form)
     else:

@@ -1,11 +1,11 @@
-"""Reviews of questions: import decisions from the page, store them by reviewer, and compare reviewers."""
+"""Reviews of questions: decisions from the page of `inspect`, stored by reviewer and compared between reviewers."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import pyarrow as pa
@@ -18,11 +18,12 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.tables import CANARY, QUESTIONS
 
-_MOST_BYTES = 64 << 20
+_MAX_BYTES: Final = 64 << 20
+"""Maximum size of a file of decisions, in bytes."""
 
 
 class Decision(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A decision about a question; a rejection has a reason."""
+    """A decision about a question. A rejection may have a reason."""
 
     question_id: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{16}$")]
     decision: Literal["accept", "reject"]
@@ -30,34 +31,57 @@ class Decision(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Decisions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The file that the page downloads: decisions, and the hash of the questions file that they are about."""
+    """Content of the file that the page saves: decisions, and the hash of the questions file that was reviewed."""
 
     questions_sha256: str
     decisions: list[Decision]
 
 
 def read_decisions(path: Path, store: Store) -> Decisions:
-    """Read a file of decisions. Raises InputError naming the file where it cannot be used with this store."""
-    data = read_regular(path, _MOST_BYTES)
+    """Read a file of decisions.
+
+    Args:
+        path: File that the page saved.
+        store: Store with the reviewed questions.
+
+    Returns:
+        The decisions.
+
+    Raises:
+        InputError: If the file cannot be read, or is about other questions.
+    """
+    data = read_regular(path, _MAX_BYTES)
     try:
-        found = msgspec.json.decode(data, type=Decisions)
+        content = msgspec.json.decode(data, type=Decisions)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(
-            f"{path} is no file of decisions ({error}): download it from the page", file=str(path)
+            f"{path} is not a file of decisions ({error}): save it on the page again", file=str(path)
         ) from None
-    if found.questions_sha256 != questions_hash(store):
+    if content.questions_sha256 != questions_hash(store):
         raise InputError(f"{path} is about another questions file than this store's: inspect again", file=str(path))
-    known = set(store.questions("questions")["question_id"].to_pylist())
-    for name, times in Counter(decision.question_id for decision in found.decisions).items():
-        if name not in known:
-            raise InputError(f"{path}: no question {name} in the store", file=str(path))
+    ids = set(store.questions("questions")["question_id"].to_pylist())
+    for name, times in Counter(decision.question_id for decision in content.decisions).items():
+        if name not in ids:
+            raise InputError(f"{path}: the store has no question {name}", file=str(path))
         if times > 1:
-            raise InputError(f"{path} decides question {name} {times} times: keep one of them", file=str(path))
-    return found
+            raise InputError(f"{path} decides question {name} {times} times: keep one decision", file=str(path))
+    return content
 
 
 def import_decisions(store: Store, reviewer: str, decisions: Sequence[Decision]) -> pa.Table:
-    """Store a reviewer's decisions; a new decision on a question replaces the old one. Returns all reviews."""
+    """Store the decisions of a reviewer. A new decision on a question replaces the reviewer's earlier decision.
+
+    Args:
+        store: Store with the questions.
+        reviewer: Name of the reviewer.
+        decisions: New decisions.
+
+    Returns:
+        All reviews of the store.
+
+    Raises:
+        LockedError: If another command writes the store.
+    """
     with store.writing("inspect --import"):
         stored = {(row["question_id"], row["reviewer"]): row for row in read_reviews(store)}
         for decision in decisions:
@@ -69,7 +93,7 @@ def import_decisions(store: Store, reviewer: str, decisions: Sequence[Decision])
 
 
 def read_reviews(store: Store) -> list[dict[str, str]]:
-    """All reviews; none where nothing has been imported."""
+    """Return all reviews of a store. The list is empty if no decisions were imported."""
     if not store.question_path("reviews").exists():
         return []
     rows: list[dict[str, str]] = store.questions("reviews").to_pylist()
@@ -77,12 +101,19 @@ def read_reviews(store: Store) -> list[dict[str, str]]:
 
 
 def rejected(store: Store) -> frozenset[str]:
-    """Questions that somebody rejected."""
+    """Return the ids of the questions that at least one reviewer rejected."""
     return frozenset(row["question_id"] for row in read_reviews(store) if row["decision"] == "reject")
 
 
 def agreements(store: Store) -> list[dict[str, Any]]:
-    """Every two reviewers who decided the same questions: n, on how many they agree, and Cohen's kappa, which is None
-    where both always decide the same."""
+    """Compute the agreement of each pair of reviewers who decided the same questions.
+
+    Args:
+        store: Store with reviews.
+
+    Returns:
+        A row per pair: both names, the number of questions, the number of equal decisions, and Cohen's kappa. Kappa is
+        None if both reviewers always make the same decision.
+    """
     rows: list[dict[str, Any]] = query_tables(store.path, read_statement("stats/agreements.sql")).to_pylist()
     return rows

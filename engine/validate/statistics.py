@@ -1,4 +1,4 @@
-"""Statistics of a benchmark: counts, distributions, reasons for few questions of a template, and blind baselines."""
+"""Statistics of a benchmark: counts, distributions, reasons for a shortage of questions, and blind baselines."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TITLES: Final = {
     "spread": "The same per template (smallest, median, mean, largest)",
     "blind": "Answering without looking: shares of right answers",
 }
-"""The tables of `stats`, in the order in which they are printed."""
+"""Titles of the tables of `stats` by name, in the order of the output."""
 
 _MEASURED: Final = pa.schema(
     [(name, pa.string()) for name in ("question_id", "sequence", "family", "template", "answer_mode", "asks", "answer")]
@@ -47,21 +47,36 @@ _MEASURED: Final = pa.schema(
     + [(name, pa.float64()) for name in ("time_gap_s", "separation_deg", "apart_deg", "hops", "words")]
     + [(name, pa.float64()) for name in ("people_in_scene", "crops")]
 )
-"""The table that the statements of `queries/stats/` count: a row per question.
+"""Columns of the table that the statements of `queries/stats/` count. It has a row per question.
 
-answer: the text of the right choice, or the bin of any other answer; position: the number of the right choice; wrong:
-the perturbation that yields each wrong choice. The measures: time_gap_s: seconds from the description to the last time
-that the question is about; separation_deg: the angle at the robot between the target at the description and at its
-decisive boxes; apart_deg: the largest angle between any two needed boxes, at whatever times; hops: relations that lead
-one after another to the target (`Template.hops`); words: of the question's text; people_in_scene: people with a box at
-that time; crops: the fewest looks that show every needed box (`views.min_crops`)."""
-
+- answer: text of the true choice, or the bin of another answer.
+- position: number of the true choice, from 1.
+- wrong: name of the perturbation that gives each wrong choice.
+- time_gap_s: seconds from the description to the last time that the question is about.
+- separation_deg: angle at the robot between the target at the description and the target's decisive boxes.
+- apart_deg: largest angle between two needed boxes, at any times.
+- hops: number of relations on the path to the target (`Template.hops`).
+- words: number of words in the text of the question.
+- people_in_scene: number of people with a box at the time of the description.
+- crops: smallest number of looks that show all needed boxes (`views.min_crops`).
+"""
 
 _Row = dict[str, Any]
 
 
 def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_Row]]:
-    """Rows of every table in TITLES; `learned` joins the blind check. Raises StoreError without questions."""
+    """Compute the tables of `stats`.
+
+    Args:
+        store: Store with questions.
+        learned: Guesser that learns from other questions and joins the blind check, or None for none.
+
+    Returns:
+        The rows of each table, by its name in TITLES.
+
+    Raises:
+        StoreError: If the store has no questions.
+    """
     questions, answers, rejected = store.question_tables("questions", "answers", "rejected")
     store.warn_of_training()
     rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)
@@ -88,7 +103,11 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
         ],
         "lacking": lacking,
         "layer": [
-            {"layer": name, "sequences_with": sum(name in own for own in layers.values()), "sequences": len(layers)}
+            {
+                "layer": name,
+                "sequences_with": sum(name in present for present in layers.values()),
+                "sequences": len(layers),
+            }
             for name in LAYERS
         ],
         "blind": [{"family": FAMILIES[row["template"]], **row} for row in blind_check(texts, learned)],
@@ -99,9 +118,16 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
 
 
 def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
-    """The paper's table of generators, from the tables of `statistics`: one row per family."""
+    """Return the table of generators that the paper has.
 
-    def named(family: str, column: str) -> str:
+    Args:
+        tables: Tables of `statistics`.
+
+    Returns:
+        A row per family.
+    """
+
+    def join_names(family: str, column: str) -> str:
         names = dict.fromkeys(row[column] for row in tables["template"] if row["family"] == family)
         return ", ".join(names).replace("_", " ")
 
@@ -109,8 +135,8 @@ def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
         {
             "generator": row["family"].replace("_", " ").replace("hop", "-hop"),
             "questions": row["n"],
-            "templates": named(row["family"], "template"),
-            "answer mode": named(row["family"], "mode"),
+            "templates": join_names(row["family"], "template"),
+            "answer mode": join_names(row["family"], "mode"),
             "hops": row["hops"],
             "words": row["words"],
         }
@@ -119,7 +145,8 @@ def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
 
 
 def _visibility(store: Store) -> dict[str, str]:
-    """Return the evidence for clear views by sequence. Return {} without interval tables, as questions need none."""
+    """Return the evidence for clear views by sequence, or {} if the store lacks the interval tables."""
+    # Questions do not need the interval tables, so a store may lack them.
     try:
         return store.visibility()
     except StoreError:
@@ -142,7 +169,7 @@ def _measured(record: QuestionRecord, text: QuestionText) -> _Row:
 
 
 def _lacking(layers: Mapping[str, Sequence[str]]) -> list[_Row]:
-    """Templates that some sequences cannot carry, with the layer and how many sequences lack it."""
+    """Return a row per template and layer that the template needs and some sequences lack."""
     rows = []
     for name, forms in FORMS.items():
         # A template needs only the layers of its least demanding form.

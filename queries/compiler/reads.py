@@ -132,6 +132,7 @@ class SceneReader(Reader):
             "least": frames(rules.segment_min_s),
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
+            "in_view": rules.visibility == "clear",
         }
 
     def find(self, plan: Plan) -> Find:
@@ -160,10 +161,10 @@ class SceneReader(Reader):
 
     def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
         rows = [person.row(action=action, posture=action in POSES, after=after) for person, action, after in queries]
-        return {row.pop("id"): Segment(**row) for row in self._read("start", self._on_grid(rows))}
+        return {row.pop("id"): Segment(**row) for row in self._read("start", self.rows_on_grid(rows))}
 
     def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
-        rows = self._on_grid(person.row(after=after) for person, after in queries)
+        rows = self.rows_on_grid(person.row(after=after) for person, after in queries)
         return {row["id"]: (row["leaves"], row["returns"]) for row in self._read("absence", rows)}
 
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
@@ -179,7 +180,7 @@ class SceneReader(Reader):
         }
 
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
-        rows = self._on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
+        rows = self.rows_on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
         known = {row["id"] for row in self._read("company", rows)}
         by_text: dict[str, list[dict[str, Any]]] = defaultdict(list)
         for person, relation, first, last in queries:
@@ -196,7 +197,7 @@ class SceneReader(Reader):
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
         return self.run(read_statement(f"{self.mapping.reads}/{name}.cypher"), rows)
 
-    def _on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    def rows_on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         """The rows, each with the frames of its sequence that have action labels; without sequences that have none."""
         return [row | self._grids[row["scope"]] for row in rows if row["scope"] in self._grids]
 

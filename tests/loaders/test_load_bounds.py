@@ -79,7 +79,7 @@ def test_no_question_uses_facts_that_are_left_out(monkeypatch, small_demo, tmp_p
     assert {solution.outcome for solution in solved} == {"unknown"}
     generate(store, workers=1)
     assert plans_of(store, TOGETHER) and not plans_of(store, [*FIRST, *PLACES])
-    report = validate(store, replay_proofs=True, workers=1)
+    report = validate(store, replay_proofs=True)
     assert report.faults == {} and report.checked["replay"]
 
 

@@ -380,6 +380,26 @@ def with_chorus(make):
     return made
 
 
+def in_crowds(make):
+    """A maker of worlds in which people are occluded for a while, and look at the robot now and then."""
+
+    def made(rng, name):
+        world = make(rng, name)
+        chance, hidden = random.Random(rng.getrandbits(64)), {}
+        for rows in world[name].get("2d", {}).values():
+            for row in rows:
+                track = row["label_id"]
+                if chance.random() < 0.15:
+                    hidden[track] = chance.choice((*OCCLUSION[:1] * 4, *OCCLUSION[2:], None))
+                if "attributes" in row and track in hidden:
+                    row["attributes"] = {**row["attributes"], "occlusion": hidden[track]}
+                if row.get("action_label") and chance.random() < 0.2:
+                    row["action_label"] = {**row["action_label"], "looking at robot": chance.choice((1, 1, 3))}
+        return world
+
+    return made
+
+
 SEQUENCE = "yard-2020-01-01_0"
 
 

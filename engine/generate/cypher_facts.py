@@ -1,0 +1,174 @@
+"""Facts of people that statements over the stored graph return, for many questions at a time.
+
+`CypherFacts` notes each fact that is asked for and not known yet. `fill` then runs one statement per kind of fact, with
+all noted facts as rows of its parameter `$asked`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, Final
+
+from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
+from jrdb_avr.engine.generate.perturb import MissingFactsError
+from jrdb_avr.queries.compiler.mapping import SCENE
+from jrdb_avr.queries.compiler.reads import Person, SceneReader
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.answers import FrameViewpoint
+from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.relations import RELATIONS
+from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
+
+AT_ONCE: Final = 500
+"""Maximum number of rows of one statement, because the memory of the engine is bounded."""
+
+_BY_READS: Final = {"pose": "value", "seen": "seen", "start": "start"}
+"""Kinds of facts that the compiler's reads return, with the names of their statements in `queries/reads/scene`."""
+
+
+class CypherFacts:
+    """Source of facts for `perturb` that asks the graph in rounds."""
+
+    def __init__(self, graph: Graph, rules: LoadRules) -> None:
+        """Make a source that knows nothing yet.
+
+        Args:
+            graph: Graph with the scenes.
+            rules: Thresholds of sectors and of directions between people.
+        """
+        self._reader = SceneReader(graph, SCENE, rules)
+        self._known: dict[Key, Any] = {}
+        self._noted: set[Key] = set()
+        self._keyframes: dict[str, list[int]] = {}
+
+    def ask(self, keys: Sequence[Key]) -> list[Any]:
+        """Return facts by key. Raises MissingFactsError if some are not known yet; `fill` looks them up."""
+        missing = [key for key in keys if key not in self._known]
+        if missing:
+            self._noted.update(missing)
+            raise MissingFactsError
+        return [self._known[key] for key in keys]
+
+    def fill(self) -> bool:
+        """Look up all noted facts. Return whether there were any."""
+        by_statement: dict[str, list[Key]] = defaultdict(list)
+        for key in sorted(self._noted, key=repr):
+            by_statement[statement_of(key)].append(key)
+        for name, keys in by_statement.items():
+            for first in range(0, len(keys), AT_ONCE):
+                self._look_up(name, keys[first : first + AT_ONCE])
+        self._noted.clear()
+        return bool(by_statement)
+
+    def count(self, sequence: str, relation: str, who: int, first: int, last: int) -> int | None:
+        """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
+        return self._reader.counts([(Person(0, sequence, who), relation, first, last)]).get(0)
+
+    def keyframes(self, sequence: str) -> list[int]:
+        """Return the keyframes of a sequence, in order."""
+        if sequence not in self._keyframes:
+            rows = self._reader.query(read_statement("search/frames.cypher"), {"sequence": sequence})
+            self._keyframes[sequence] = [row["frame"] for row in rows if row["keyframe"]]
+        return self._keyframes[sequence]
+
+    def statement(self, name: str, keys: Sequence[Key]) -> tuple[str, dict[str, Any]]:
+        """Return the statement of some facts of one kind.
+
+        Args:
+            name: Name of the statement, as `statement_of` returns it.
+            keys: Keys of the facts.
+
+        Returns:
+            The text of the statement, and the values of its parameters.
+        """
+        rows = [row_of(key) | {"id": number} for number, key in enumerate(keys)]
+        if name in _BY_READS:
+            rows = self._reader.rows_on_grid(rows) if name == "start" else rows
+            text, values = read_statement(f"reads/scene/{_BY_READS[name]}.cypher"), {"plans": rows}
+        else:
+            text, values = read_statement(f"necessity/{name}.cypher"), {"asked": rows}
+        own = {name: self._reader.values[name] for name in parameters(text) if name not in values}
+        return text, values | own
+
+    def _look_up(self, name: str, keys: Sequence[Key]) -> None:
+        if name in _BY_READS:
+            self._known |= zip(keys, getattr(self, f"_read_{name}")(keys), strict=True)
+            return
+        text, values = self.statement(name, keys)
+        rows: dict[int, list[dict[str, Any]]] = defaultdict(list)
+        for row in self._reader.query(text, values):
+            rows[row["id"]].append(row)
+        for number, key in enumerate(keys):
+            found = rows[number]
+            if name == "onsets":
+                self._known[key] = [
+                    tuple(row[part] for part in ("frame", "angle", "could", "certain")) for row in found
+                ]
+            else:
+                certain = {row["who"] for row in found if row["certain"]}
+                self._known[key] = Fit({row["who"] for row in found}, certain)
+
+    # -- reads of the compiler ----------------------------------------------------------------------------------------
+
+    def _read_pose(self, keys: Sequence[Key]) -> list[str | None]:
+        asked = [(Person(i, scope, who), frame, "posture") for i, (_, scope, who, frame) in enumerate(keys)]
+        poses = self._reader.values_at(asked)
+        return [poses.get(i) for i in range(len(keys))]
+
+    def _read_seen(self, keys: Sequence[Key]) -> list[Any]:
+        seen = self._reader.seen([(Person(i, scope, who), frame) for i, (_, scope, who, frame) in enumerate(keys)])
+        return [seen[i, key[3]] for i, key in enumerate(keys)]
+
+    def _read_start(self, keys: Sequence[Key]) -> list[FrameViewpoint | None]:
+        asked = [(Person(i, scope, who), action, after) for i, (_, scope, who, action, after) in enumerate(keys)]
+        starts = self._reader.starts(asked)
+        return [FrameViewpoint(starts[i].start, starts[i].angle) if i in starts else None for i in range(len(keys))]
+
+
+def statement_of(key: Key) -> str:
+    """Return the name of the statement of a fact: a file in `queries/necessity`, or a read of the compiler."""
+    kind = key[0]
+    if kind == "match":
+        return f"condition_{key[2].kind}"
+    return f"relation_{RELATIONS[key[2]].kind}" if kind == "follow" else str(kind)
+
+
+def row_of(key: Key) -> dict[str, Any]:
+    """Return the row of a statement's parameter for a fact."""
+    kind, scope, *about = key
+    if kind == "onsets":
+        who, action, frame = about
+        return {"scope": scope, "person": f"{scope}/{who}", "t": frame, "v": action, "posture": action in POSES}
+    if kind == "start":
+        who, action, after = about
+        return {"scope": scope, "who": who, "action": action, "posture": action in POSES, "after": after}
+    frame = about[-1]
+    if kind in _BY_READS:
+        return {"scope": scope, "who": about[0], "t": frame}
+    row: dict[str, Any] = {"at": f"{scope}/{frame:06d}", "t": frame}
+    if kind == "match":
+        return row | _condition_values(about[0])
+    if kind == "follow":
+        relation = RELATIONS[about[0]]
+        row["person"] = f"{scope}/{about[1]}"
+        if relation.kind == "window":
+            return row | {"v": float(relation.degrees), "side": 1 if relation.side == "left" else -1}
+        return row | {"v": relation.label}
+    return row
+
+
+def _condition_values(condition: Condition) -> dict[str, Any]:
+    if condition.kind == "sector":
+        return {"v": ROBOT_SECTORS[str(condition.value)]}
+    if condition.attribute in WORDS:
+        possible = may_be_called(str(condition.value)) | {condition.value}
+        return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible)}
+    if condition.object is not None:
+        return {"v": condition.object, "w": condition.verb}
+    if condition.kind == "action":
+        return {"v": condition.action, "near": KEYFRAME_STEP if condition.action in FLICKERING else 0}
+    return {"v": condition.value or condition.action or condition.interaction}

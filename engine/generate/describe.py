@@ -1,0 +1,112 @@
+"""Descriptions of people, and the people to whom relations lead.
+
+A description is a set of few conditions that are certain of one person at a keyframe and exclude each other person in
+that frame. The shortest set is the best one. Among equally short sets the order of kinds in the rules decides, then a
+hash. A second description is the best one that names no posture, for questions about postures.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Set
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import msgspec
+
+from jrdb_avr.engine.generate.facts import Facts
+from jrdb_avr.schema.labels import POSES
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.wording.people import in_order
+from jrdb_avr.schema.wording.text import actions_of
+
+_WEAK: Final = ("sector", "distance")
+"""Kinds of conditions that do not describe a person by themselves, because they fit whoever comes by."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """The conditions that describe a person at a keyframe.
+
+    Attributes:
+        conditions: Conditions in the order of kinds in the rules.
+        general: Whether the description is the best one of all.
+        poseless: Whether the description is the best one that names no posture.
+    """
+
+    conditions: tuple[Condition, ...]
+    general: bool
+    poseless: bool
+
+
+def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) -> list[Description]:
+    """Find the best descriptions of a person at a keyframe.
+
+    Args:
+        facts: Facts of the sequence.
+        sequence: Name of the sequence, which is part of the hash that breaks ties.
+        who: Track of the person.
+        frame: Keyframe at which the person has a box.
+        rules: Order of kinds, and the maximum number of conditions.
+
+    Returns:
+        At most two descriptions: the best one, and the best one that names no posture. Often one is both.
+    """
+    order = rules.condition_order
+    held = [condition for condition in facts.conditions_of(who, frame) if condition.kind in order]
+    held.sort(key=lambda condition: order.index(condition.kind))
+    could = {condition: facts.match(condition, frame).could for condition in held}
+    best: dict[str, tuple[Condition, ...]] = {}
+    for size in range(1, rules.max_conditions + 1):
+        singling = [some for some in combinations(held, size) if _describes(some, could)]
+        poseless = [some for some in singling if not any(set(actions_of(c)) & set(POSES) for c in some)]
+        for use, sets in (("general", singling), ("poseless", poseless)):
+            if sets and use not in best:
+                best[use] = _best_of(sets, f"{sequence}\n{who}\n{frame}\n", order)
+        if len(best) == 2:
+            break
+    general, poseless_best = best.get("general"), best.get("poseless")
+    return [Description(some, some == general, some == poseless_best) for some in dict.fromkeys(best.values())]
+
+
+def _describes(conditions: tuple[Condition, ...], could: dict[Condition, Set[int]]) -> bool:
+    if all(condition.kind in _WEAK for condition in conditions):
+        return False
+    fitting = could[conditions[0]]
+    for condition in conditions[1:]:
+        fitting = fitting & could[condition]
+    return len(fitting) == 1
+
+
+def _best_of(sets: list[tuple[Condition, ...]], prefix: str, order: tuple[str, ...]) -> tuple[Condition, ...]:
+    """Return the best of equally long sets: by the order of their kinds, then by hash."""
+    ranks = [tuple(order.index(condition.kind) for condition in some) for some in sets]
+    tied = [some for some, rank in zip(sets, ranks, strict=True) if rank == min(ranks)]
+    hashes = [hashlib.sha256(f"{prefix}{conditions_json(some)}".encode()).digest() for some in tied]
+    return tied[hashes.index(min(hashes))]
+
+
+def conditions_json(conditions: tuple[Condition, ...]) -> str:
+    """Return conditions as in the canonical text of a plan, without the brackets of the list."""
+    return msgspec.json.encode(in_order(conditions), order="sorted").decode()[1:-1]
+
+
+def find_leads(facts: Facts, who: int, frame: int) -> dict[str, int]:
+    """Find the person to whom each relation leads.
+
+    Args:
+        facts: Facts of the sequence.
+        who: Track of the person from whom the relations lead.
+        frame: Keyframe at which the person has a box.
+
+    Returns:
+        The track of the only person who certainly has the relation while no other person may have it, by relation.
+    """
+    leads = {}
+    for relation in facts.relations_of(who, frame):
+        could, certain = facts.follow(relation, who, frame)
+        if len(could) == len(certain) == 1:
+            leads[relation] = next(iter(certain))
+    return leads

@@ -1,0 +1,359 @@
+"""Three-valued facts of one sequence at its keyframes, as sets of people.
+
+The statements in `queries/search` return which person is seen, and has which label, at which keyframe. `Facts` keeps
+their rows and answers two questions from them: of which people a condition holds (`match`), and to which people a
+relation leads (`follow`). Each answer has the people of whom the fact is possible and those of whom it is certain.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence, Set
+from typing import Any, Final, NamedTuple, cast
+
+from jrdb_avr.queries.compiler.reads import Seen
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.labels import (
+    ACTIONS,
+    AGES,
+    FLICKERING,
+    GENDERS,
+    INTERACTIONS,
+    OTHER_ACTIONS,
+    POSES,
+    ROBOT_SECTORS,
+    may_be_called,
+)
+from jrdb_avr.schema.panorama import angle_error, clockwise
+from jrdb_avr.schema.plan import Condition
+from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP, Relation
+from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
+from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, VERBS
+
+Sighting = Mapping[str, Any]
+"""Row of the statement `seen`: one person at one keyframe."""
+
+
+class Fit(NamedTuple):
+    """The people of whom a fact may be true, and those of whom it is certainly true, by track."""
+
+    could: Set[int]
+    certain: Set[int]
+
+
+Key = tuple[Any, ...]
+"""Kind of a fact, sequence, and what the fact is about."""
+
+_LABELS: Final = ("performs", "handles", "interacts", "beside", "member")
+"""Names of the statements in `queries/search` that return the labels of people at keyframes."""
+
+WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
+"""Values of columns of sightings that generation knows. Any other value counts as unknown."""
+
+_COLUMNS: Final = {"distance": "distance_word"}
+"""Columns of sightings that have another name than the kind of condition."""
+
+_LISTS: Final = {"social": "interactions_listed", "first": "robot_view_listed", "person": "person_view_listed"}
+"""Columns of sightings that are true if the relations of a kind were read for the person."""
+
+_Marks = dict[int, bool]
+"""People with a label by track, each with whether the label is certain."""
+
+
+class Facts:
+    """The facts of one sequence at its keyframes.
+
+    Attributes:
+        keyframes: Frames at which facts are known, in order.
+        people: Sightings by keyframe and track.
+        uncovered: People with a box who are not covered, by keyframe. Only these people count.
+        judges_views: Whether the rules judge who is in clear view.
+    """
+
+    def __init__(self, graph: Graph, sequence: str, rules: LoadRules, *, with_faces: bool) -> None:
+        """Read all facts of a sequence.
+
+        Args:
+            graph: Graph with the scene of the sequence.
+            sequence: Name of the sequence.
+            rules: Thresholds of sectors and of directions between people.
+            with_faces: Whether gender and age may describe only people with a visible face.
+        """
+        self._rules, self._with_faces = rules, with_faces
+        self.judges_views = rules.visibility == "clear"
+        self.people: dict[int, dict[int, Sighting]] = defaultdict(dict)
+        self._labels: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
+        self._pairs: dict[int, dict[tuple[int, str], _Marks]] = defaultdict(lambda: defaultdict(dict))
+        self._matches: dict[tuple[Condition, int], Fit] = {}
+        self._follows: dict[tuple[str, int, int], Fit] = {}
+
+        self.keyframes: list[int] = []
+
+        def rows(name: str) -> list[dict[str, Any]]:
+            text = read_statement(f"search/{name}.cypher")
+            values = {"sequence": sequence, "phase": self.keyframes[0] % KEYFRAME_STEP if self.keyframes else 0}
+            used = {each: values[each] for each in parameters(text)}
+            found: list[dict[str, Any]] = graph.query(text, used).to_pylist()
+            return found
+
+        frames = rows("frames")
+        self.keyframes = [row["frame"] for row in frames if row["keyframe"]]
+        self.keyframe_set = frozenset(self.keyframes)
+        self._annotated = {row["frame"] for row in frames if row["annotated"]}
+        self._boxes = set()
+        for row in rows("seen"):
+            row |= {name: row[name] if row[name] in words else None for name, words in WORDS.items()}
+            self.people[row["frame"]][row["who"]] = row
+            self._boxes.add((row["who"], row["frame"]))
+        for frame in self.people.keys() - set(self.keyframes):
+            del self.people[frame]
+        self.uncovered: dict[int, frozenset[int]] = defaultdict(frozenset)
+        for frame, people in self.people.items():
+            self.uncovered[frame] = frozenset(who for who, row in people.items() if not row["covered"])
+        self._read_labels({name: rows(name) for name in _LABELS})
+        self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
+
+    def _read_labels(self, rows: Mapping[str, Iterable[dict[str, Any]]]) -> None:
+        for row in rows["performs"]:
+            if row["value"] in ACTIONS:
+                self._mark(self._labels, row, ("action", row["value"]), row["who"])
+            if self.judges_views and row["written"] and row["value"] in FLICKERING:
+                for near in (row["frame"] - KEYFRAME_STEP, row["frame"] + KEYFRAME_STEP):
+                    about = row | {"frame": near, "certain": False}
+                    self._mark(self._labels, about, ("action", row["value"]), row["who"])
+        for row in rows["handles"]:
+            if row["verb"] in VERBS:
+                category = row["value"] if row["value"] in OBJECTS else None
+                self._mark(self._labels, row, (row["verb"], category), row["who"])
+        for row in (*rows["interacts"], *rows["beside"]):
+            if row["other"] in self.people[row["frame"]]:
+                self._mark(self._pairs, row, (row["who"], row["value"]), row["other"])
+        for row in rows["interacts"]:
+            if (other := self.people[row["frame"]].get(row["other"])) is not None:
+                # Nobody sees that a person interacts with a person out of view.
+                certain = row["certain"] and (other["clear"] or not self.judges_views)
+                self._mark(self._labels, row | {"certain": certain}, ("interaction", row["value"]), row["who"])
+        groups: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
+        for row in rows["member"]:
+            self._mark(groups, row, ("group", row["value"]), row["who"])
+        self._grouped = {frame: {who for marks in found.values() for who in marks} for frame, found in groups.items()}
+        for frame, found in groups.items():
+            for marks in found.values():
+                for who, certain in marks.items():
+                    others = self._pairs[frame][who, SAME_GROUP] if len(marks) > 1 else {}
+                    for other in marks.keys() - {who}:
+                        others[other] = others.get(other, False) or (certain and marks[other])
+
+    def _mark(self, table: Any, row: Mapping[str, Any], topic: tuple[Any, Any], who: int) -> None:
+        """Mark that a person with a box has a label. A label is certain if one of its rows is."""
+        if row["who"] in self.people[row["frame"]]:
+            marks = table[row["frame"]][topic]
+            marks[who] = marks.get(who, False) or row["certain"]
+
+    # -- conditions ---------------------------------------------------------------------------------------------------
+
+    def match(self, condition: Condition, frame: int) -> Fit:
+        """Find the people of whom a condition holds.
+
+        Args:
+            condition: Condition of one person.
+            frame: Keyframe.
+
+        Returns:
+            The people of whom the condition may hold, and of whom it certainly holds. Covered people are left out.
+        """
+        if (key := (condition, frame)) not in self._matches:
+            self._matches[key] = self._without_covered(self._match(condition, frame), frame)
+        return self._matches[key]
+
+    def _match(self, condition: Condition, frame: int) -> Fit:
+        labels = self._labels[frame]
+        match condition.kind:
+            case "action":
+                return _fit(labels.get(("action", condition.action), {}), self._without(frame, "listed"))
+            case "object":
+                unknown = labels.get((condition.verb or "", None), {}).keys()
+                marks = labels.get((condition.verb or "", condition.object), {})
+                return _fit(marks, self._without(frame, "handles_listed") | unknown)
+            case "interaction":
+                # A person without a list may interact with each other person.
+                anybody = len(self.people[frame]) > 1 and self._without(frame, "interactions_listed")
+                marks = labels.get(("interaction", condition.interaction), {})
+                return _fit(marks, self.people[frame] if anybody else ())
+            case "sector":
+                return self._match_sector(str(condition.value), frame)
+        return self._match_value(condition, frame)
+
+    def _match_sector(self, sector: str, frame: int) -> Fit:
+        off = {who: angle_error(row["angle"], ROBOT_SECTORS[sector]) for who, row in self.people[frame].items()}
+        could, certain = (
+            {who for who, degrees in off.items() if degrees <= limit + SLACK}
+            for limit in (self._rules.sector_false_deg, self._rules.sector_true_deg)
+        )
+        return Fit(could, certain)
+
+    def _match_value(self, condition: Condition, frame: int) -> Fit:
+        if condition.kind == "group_size":
+            return self._match_group_size(cast(int, condition.value), frame)
+        people, column = self.people[frame], _COLUMNS.get(condition.kind, condition.kind)
+        wanted = condition.value if condition.action is None else condition.action
+        possible = {None, wanted}
+        if condition.kind != "pose":
+            possible |= may_be_called(str(wanted))
+        could = {who for who, row in people.items() if row[column] in possible}
+        certain = {who for who in could if people[who][column] == wanted}
+        if condition.kind == "pose":
+            # A closed gap of a pose leaves the pose possible beside the pose that is listed.
+            could |= self._labels[frame].get(("action", wanted), {}).keys()
+        if condition.kind == "distance":
+            could |= {who for who, row in people.items() if row["distance_other"] == wanted}
+            certain = {who for who in certain if people[who]["distance_other"] is None}
+        return Fit(could, certain)
+
+    def _match_group_size(self, size: int, frame: int) -> Fit:
+        sizes = {who: (row["group_size_min"], row["group_size_max"]) for who, row in self.people[frame].items()}
+        could = {who for who, (least, most) in sizes.items() if least is None or least <= size <= most}
+        return Fit(could, {who for who in could if sizes[who] == (size, size)})
+
+    def _without_covered(self, fit: Fit, frame: int) -> Fit:
+        people = self.uncovered[frame]
+        return Fit(fit.could & people, fit.certain & people)
+
+    def _without(self, frame: int, column: str) -> set[int]:
+        """Return the people of whom a list of labels was not read."""
+        return {who for who, row in self.people[frame].items() if not row[column]}
+
+    # -- relations ----------------------------------------------------------------------------------------------------
+
+    def follow(self, relation: str, who: int, frame: int) -> Fit:
+        """Find the people to whom a relation leads.
+
+        Args:
+            relation: Label of the relation.
+            who: Track of the person from whom the relation leads.
+            frame: Keyframe at which the person has a box.
+
+        Returns:
+            The other people who may have the relation, and who certainly have it. Covered people are left out.
+        """
+        if (key := (relation, who, frame)) not in self._follows:
+            self._follows[key] = self._without_covered(self._follow(RELATIONS[relation], who, frame), frame)
+        return self._follows[key]
+
+    def _follow(self, relation: Relation, who: int, frame: int) -> Fit:
+        if relation.kind == "window":
+            return self._look_aside(relation, who, frame)
+        marks = self._pairs[frame].get((who, relation.label), {})
+        others = self.people[frame].keys() - {who}
+        if relation.kind == "group":
+            unread = self.people[frame].keys() - self._grouped.get(frame, set())
+        else:
+            unread = self._without(frame, _LISTS[relation.kind])
+        return _fit(marks, others if who in unread else unread & others)
+
+    def _look_aside(self, window: Relation, who: int, frame: int) -> Fit:
+        """Find the people within some degrees at one side. Near the edges of the window it is unknown."""
+        margin, people = self._rules.neighbor_margin_deg, self.people[frame]
+        could, certain = set(), set()
+        for other in people.keys() - {who}:
+            right = clockwise(people[who]["angle"], people[other]["angle"])
+            left = 360.0 - right if right > 0 else 0.0
+            turn = left if window.side == "left" else right
+            unknown = min(left, right) <= margin or abs(turn - window.degrees) <= margin
+            if unknown or turn < window.degrees:
+                could.add(other)
+                certain |= set() if unknown else {other}
+        return Fit(could, certain)
+
+    # -- reads --------------------------------------------------------------------------------------------------------
+
+    def pose(self, who: int, frame: int) -> str | None:
+        """Return the posture of a person at a keyframe, or None if it is unknown or the person has no box."""
+        row = self.people.get(frame, {}).get(who)
+        return None if row is None else row["pose"]
+
+    def seen(self, who: int, frame: int) -> Seen:
+        """Return whether a person is in clear view at a keyframe, and the distance from the robot.
+
+        Args:
+            who: Track of the person.
+            frame: Keyframe.
+
+        Returns:
+            Presence is False if the frame, and the frames one second before and after, are annotated and have no box of
+            the person. Presence is None if it is unknown. The distance is None unless the 3D box has lidar points.
+        """
+        row = self.people.get(frame, {}).get(who)
+        present = True if row is not None and row["clear"] else False if self.is_absent(who, frame) else None
+        return Seen(present, row["distance"] if row is not None and row["located"] else None)
+
+    def is_absent(self, who: int, frame: int) -> bool:
+        """Return whether a person is certainly absent at a keyframe."""
+        near = (frame - KEYFRAME_STEP, frame, frame + KEYFRAME_STEP)
+        return self._annotated.issuperset(near) and not any((who, other) in self._boxes for other in near)
+
+    def ask(self, keys: Sequence[Key]) -> list[Any]:
+        """Return the facts for keys such as `("match", sequence, condition, frame)`, as `perturb` asks for them."""
+        return [getattr(self, kind)(*arguments) for kind, _, *arguments in keys]
+
+    def people_at(self, frame: int) -> Fit:
+        """Return all people at a keyframe who have a box and are not covered."""
+        return Fit(self.uncovered[frame], self.uncovered[frame])
+
+    # -- one person ---------------------------------------------------------------------------------------------------
+
+    def relations_of(self, who: int, frame: int) -> tuple[str, ...]:
+        """Return the relations that a person may have with some other person because of a label.
+
+        Args:
+            who: Track of the person.
+            frame: Keyframe.
+
+        Returns:
+            Labels of relations that a question may name, in the order of `QUESTION_RELATIONS`.
+        """
+        return self._relations.get(frame, {}).get(who, ())
+
+    def conditions_of(self, who: int, frame: int) -> list[Condition]:
+        """Return the conditions that certainly hold of a person and may describe the person.
+
+        Args:
+            who: Track of the person.
+            frame: Keyframe at which the person has a box.
+
+        Returns:
+            The conditions in a fixed order. Those that hold at a time hold at "t0".
+        """
+        row, labels = self.people[frame][who], self._labels[frame]
+        conditions = [Condition(attribute="sector", value=sector, at="t0") for sector in ROBOT_SECTORS]
+        if row["group_size"] is not None:
+            conditions.append(Condition(attribute="group_size", value=int(row["group_size"]), at="t0"))
+        if row["distance_word"]:
+            conditions.append(Condition(attribute="distance", value=row["distance_word"], at="t0"))
+        if row["face"] or not self._with_faces:
+            conditions += [Condition(attribute=name, value=row[name]) for name in ("gender", "age") if row[name]]
+        if row["pose"]:
+            conditions.append(Condition(action=row["pose"], at="t0"))
+        held = {topic for topic, marks in labels.items() if who in marks}
+        conditions += [Condition(action=name, at="t0") for name in OTHER_ACTIONS if ("action", name) in held]
+        things = [(verb, value) for verb, value in held if verb in VERBS and value is not None]
+        for verb, value in sorted(things, key=lambda thing: (VERBS.index(thing[0]), OBJECTS.index(thing[1]))):
+            if verb not in POSES and value not in PERSON_CATEGORIES:
+                conditions.append(Condition(object=value, verb=verb, at="t0"))
+        labels_met = [label for label in self.relations_of(who, frame) if label in INTERACTIONS]
+        conditions += [Condition(interaction=label, at="t0") for label in labels_met]
+        return [condition for condition in conditions if who in self.match(condition, frame).certain]
+
+
+def _fit(marks: _Marks, possible: Iterable[int]) -> Fit:
+    return Fit(marks.keys() | set(possible), {who for who, certain in marks.items() if certain})
+
+
+def _labels_of(pairs: Iterable[tuple[int, str]]) -> dict[int, tuple[str, ...]]:
+    """Return the labels of each person, from pairs of a person and a label."""
+    labels: dict[int, set[str]] = defaultdict(set)
+    for who, label in pairs:
+        labels[who].add(label)
+    return {who: tuple(label for label in QUESTION_RELATIONS if label in held) for who, held in labels.items()}

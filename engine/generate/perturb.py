@@ -1,0 +1,452 @@
+"""Perturbations of a plan, and the proofs that they give.
+
+A perturbation is another program: a condition left out, another target, a hop left out, or other times. A program runs
+over facts, which a source of facts returns by key. The same code therefore proves a question from the sets of `Facts`
+and from statements over the stored graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import reduce
+from typing import Any, Final, Protocol, cast
+
+import msgspec
+from msgspec.structs import replace
+
+from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.schema.answer_modes import decode_answer, same_answer
+from jrdb_avr.schema.answers import FrameViewpoint
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.plan import Condition, Edge, Plan
+from jrdb_avr.schema.questions import Proof
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
+from jrdb_avr.schema.templates import Template, TimeProof
+
+PROVING: Final = ("different", "ambiguous", "empty")
+"""Outcomes of a perturbed program that certainly does not give the question's answer."""
+
+BY_CONSTRUCTION: Final = "by construction"
+"""Variant of the proofs about time that are not run, because the answer is itself a time."""
+
+_WORST: Final = ("empty", "ambiguous", "unknown")
+"""Outcomes of a program without an answer. If several branches fail, the first of these is the program's outcome."""
+
+Answer = str | FrameViewpoint
+
+
+def read_answer(mode: str, text: str) -> Answer:
+    """Return an answer as programs give it: the text of a choice, or a start with its direction.
+
+    Args:
+        mode: Answer mode of the question.
+        text: Text of a choice, or the stored JSON of another answer.
+    """
+    answer = decode_answer(mode, text) if mode == "frame_viewpoint" else text
+    return cast(Answer, answer)
+
+
+class NoAnswerError(Exception):
+    """Reason why a program has no answer: empty, ambiguous or unknown."""
+
+
+class MissingFactsError(Exception):
+    """Signal that a source of facts was asked for facts that it must look up first."""
+
+
+class FactSource(Protocol):
+    """Source of facts."""
+
+    def ask(self, keys: Sequence[Key]) -> list[Any]:
+        """Return facts by key.
+
+        Args:
+            keys: Keys of one of these forms, with people by track:
+                ("people_at", sequence, frame), ("match", sequence, condition, frame) and
+                ("follow", sequence, relation, track, frame) give the people as a `Fit`;
+                ("pose", sequence, track, frame) gives a posture or None;
+                ("seen", sequence, track, frame) gives a `Seen`;
+                ("start", sequence, track, action, after) gives a `FrameViewpoint` or None;
+                ("onsets", sequence, track, action, frame) gives rows (frame, angle, could, certain).
+
+        Returns:
+            The facts in the order of the keys.
+
+        Raises:
+            MissingFactsError: If a fact must be looked up first. The source has noted all missing keys.
+        """
+
+
+class Program(msgspec.Struct, frozen=True):
+    """A plan that can be run.
+
+    Attributes:
+        sequence: Name of the sequence.
+        conditions: Conditions of person a.
+        frame: Frame at which conditions and relations hold.
+        edges: Relations between the people.
+        target: Name of the person of whom the answer is read.
+        read: What is read, as in `AnswerSpec`.
+        times: Stated frames at which the answer is read.
+        action: Action whose start is the answer, or None.
+        join: Name of the person to whom two branches lead, or "".
+        moves: What the proofs about time move.
+        held: Track of person a, or None if the conditions find the person.
+    """
+
+    sequence: str
+    conditions: tuple[Condition, ...]
+    frame: int
+    edges: tuple[Edge, ...]
+    target: str
+    read: str
+    times: tuple[int, ...]
+    action: str | None
+    join: str
+    moves: TimeProof
+    held: int | None = None
+
+    @property
+    def nodes(self) -> list[str]:
+        """Names of the people in the order in which the relations reach them."""
+        return list(dict.fromkeys(("a", *(edge.target for edge in self.edges))))
+
+
+def make_program(sequence: str, plan: Plan, template: Template) -> Program:
+    """Make the program of a plan.
+
+    Args:
+        sequence: Name of the sequence.
+        plan: Plan of a question.
+        template: Template of the plan, in the form that the plan has.
+
+    Returns:
+        The program.
+    """
+    root = next(node for node in plan.nodes if node.id == plan.root)
+    stated = {name: time.frame for name, time in plan.times.items() if time.frame is not None}
+    actions = [time.action for name, time in plan.times.items() if name in plan.answer.times and time.event == "start"]
+    return Program(
+        sequence=sequence,
+        conditions=root.conditions,
+        frame=stated[template.described],
+        edges=plan.edges,
+        target=plan.target,
+        read=plan.answer.read,
+        times=tuple(stated[name] for name in plan.answer.times if name in stated),
+        action=actions[0] if actions else None,
+        join=plan.target if template.joins else "",
+        moves=template.time_proof,
+    )
+
+
+# -- running a program ------------------------------------------------------------------------------------------------
+
+
+def find_people(program: Program, source: FactSource) -> dict[str, int]:
+    """Find the people of a program, one after another.
+
+    Args:
+        program: Program.
+        source: Source of facts.
+
+    Returns:
+        Tracks by name.
+
+    Raises:
+        NoAnswerError: If the conditions or a relation lead to no single person.
+        MissingFactsError: If facts are missing.
+    """
+    people = {"a": _only(match(program, source)) if program.held is None else program.held}
+    failures, missing = [], False
+    for node in program.nodes[1:]:
+        edges = [edge for edge in program.edges if edge.target == node]
+        if not all(edge.source in people for edge in edges):
+            continue
+        try:
+            people[node] = _step(program, source, people, edges)
+        except NoAnswerError as reason:
+            failures.append(str(reason))
+        except MissingFactsError:
+            missing = True
+    if missing:
+        raise MissingFactsError
+    if failures:
+        raise NoAnswerError(min(failures, key=_WORST.index))
+    return people
+
+
+def match(program: Program, source: FactSource) -> Fit:
+    """Find the people of whom all conditions of a program may hold, and of whom all certainly hold."""
+    keys = [("match", program.sequence, condition, program.frame) for condition in program.conditions]
+    return _overlap(source.ask([("people_at", program.sequence, program.frame), *keys]))
+
+
+def _step(program: Program, source: FactSource, people: dict[str, int], edges: Sequence[Edge]) -> int:
+    """Find the person to whom all of some edges lead. It is nobody of the people before."""
+    keys = [("follow", program.sequence, edge.relation, people[edge.source], program.frame) for edge in edges]
+    fit = _overlap(source.ask(keys))
+    if edges[0].target == program.join:
+        apart = set(people.values())
+        return _only(Fit(fit.could - apart, fit.certain - apart))
+    who = _only(fit)
+    if who in people.values():
+        raise NoAnswerError("empty")
+    return who
+
+
+def _overlap(fits: Sequence[Fit]) -> Fit:
+    could, certain = (reduce(lambda some, more: some & more, map(set, sets)) for sets in zip(*fits, strict=True))
+    return Fit(could, certain)
+
+
+def _only(fit: Fit) -> int:
+    """Return the only person whom a fact fits. Raises NoAnswerError if there are several or none, or it is unknown."""
+    if len(fit.certain) > 1:
+        raise NoAnswerError("ambiguous")
+    if not fit.could:
+        raise NoAnswerError("empty")
+    if len(fit.could) > 1 or not fit.certain:
+        raise NoAnswerError("unknown")
+    return next(iter(fit.certain))
+
+
+def run(program: Program, source: FactSource, rules: Rules) -> Answer:
+    """Run a program.
+
+    Args:
+        program: Program that reads an action, presence, a change of distance, or a start with its direction.
+        source: Source of facts.
+        rules: Thresholds of distances.
+
+    Returns:
+        The answer.
+
+    Raises:
+        NoAnswerError: If the program has no answer.
+        MissingFactsError: If facts are missing.
+    """
+    who = find_people(program, source)[program.target]
+    if program.read == "start_view":
+        (start,) = source.ask([("start", program.sequence, who, program.action, program.frame)])
+        return cast(FrameViewpoint, _known(start))
+    seen = [("seen", program.sequence, who, frame) for frame in program.times]
+    if program.read == "action":
+        view, pose = source.ask([*seen, ("pose", program.sequence, who, program.times[0])])
+        if view.present is False:
+            raise NoAnswerError("empty")
+        return str(_known(pose))
+    first, second = source.ask(seen)
+    if program.read == "presence":
+        return PRESENCE_ANSWERS[3 - 2 * _known(first.present) - _known(second.present)]
+    before = _known(first.distance)
+    if not _known(second.present):
+        return DISTANCE_ANSWERS[3]
+    nearer = before - _known(second.distance)
+    if abs(nearer) >= rules.distance_changed_m:
+        return DISTANCE_ANSWERS[0 if nearer > 0 else 1]
+    return DISTANCE_ANSWERS[_known(2 if abs(nearer) < rules.distance_same_m else None)]
+
+
+def _known(value: Any) -> Any:
+    if value is None:
+        raise NoAnswerError("unknown")
+    return value
+
+
+# -- perturbations ----------------------------------------------------------------------------------------------------
+
+
+def prove(program: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource) -> list[Proof]:
+    """Run all perturbations of a program.
+
+    Args:
+        program: Program of a question.
+        answer: Answer of the question.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+        source: Source of facts.
+
+    Returns:
+        The proofs about conditions, hops and times, in the order in which questions store them.
+
+    Raises:
+        NoAnswerError: If the program finds no single person.
+        MissingFactsError: If facts are missing. All facts that can be asked for have been asked for.
+    """
+    proofs = list(iterate_proofs(program, answer, keyframes, rules, source))
+    known = [proof for proof in proofs if proof is not None]
+    if len(known) < len(proofs):
+        raise MissingFactsError
+    return known
+
+
+def iterate_proofs(
+    program: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
+) -> Iterator[Proof | None]:
+    """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
+    people = find_people(program, source)
+    yield from prove_conditions(program, source)
+    yield from prove_changes(program, people, answer, keyframes, rules, source)
+
+
+def prove_conditions(program: Program, source: FactSource) -> Iterator[Proof | None]:
+    """Yield a proof per condition that the condition is needed: without it, two people or more may be meant.
+
+    Args:
+        program: Program of a question.
+        source: Source of facts.
+
+    Yields: The proofs, None for one that lacks facts.
+    """
+    for condition in program.conditions:
+        left = replace(program, conditions=tuple(one for one in program.conditions if one is not condition))
+        try:
+            several = len(match(left, source).could) >= 2
+        except MissingFactsError:
+            yield None
+            continue
+        yield Proof("anchor", f"without {condition.words}", several, "ambiguous" if several else "same")
+
+
+def prove_changes(
+    program: Program,
+    people: Mapping[str, int],
+    answer: Answer,
+    keyframes: Sequence[int],
+    rules: Rules,
+    source: FactSource,
+) -> Iterator[Proof | None]:
+    """Yield the proofs about hops and times, None for one that lacks facts.
+
+    Args:
+        program: Program of a question.
+        people: Tracks of its people by name.
+        answer: Answer of the question.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+        source: Source of facts.
+
+    Yields: The proofs in the order in which questions store them.
+    """
+    for kind, variant, perturbed in _hops(replace(program, held=people["a"])):
+        yield _prove(kind, variant, perturbed, answer, keyframes, rules, source)
+    if program.moves == "construction":
+        yield from (Proof(kind, BY_CONSTRUCTION, None, "not_run") for kind in ("time.shift", "time.drop"))
+        return
+    moving, begin = program, keyframes[0]
+    if program.moves == "times":
+        # The person of whom the answer is read stays the same.
+        moving = replace(program, edges=(), target="a", held=people[program.target])
+        begin = program.frame + frames(rules.min_wait_s)
+    for variant, shifted in _shifts(moving, keyframes, rules):
+        yield _prove("time.shift", variant, shifted, answer, keyframes, rules, source)
+    moved = (_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin)
+    yield _prove_drop(moved, answer, keyframes, rules, source)
+
+
+def _prove(
+    kind: str,
+    variant: str,
+    perturbed: Program | None,
+    answer: Answer,
+    keyframes: Sequence[int],
+    rules: Rules,
+    source: FactSource,
+) -> Proof | None:
+    """Prove that a perturbed program does not give the answer. Return None if facts are missing."""
+    if perturbed is None:
+        return Proof(kind, variant, False, "outside")
+    try:
+        outcome, text = _outcome(perturbed, answer, keyframes, rules, source)
+    except MissingFactsError:
+        return None
+    return Proof(kind, variant, outcome in PROVING, outcome, text)
+
+
+def _prove_drop(
+    moved: Iterable[Program], answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
+) -> Proof | None:
+    """Prove that the time is needed: at different times there are different answers. None if facts are missing."""
+    kind, variant, known, missing = "time.drop", "all keyframes", [], False
+    for program in moved:
+        try:
+            text = _outcome(program, answer, keyframes, rules, source)[1]
+        except MissingFactsError:
+            missing = True
+            continue
+        known += [] if text is None else [text]
+        if known and known[-1] != known[0]:
+            return Proof(kind, variant, True, "different")
+    outcome = "same" if len(known) > 1 else "empty"
+    return None if missing else Proof(kind, variant, outcome in PROVING, outcome)
+
+
+def _outcome(
+    perturbed: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
+) -> tuple[str, str | None]:
+    """Compare the answer of a perturbed program with the question's answer; return the outcome, and a choice's text."""
+    if not all(frame in keyframes for frame in (perturbed.frame, *perturbed.times)):
+        return "unknown", None
+    try:
+        if isinstance(answer, FrameViewpoint):
+            return _compare_starts(perturbed, answer, source), None
+        again = run(perturbed, source, rules)
+    except NoAnswerError as reason:
+        return str(reason), None
+    return "same" if again == answer else "different", str(again)
+
+
+def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSource) -> str:
+    """Compare starts. If no start is certain, the outcome is unknown only if a start may be near enough to score."""
+    who, action, sequence = find_people(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
+    (start,) = source.ask([("start", sequence, who, action, perturbed.frame)])
+    if start is not None:
+        return "same" if same_answer(start, answer) else "different"
+    (rows,) = source.ask([("onsets", sequence, who, action, answer.frame)])
+    certain = {frame for frame, _, _, sure in rows if sure}
+    for frame, angle, could, _ in rows:
+        near = frame >= answer.frame - KEYFRAME_STEP and same_answer(FrameViewpoint(answer.frame, angle), answer)
+        if near and could and frame - KEYFRAME_STEP not in certain:
+            return "unknown"
+    return "empty"
+
+
+def _hops(program: Program) -> Iterator[tuple[str, str, Program]]:
+    """Yield the programs that stop at an earlier person, then those without a hop: kind, variant, program."""
+    if not program.edges:
+        return
+    for place, node in enumerate(program.nodes[:-1]):
+        yield "hop.stop", str(place), replace(program, target=node)
+    for number, edge in enumerate(program.edges, start=1):
+        # To leave out the last hop of a path is to stop one person early. Of a join, each hop can be left out.
+        if program.join or edge.target != program.target:
+            yield "hop.skip", str(number), replace(program, edges=_without(program, edge))
+
+
+def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
+    """Return the edges without a hop. The hops after it begin at the person from whom it led."""
+    edges = tuple(edge for edge in program.edges if edge is not skipped)
+    if skipped.target == program.target:
+        return edges
+    return tuple(replace(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
+
+
+def _shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
+    """Yield the programs with moved times. None stands for a time outside the sequence or before the description."""
+    first = max(moving.frame + 1, keyframes[0]) if moving.moves == "times" else keyframes[0]
+    later = _later(moving)
+    for by in (-frames(rules.shift_s), frames(rules.shift_s)):
+        inside = min(later) + by >= first and max(later) + by <= keyframes[-1]
+        yield f"{by / FPS:+g} s", _moved(moving, by) if inside else None
+
+
+def _later(program: Program) -> list[int]:
+    """Return the frames that the proofs about time move."""
+    return [time for time in program.times if program.moves == "program" or time != program.frame]
+
+
+def _moved(program: Program, by: int) -> Program:
+    if program.moves == "program":
+        return replace(program, frame=program.frame + by, times=tuple(time + by for time in program.times))
+    return replace(program, times=tuple(time if time == program.frame else time + by for time in program.times))

@@ -1,0 +1,268 @@
+"""Proposals of questions: the rows of the generators, as plans that are not proven yet.
+
+A generator is a statement in `queries/generators`. Its rows have what one row decides: descriptions, relations that
+lead to single people, clear views, images, waits, and that the view straight ahead is not enough. Two forms add people
+here: a fork-join the person to whom both branches lead, and a count the people who are met.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+from typing import Any, Final
+
+import msgspec
+from msgspec.structs import replace
+
+from jrdb_avr.engine.generate.facts import Fit
+from jrdb_avr.engine.generate.layer import Layer, Row
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.keyframes import keyframe_values
+from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.labels import PRESENCE_ANSWERS
+from jrdb_avr.schema.plan import Condition, Plan, canonical
+from jrdb_avr.schema.relations import RELATIONS, RELATIONS_OF
+from jrdb_avr.schema.rules import Rules, frames
+from jrdb_avr.schema.templates import Slots, Template
+from jrdb_avr.schema.wording.people import in_order
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A question that is not proven yet.
+
+    Attributes:
+        sequence: Name of the sequence.
+        template: Form of the template.
+        conditions: Conditions of the description, in the order in which proofs leave them out.
+        people: Tracks by name in the plan.
+        frames: Frames by name: stated times, and `start`, `end`, `first`, `last`, `leaves` and `returns` of events.
+        relations: Relations of the text.
+        actions: Actions of the text.
+        answer: Text of a choice, or the stored JSON of another answer.
+        segments: Ids of the segments of the actions.
+        counted: People who are counted, each with the first frame that shows that person and the target clearly.
+    """
+
+    sequence: str
+    template: Template
+    conditions: tuple[Condition, ...]
+    people: Mapping[str, int]
+    frames: Mapping[str, int]
+    relations: tuple[str, ...]
+    actions: tuple[str, ...]
+    answer: str
+    segments: tuple[int, ...] = ()
+    counted: tuple[tuple[int, int], ...] = field(default=())
+
+    @property
+    def target(self) -> int:
+        """Track of the person of whom the answer is read."""
+        return self.people[self.template.target]
+
+    @property
+    def read(self) -> tuple[int, ...]:
+        """Frames at which the answer is read."""
+        return tuple(self.frames[name] for name in self.template.read)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Plan of the question."""
+        stated = {name: self.frames[name] for name in self.template.stated}
+        return self.template.build(Slots(in_order(self.conditions), stated, self.actions, self.relations))
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of sequence, target and plan, which decides among equals."""
+        return hashlib.sha256(f"{self.sequence}\n{self.target}\n{canonical(self.plan)}".encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Search:
+    """What generators search in one sequence: the graph with its layer, and the layer's rows.
+
+    Attributes:
+        graph: Graph with the layer.
+        sequence: Name of the sequence.
+        layer: Rows of the layer.
+        rules: Rules.
+    """
+
+    graph: Graph
+    sequence: str
+    layer: Layer
+    rules: Rules
+
+    def rows(self, name: str) -> list[dict[str, Any]]:
+        """Run a generator and return its rows."""
+        text = read_statement(f"generators/{name}.cypher")
+        values = {**keyframe_values(self.rules), "sequence": self.sequence}
+        rows: list[dict[str, Any]] = self.graph.query(text, {key: values[key] for key in parameters(text)}).to_pylist()
+        return rows
+
+
+def propose(search: Search, template: Template) -> Iterator[Proposal]:
+    """Yield the proposals of a form of a template.
+
+    Args:
+        search: Sequence to search.
+        template: Form of the template, any but presence.
+
+    Returns:
+        The proposals, in an order that means nothing.
+    """
+    rows = _MAKERS.get(template.query, _plain)(search, template)
+    for row in rows:
+        yield make_proposal(search, template, row)
+
+
+def _plain(search: Search, template: Template) -> Iterable[Row]:
+    return search.rows(template.query)
+
+
+def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
+    """Make a proposal of a generator's row.
+
+    Args:
+        search: Sequence of the row.
+        template: Form of the template.
+        row: Id of the name, people, times, relations, ids of segments, and answer or value.
+
+    Returns:
+        The proposal.
+    """
+    times: dict[str, int] = {name: row[name] for name in ("t0", "t1", "t2", "leaves", "returns") if name in row}
+    segments = [search.layer.segments[row[name]] for name in ("segment", "segment2") if name in row]
+    for suffix, segment in zip(("", "2"), segments, strict=False):
+        times |= {f"{name}{suffix}": segment[name] for name in ("first", "last", "start", "end")}
+    times.setdefault("t0", times.get("t1", 0))
+    at = template.described
+    conditions = tuple(c if c.at is None else replace(c, at=at) for c in search.layer.names[row["name"]])
+    values = {name: str(frame) for name, frame in times.items()}
+    values |= {name: msgspec.json.encode(row[name]).decode() for name in ("value",) if name in row}
+    if segments:
+        values["angle"] = msgspec.json.encode(segments[0]["angle"]).decode()
+    pieces = template.answer
+    return Proposal(
+        sequence=search.sequence,
+        template=template,
+        conditions=conditions,
+        people={node: row[node] for node in template.people},
+        frames=times,
+        relations=tuple(row[name] for name in template.relations),
+        actions=tuple(segment["action"] for segment in segments)[: template.actions],
+        answer=row["answer"] if pieces is None else "".join(values.get(piece, piece) for piece in pieces),
+        segments=tuple(segment["id"] for segment in segments),
+        counted=row.get("counted", ()),
+    )
+
+
+# -- forms that need more than a statement ----------------------------------------------------------------------------
+
+
+def _fork_joins(search: Search, template: Template) -> Iterator[Row]:
+    """Yield the forks with the fourth person whom a relation of each branch singles out, but neither relation alone."""
+    facts = search.layer.facts
+    for row in search.rows(template.query):
+        frame, apart = row["t0"], {row["a"], row["b"], row["c"]}
+        people = facts.people[frame]
+        sides = [_joining(search, row[node], frame, apart) for node in ("b", "c")]
+        for (r3, left), (r4, right) in product(*(side.items() for side in sides)):
+            could, certain = left.could & right.could, left.certain & right.certain
+            if len(could) != 1 or len(certain) != 1:
+                continue
+            (who,) = certain
+            poses = [people[one]["pose"] for one in (row["a"], row["b"], row["c"], who)]
+            different = poses[0] != poses[3] and any(pose not in (None, poses[3]) for pose in poses[1:3])
+            ahead = search.layer.boxes[who, frame]["ahead"]
+            if poses[3] is not None and different and people[who]["clear"] and not ahead:
+                yield row | {"d": who, "r3": r3, "r4": r4, "answer": poses[3]}
+
+
+_WINDOWS: Final = tuple(label for label in RELATIONS_OF["join"] if RELATIONS[label].kind == "window")
+
+
+def _joining(search: Search, who: int, frame: int, apart: set[int]) -> dict[str, Fit]:
+    """Return the relations of a person that certainly hold of somebody and may hold of two people, some left out."""
+    facts, fits = search.layer.facts, {}
+    held = [label for label in facts.relations_of(who, frame) if label in RELATIONS_OF["join"]]
+    for label in (*held, *_WINDOWS):
+        fit = Fit(*(people - apart for people in facts.follow(label, who, frame)))
+        if len(fit.could) >= 2 and fit.certain:
+            fits[label] = fit
+    return fits
+
+
+_UNSEEN: Final = -1
+"""First frame of a person who is first seen clearly in a frame without an image."""
+
+
+def _counts(search: Search, template: Template) -> Iterator[Row]:
+    """Yield the people with whom a described person is in a relation, from keyframe to keyframe while that is known.
+
+    What lies between keyframes is left to the proof.
+    """
+    facts, rules = search.layer.facts, search.rules
+    for row in search.rows("described"):
+        if row["ahead"]:
+            continue
+        sized = any(condition.kind == "group_size" for condition in search.layer.names[row["name"]])
+        for relation in RELATIONS_OF["count"]:
+            if sized and RELATIONS[relation].kind == "group":
+                # The words of the question would state the number of people at the beginning.
+                continue
+            met: dict[int, int | None] = {}
+            for frame in (keyframe for keyframe in facts.keyframes if keyframe >= row["t0"]):
+                people = facts.people.get(frame, {})
+                if row["a"] not in people:
+                    break
+                could, certain = facts.follow(relation, row["a"], frame)
+                clear = {who for who in certain if people[who]["clear"] and people[row["a"]]["clear"]}
+                if could != (clear if facts.judges_views else certain):
+                    break
+                for who in certain:
+                    if met.setdefault(who, None) is None and who in clear:
+                        met[who] = frame if search.layer.has_image(frame) else _UNSEEN
+                enough = len(met) >= rules.count_min and not {None, _UNSEEN}.intersection(met.values())
+                if enough and frame >= row["t0"] + frames(rules.long_wait_s):
+                    counted = tuple(sorted((who, first) for who, first in met.items() if first is not None))
+                    times = {"t1": row["t0"], "t2": frame}
+                    yield row | times | {"r1": relation, "value": float(len(met)), "counted": counted}
+
+
+_MAKERS: Final[Mapping[str, Callable[[Search, Template], Iterable[Row]]]] = {
+    "fork_join": _fork_joins,
+    "gap_count": _counts,
+}
+
+
+def propose_presence(search: Search, template: Template) -> Iterator[tuple[int, str, tuple[int, int], list[Row]]]:
+    """Yield each pair of times at which a person is present or absent, with the descriptions before it.
+
+    Args:
+        search: Sequence to search.
+        template: Template presence.
+
+    Returns:
+        Track, answer, both times, and a row per description.
+    """
+    described: dict[int, list[Row]] = {}
+    for row in search.rows("described"):
+        described.setdefault(row["a"], []).append(row)
+    wait = frames(search.rules.min_wait_s)
+    for pair in search.rows(template.query):
+        answer = PRESENCE_ANSWERS[3 - 2 * pair["first"] - pair["second"]]
+        away = pair["first"] + pair["second"] == 0
+        begins = [
+            row
+            for row in described.get(pair["a"], ())
+            if row["t0"] + wait <= pair["t1"] and not (away and row["ahead"])
+        ]
+        times = pair["t1"], pair["t2"]
+        if begins:
+            rows = [pair | row | {"answer": answer} for row in begins]
+            yield pair["a"], answer, times, rows

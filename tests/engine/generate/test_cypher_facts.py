@@ -1,0 +1,80 @@
+"""Facts by statements over the stored graph are those of the sets, for each condition, relation and read."""
+
+import random
+from collections import Counter
+
+import pytest
+from random_worlds import in_crowds, lively_world, random_world, sociable_world
+from worlds import load_world
+
+from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
+from jrdb_avr.engine.generate.facts import Facts
+from jrdb_avr.engine.generate.perturb import MissingFactsError
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.schema.relations import QUESTION_RELATIONS
+from jrdb_avr.schema.rules import CONDITION_KINDS, LoadRules
+
+RULES = LoadRules()
+
+
+@pytest.fixture(scope="module", params=("clear", "any"))
+def worlds(request, tmp_path_factory):
+    rng, layers = random.Random(37), {}
+    for number in range(15):
+        make = (random_world, lively_world, sociable_world)[number % 3]
+        layers |= (in_crowds(make) if number % 2 else make)(rng, f"yard-2020-01-01_{number}")
+    return load_world(tmp_path_factory.mktemp("cypher_facts"), layers, rules=LoadRules(visibility=request.param))
+
+
+def keys_of(facts, sequence, rng, most=300):
+    """Keys of facts of one sequence, at most so many of each kind: those that perturbed programs may ask for."""
+    tracks = sorted({who for people in facts.people.values() for who in people})
+    keys = {}
+    for frame in facts.keyframes:
+        people = facts.people.get(frame, {})
+        keys.setdefault("people_at", []).append(("people_at", sequence, frame))
+        held = {condition for who in people for condition in facts.conditions_of(who, frame)}
+        for condition in sorted(held, key=repr):
+            moments = facts.keyframes if condition.object else rng.sample(facts.keyframes, min(3, len(facts.keyframes)))
+            for moment in moments:
+                keys.setdefault(condition.kind, []).append(("match", sequence, condition, moment))
+        for who in facts.uncovered[frame]:
+            for relation in QUESTION_RELATIONS:
+                key = ("follow", sequence, relation, who, frame)
+                keys.setdefault(statement_of(key), []).append(key)
+        for who in tracks:
+            keys.setdefault("seen", []).append(("seen", sequence, who, frame))
+            keys.setdefault("pose", []).append(("pose", sequence, who, frame))
+    return [key for kind in keys.values() for key in rng.sample(kind, min(most, len(kind)))]
+
+
+def check_facts(graph, sequences, rng, rules=RULES, with_faces=lambda sequence: True):
+    """Each fact is the same; return how many were compared by statement."""
+    compared, source = Counter(), CypherFacts(graph, rules)
+    for sequence in sequences:
+        facts = Facts(graph, sequence, rules, with_faces=with_faces(sequence))
+        keys = keys_of(facts, sequence, rng)
+        if not keys:
+            continue
+        with pytest.raises(MissingFactsError):
+            source.ask(keys)
+        assert source.fill()
+        for key, expected, found in zip(keys, facts.ask(keys), source.ask(keys), strict=True):
+            if statement_of(key) not in ("seen", "pose"):
+                expected, found = tuple(map(set, expected)), tuple(map(set, found))
+            assert found == expected, key
+            compared[statement_of(key)] += 1
+    return compared
+
+
+def test_each_fact_by_statement_equals_that_of_the_sets(worlds):
+    manifest = worlds.manifest()
+    with Graph.open(worlds.graph_path, read_only=True) as graph:
+        compared = check_facts(graph, sorted(manifest.sequences), random.Random(5), manifest.load_rules)
+    relations = ("social", "group", "first", "person", "window")
+    assert compared.keys() == {
+        *(f"condition_{kind}" for kind in CONDITION_KINDS),
+        *(f"relation_{kind}" for kind in relations),
+        *("people_at", "seen", "pose"),
+    }
+    assert min(compared.values()) > 5, compared
