@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Mapping
+from functools import cache
+from typing import Final, NamedTuple
 
-from jrdb_avr.schema.labels import ACTIONS, ALSO, POSES_OF_INTERACTIONS
+from jrdb_avr.schema.labels import ACTIONS, ALSO, POSES, POSES_OF_INTERACTIONS
+
+CHOICE_COUNT: Final = 4
+"""Number of choices of a question."""
 
 CHOICE_LABELS: Final = tuple(
     label
@@ -55,6 +60,38 @@ _IMPLIED: Final = {
 """For interactions and verbs of things: the actions that their words state, if a verb is not itself the action."""
 
 
+class ListedActions(NamedTuple):
+    """The written action labels of a person in a frame.
+
+    Attributes:
+        certain: Actions that the annotators were certain about.
+        hard: Actions that may be true.
+        complete: Whether the whole list was read, so that an action without a label is false.
+    """
+
+    certain: frozenset[str] = frozenset()
+    hard: frozenset[str] = frozenset()
+    complete: bool = True
+
+
+def list_actions(labels: Mapping[str, bool], complete: bool) -> ListedActions:
+    """Return the written action labels of a person in a frame.
+
+    Args:
+        labels: The actions. The value is False for an action with a hard or unreadable difficulty.
+        complete: Whether the whole list was read.
+
+    Returns:
+        The labels. A pose is certain only if the list is complete and has no other pose.
+
+    >>> list_actions({"walking": True, "standing": True, "typing": True}, True).certain
+    frozenset({'typing'})
+    """
+    single = complete and len(labels.keys() & set(POSES)) == 1
+    certain = frozenset(label for label, easy in labels.items() if easy and (single or label not in POSES))
+    return ListedActions(certain, frozenset(labels) - certain, complete)
+
+
 def may_be_same(label: str, other: str) -> bool:
     """Tell whether two actions may be called the same, in either direction. Then they are no choices of one question.
 
@@ -64,6 +101,7 @@ def may_be_same(label: str, other: str) -> bool:
     return label == other or other in CALLED[label] or label in CALLED[other]
 
 
+@cache
 def implied_actions(word: str) -> frozenset[str]:
     """Return the actions that a label in a question's text states or implies, so that none may be a choice.
 

@@ -146,15 +146,6 @@ def may_be_called(label: str) -> frozenset[str]:
     return frozenset(own for own, other in ALSO if other == label)
 
 
-def overlapping(pose: str) -> frozenset[str]:
-    """The poses that cannot be wrong choices beside this one.
-
-    >>> sorted(overlapping("cycling"))
-    ['sitting']
-    """
-    return may_be_called(pose) | {other for own, other in ALSO if own == pose}
-
-
 def choice_text(answer: str) -> str:
     """Return an answer as a choice says it: an action as its phrase.
 

@@ -88,6 +88,7 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
     people_in_scene: int
     bindings: dict[str, int]
     needed: tuple[NeededBox, ...]
+    twin_id: str | None = None
 
     @classmethod
     def read(cls, row: Mapping[str, Any], private: Mapping[str, Any]) -> Self:

@@ -124,8 +124,8 @@ class Template:
         return tuple(f"r{i + 1}" for i in range(len(self.uses)))
 
     @property
-    def pose_answer(self) -> bool:
-        """Whether the answer is a pose, so that the text may state none."""
+    def asks_action(self) -> bool:
+        """Whether the answer is an action, so that the text may not state it."""
         return self.spec.read in ("action", "next_action")
 
     @property

@@ -31,8 +31,8 @@ _blind_option = click.option(
     type=click.Choice(["all", "paper", "train"]),
     default="all",
     show_default=True,
-    help="'all': as many questions as the balance of answers permits. 'paper': per family, as many as in the paper. "
-    "'train': a training set, without limits per person or answer.",
+    help="'all': as many questions as caps permit. 'paper': at most as many per family as in the paper. "
+    "'train': a training set, without caps per person.",
 )
 @click.option("--n", type=click.IntRange(1), help="With --profile train: maximum number of questions.")
 @click.option(
@@ -42,7 +42,6 @@ _blind_option = click.option(
     help="With --profile train: leave out a person at the times when a question of STORE needs this person.",
 )
 @executor_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed that breaks ties between questions.")
 @click.option("--require-occlusion", is_flag=True, help="Skip sequences that have no occlusion labels.")
 @click.option("--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see 'inspect').")
 @pairs_option("--rule", "overrides", "Change a rule (see 'rules list'). May be repeated.")
@@ -55,14 +54,12 @@ def generate(
 
     For each template, the command prints the number of candidates, the number of candidates that each rule refused, and
     the number of questions. If a template has few questions, the command prints the reason. It also prints the scores
-    of guessers that see no image. With --profile paper, it compares the number of questions in each family with the
-    paper's number.
+    of guessers that see no image. With --profile paper, it prints the quota of each template.
 
     The questions do not depend on the number of workers. A training set needs a store of its own. --profile train
-    ignores the rules max_per_person, max_per_person_in_all and max_answer_share.
+    ignores the rules max_per_person and max_per_person_in_all.
     """
     from jrdb_avr.engine.generate import run
-    from jrdb_avr.engine.generate.diagnostics import fillings
     from jrdb_avr.engine.validate.reviews import rejected
     from jrdb_avr.schema.rules import Rules, override
 
@@ -78,14 +75,21 @@ def generate(
         crossed = [{"": name, **{row["template"]: row[name] for row in made.templates}} for name in names]
         print_rows(crossed, title="Candidates, refusals by rule, and questions")
         _print_reasons(made.shortfalls)
-        if families := fillings(made.selection):
-            print_rows(families, title="Questions: aim, reached number, and templates that fill in for others")
+        _print_table(
+            [_with_guessers(row) for row in made.selection], "Selection, and shares of right answers of guessers"
+        )
         _print_table(made.blind, "Answering without looking: shares of right answers")
     for fault in made.faults[:10]:
         note(f"fault: another program gives another result: {fault}")
     if made.faults:
         note(f"{len(made.faults)} candidates were not confirmed by another program: this is a fault of the software")
         sys.exit(1)
+
+
+def _with_guessers(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the row of a template's selection with its guessers as a text."""
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in row["guessers"].items())
+    return {**row, "guessers": shares or None, "shortage": None}
 
 
 @click.command(epilog="Example: jrdb-avr stats --store store")

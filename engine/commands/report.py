@@ -75,7 +75,7 @@ def score(
     "tables",
     multiple=True,
     metavar="NAME",
-    help="main (default), ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost, all, or a breakdown "
+    help="main and twins (default), ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost, all, or a breakdown "
     "by family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence. May be repeated.",
 )
 @click.option("--paper", is_flag=True, help="Add the paper's scores as rows with the label 'paper'.")
@@ -93,6 +93,12 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     be read. The column hallucination has another base: of the questions with a right answer, it is the percentage
     without a right box. Each 95 % interval comes from a bootstrap, which draws the sequences at random 10,000 times
     with a fixed seed. A macro average is the mean of a score over the seven families, or over the paper's five groups.
+
+    The table twins has the time-grounded accuracy. Its n counts pairs of time twins, which are two questions that
+    differ in one asked time and in their answers. both_answers: pairs with both answers right. both_combined: pairs
+    with both boxes right in addition. single: questions of these pairs with a right answer. Rows with the label guesser
+    belong to methods that see no picture. two answers: two different answers at random, if the twins are known. time
+    ignored: the most that a method can reach if it answers both questions alike.
 
     Examples:
       jrdb-avr report --store S
@@ -114,7 +120,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     from jrdb_avr.engine.report.tables import TABLES
     from jrdb_avr.schema.errors import did_you_mean
 
-    names = TABLES if "all" in tables else tables or ("main",)
+    names = TABLES if "all" in tables else tables or (("main",) if form == "csv" else ("main", "twins"))
     for name in names:
         if name not in TABLES:
             raise click.UsageError(f"no table {name!r}{did_you_mean(name, (*TABLES, 'all'))}")
@@ -130,6 +136,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         note(f"wrote {html}")
         return
     rows_of = found.tables(names)
+    names = [name for name in names if name != "twins" or rows_of[name]]
     if form == "csv":
         print_data(rows_of[names[0]], form)
         return

@@ -13,10 +13,18 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, Twins, doublings, sequence_cap, sizes_of
+from jrdb_avr.engine.generate.asked import (
+    Candidate,
+    Question,
+    Selected,
+    Twins,
+    doublings,
+    keep_most,
+    sequence_cap,
+    sizes_of,
+)
 from jrdb_avr.engine.generate.guessers import JUDGED, Offer, above_bound
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.levelling import keep_most
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.arrays import Ints
 

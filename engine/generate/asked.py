@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple, TypeVar
 
 from jrdb_avr.engine.generate.guessers import JUDGED, LabelCounts, Offer
 from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.generate.near_duplicates import Subject
 from jrdb_avr.schema.rules import KEYFRAME_STEP
+
+Result = TypeVar("Result")
 
 _ALL_WEIGHT: Final = 50
 _SEQUENCE_WEIGHT: Final = 20
@@ -142,3 +144,24 @@ def sizes_of(quota: int) -> list[int]:
     """Return the shares of a quota that are tried, the largest first; smaller ones are not judged."""
     judged = [size for step in range(_STEPS, 0, -1) if (size := quota * step // _STEPS) >= JUDGED]
     return [*judged, JUDGED - 1]
+
+
+def keep_most(most: int, attempt: Callable[[int], Result | None]) -> Result | None:
+    """Find the largest number of twins with which a selection succeeds, by halving.
+
+    Args:
+        most: Maximum number of pairs, which is tried first.
+        attempt: Returns the selection with so many of the first pairs, or None if the bound does not hold.
+
+    Returns:
+        The selection, or None if no attempt succeeds.
+    """
+    best, low, high, count = None, 0, most, most
+    while low < high:
+        result = attempt(count)
+        if result is None:
+            high = count - 1
+        else:
+            best, low = result, count
+        count = (low + high + 1) // 2
+    return best

@@ -7,11 +7,11 @@ without a list of actions.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from functools import lru_cache
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
-from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, implied_actions, may_be_same
+from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, ListedActions, may_be_same
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
@@ -20,20 +20,6 @@ LabelOutcome = Literal["same", "different", "unknown"]
 _POSES: Final = frozenset(POSES)
 _WINDOW: Final = 3
 """Number of keyframes before and after the time asked that must lack a wrong choice. For a pose it is one."""
-
-
-class ListedActions(NamedTuple):
-    """The action labels of a person at a keyframe.
-
-    Attributes:
-        certain: Actions that the annotators were certain about.
-        hard: Actions with a hard or unreadable difficulty: they may be true.
-        complete: Whether the whole list was read, so that an action without a label is false.
-    """
-
-    certain: frozenset[str] = frozenset()
-    hard: frozenset[str] = frozenset()
-    complete: bool = True
 
 
 Timeline = Mapping[int, ListedActions]
@@ -66,16 +52,16 @@ def false_labels(timeline: Timeline, frame: int) -> frozenset[str]:
         The actions that are certainly false at the keyframe and that no keyframe near it has, hard labels included. For
         poses these are the keyframes within one second, for other actions those within three seconds.
     """
-    labels = timeline.get(frame)
-    if labels is None:
-        return frozenset()
     beside = _labels_within(timeline, frame, 1)
     around = _labels_within(timeline, frame, _WINDOW)
-    return frozenset(
-        label
-        for label in CHOICE_LABELS
-        if label not in (beside if label in _POSES else around) and outcome(labels, label) == "different"
-    )
+    different = different_labels(timeline.get(frame))
+    return frozenset(label for label in different if label not in (beside if label in _POSES else around))
+
+
+@lru_cache(maxsize=4096)
+def different_labels(labels: ListedActions | None) -> tuple[str, ...]:
+    """Return the actions with the outcome "different". The parameter is that of `outcome`."""
+    return tuple(label for label in CHOICE_LABELS if outcome(labels, label) == "different")
 
 
 def outcome(labels: ListedActions | None, label: str) -> LabelOutcome:
@@ -102,19 +88,20 @@ def outcome(labels: ListedActions | None, label: str) -> LabelOutcome:
     return "different"
 
 
-def wrong_choices(truth: str, false: Collection[str], words: Iterable[str], present: Collection[str]) -> frozenset[str]:
+def wrong_choices(
+    truth: str, false: Collection[str], implied: Collection[str], present: Collection[str]
+) -> frozenset[str]:
     """Find the actions that may stand as wrong choices beside a right one.
 
     Args:
         truth: The right choice.
         false: The actions that are false of the target (`false_labels`).
-        words: ListedActions of the actions, interactions and verbs in the text of the question.
+        implied: The actions that the text of the question states or implies (`wording.text.implied_choices`).
         present: The actions that are certainly true of a person in clear view at a keyframe of the sequence.
 
     Returns:
         The actions, or none if the text of the question states or implies the right choice.
     """
-    implied = frozenset().union(*map(implied_actions, words))
     if truth in implied:
         return frozenset()
     return frozenset(x for x in false if x in present and x not in implied and not may_be_same(x, truth))

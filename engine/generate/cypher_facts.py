@@ -18,7 +18,8 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.choice_labels import list_actions
+from jrdb_avr.schema.labels import ACTIONS, FLICKERING, POSES, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
@@ -26,8 +27,8 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
 
-_BY_READS: Final = {"pose": "value", "seen": "seen", "start": "start"}
-"""Kinds of facts that the compiler's reads return, with the names of their statements in `queries/reads/scene`."""
+_BY_READS: Final = ("seen", "start")
+"""Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
 
 
 class CypherFacts:
@@ -88,7 +89,7 @@ class CypherFacts:
         rows = [row_of(key) | {"id": number} for number, key in enumerate(keys)]
         if name in _BY_READS:
             rows = self._reader.rows_on_grid(rows) if name == "start" else rows
-            text, values = read_statement(f"reads/scene/{_BY_READS[name]}.cypher"), {"plans": rows}
+            text, values = read_statement(f"reads/scene/{name}.cypher"), {"plans": rows}
         else:
             text, values = read_statement(f"necessity/{name}.cypher"), {"asked": rows}
         own = {name: self._reader.values[name] for name in parameters(text) if name not in values}
@@ -104,7 +105,10 @@ class CypherFacts:
             rows[row["id"]].append(row)
         for number, key in enumerate(keys):
             found = rows[number]
-            if name == "onsets":
+            if name == "labels":
+                labels = {row["label"]: row["easy"] for row in found if row["label"] in ACTIONS}
+                self._known[key] = list_actions(labels, found[0]["listed"]) if found else None
+            elif name == "onsets":
                 self._known[key] = [
                     tuple(row[part] for part in ("frame", "angle", "could", "certain")) for row in found
                 ]
@@ -113,11 +117,6 @@ class CypherFacts:
                 self._known[key] = Fit({row["who"] for row in found}, certain)
 
     # -- reads of the compiler ----------------------------------------------------------------------------------------
-
-    def _read_pose(self, keys: Sequence[Key]) -> list[str | None]:
-        asked = [(Person(i, scope, who), frame, "posture") for i, (_, scope, who, frame) in enumerate(keys)]
-        poses = self._reader.values_at(asked)
-        return [poses.get(i) for i in range(len(keys))]
 
     def _read_seen(self, keys: Sequence[Key]) -> list[Any]:
         seen = self._reader.seen([(Person(i, scope, who), frame) for i, (_, scope, who, frame) in enumerate(keys)])
@@ -152,6 +151,8 @@ def row_of(key: Key) -> dict[str, Any]:
     row: dict[str, Any] = {"at": f"{scope}/{frame:06d}", "t": frame}
     if kind == "match":
         return row | _condition_values(about[0])
+    if kind == "labels":
+        return row | {"person": f"{scope}/{about[0]}"}
     if kind == "follow":
         relation = RELATIONS[about[0]]
         row["person"] = f"{scope}/{about[1]}"

@@ -2,7 +2,7 @@
 
 A description is a set of few conditions that are certain of one person at a keyframe and exclude each other person in
 that frame. The shortest set is the best one. Among equally short sets the order of kinds in the rules decides, then a
-hash. A second description is the best one that names no posture, for questions about postures.
+hash. A second description is the best one that names no posture, so that more postures can be choices of a question.
 """
 
 from __future__ import annotations
@@ -32,13 +32,11 @@ class Description:
 
     Attributes:
         conditions: Conditions in the order of kinds in the rules.
-        general: Whether the description is the best one of all.
-        poseless: Whether the description is the best one that names no posture.
+        general: Whether the description is the best one of all. Otherwise it is the best one that names no posture.
     """
 
     conditions: tuple[Condition, ...]
     general: bool
-    poseless: bool
 
 
 def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) -> list[Description]:
@@ -67,8 +65,7 @@ def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) ->
                 best[use] = _best_of(sets, f"{sequence}\n{who}\n{frame}\n", order)
         if len(best) == 2:
             break
-    general, poseless_best = best.get("general"), best.get("poseless")
-    return [Description(some, some == general, some == poseless_best) for some in dict.fromkeys(best.values())]
+    return [Description(some, some == best["general"]) for some in dict.fromkeys(best.values())]
 
 
 def _describes(conditions: tuple[Condition, ...], could: dict[Condition, Set[int]]) -> bool:

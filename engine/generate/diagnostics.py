@@ -5,7 +5,7 @@ Computed from the published tables alone, so that `generate` and, at any later t
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ from jrdb_avr.schema.templates import FAMILIES, forms_of
 
 RULES: Final = {
     "held_out": "a held-out question needs one of its people at the same time",
-    "stated": "the question's text states the answer",
+    "choices": "the question's text states the answer, or fewer than three wrong choices fit",
     "view.single": "answerable from a single view",
     "count": "the people who are met between keyframes are not certain",
     "anchor": "a condition of the description is not needed",
@@ -33,16 +33,12 @@ RULES: Final = {
 The last two drop a candidate before the others are tried, so that nobody knows whether it can be proven."""
 
 REASONS: Final = RULES | {
-    "choices": "fewer than three answers are certainly wrong",
     "unconfirmed": "another program gives another result, which is a defect of the software",
-    "balance": "more would make one answer too common, pass a cap or the requested number, or resemble others",
+    "selection": "a near-duplicate, a cap, the quota or a guesser's bound leaves it out",
 }
 """All rules with the reason why each refuses a candidate. The rules after those of the search refuse proven ones."""
 
 REFUSALS: Final = tuple(REASONS)
-
-EXAMPLES: Final = 100
-"""Maximum number of example rows per sequence, template and rule."""
 
 _NAMED: Final = 2
 """How many of the rules that refused most are named per template."""
@@ -61,38 +57,15 @@ def refusal_rows(
         template: Name of the template.
         rule: Name of the rule.
         count: Number of candidates that the rule refused.
-        examples: Refused candidates, of which the first become examples.
+        examples: Refused candidates that become examples.
 
     Yields:
         The row with the number, then the rows of examples.
     """
     row = {"sequence": sequence, "family": FAMILIES[template], "template": template, "rule": rule}
     yield row | {"kind": "count", "candidates": count}
-    for target, plan, detail in examples[:EXAMPLES]:
+    for target, plan, detail in examples:
         yield row | {"kind": "example", "candidates": 1, "target_track": target, "plan": plan, "detail": detail}
-
-
-def dropped_rows(pool: pa.Table, chosen: pa.Table, faults: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table `rejected` for the proven candidates that are not chosen.
-
-    Args:
-        pool: Proven candidates of all sequences, in the columns of `selection.POOL`.
-        chosen: Chosen candidates, with the column `key`. Excluded questions count as dropped by balance.
-        faults: Differences of the candidates that are not confirmed, by key.
-
-    Yields:
-        The rows.
-    """
-    groups: dict[tuple[str, str, str], list[Example]] = defaultdict(list)
-    left = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=chosen["key"].combine_chunks())))
-    names = ["key", "sequence", "template", "target_track", "plan"]
-    for row in left.select(names).sort_by("key").to_pylist():
-        rule = "unconfirmed" if row["key"] in faults else "balance"
-        groups[row["sequence"], row["template"], rule].append(
-            (row["target_track"], row["plan"], faults.get(row["key"]))
-        )
-    for (sequence, template, rule), examples in groups.items():
-        yield from refusal_rows(sequence, template, rule, len(examples), examples)
 
 
 def tallies(rejected: pa.Table, questions: pa.Table) -> list[dict[str, Any]]:
@@ -128,11 +101,11 @@ def shortfalls(
     selected = {row["template"]: row for row in selection}
     for row in rows:
         name = row["template"]
-        wanted, shortage = (selected.get(name, {}).get(column) for column in ("aim", "shortage"))
+        wanted, shortage = (selected.get(name, {}).get(column) for column in ("quota", "shortage"))
         ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
         # The rules that refused most, and balance where it refused most of the proven candidates, or too many.
         most = ranked[:_NAMED] + [
-            rule for rule in ranked[_NAMED:] if rule == "balance" and (shortage or row[rule] > row["questions"])
+            rule for rule in ranked[_NAMED:] if rule == "selection" and (shortage or row[rule] > row["questions"])
         ]
         shares = [f"{rule} {_percent(row[rule], row['candidates'])}" for rule in most]
         missing = {layer: count for (template, layer), count in sorted(lacking.items()) if template == name}
@@ -140,7 +113,7 @@ def shortfalls(
         why = [f"skipped, {text}" for text in skipped]
         few = row["questions"] < (FEW if wanted is None else min(FEW, wanted))
         if (few or shortage) and all(count < sequences for count in missing.values()):
-            why += _why_few(row, most, REASONS | ({"balance": shortage} if shortage else {}))
+            why += _why_few(row, most, REASONS | ({"selection": shortage} if shortage else {}))
         known = {column: row[column] for column in ("family", "template", "candidates", "proven", "questions")}
         texts = {"refused_most": ", ".join(shares), "skipped": "; ".join(skipped), "why": "; ".join(why)}
         found.append(known | {column: text or None for column, text in texts.items()})
@@ -166,22 +139,3 @@ def _without(layer: str, count: int, sequences: int) -> str:
 
 def _percent(part: int, whole: int) -> str:
     return "<1 %" if 200 * part < whole else f"{100 * part / whole:.0f} %"
-
-
-def fillings(selection: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A row per family with an aim: family, aimed, reached, missing, and which templates fill for which.
-
-    `selection` is the report of `select`.
-    """
-    families: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
-    for row in selection:
-        if row["aim"] is not None:
-            families[row["family"]].append(row)
-    found = []
-    for family, rows in families.items():
-        aimed, reached = sum(row["aim"] for row in rows), sum(row["kept"] for row in rows)
-        short = [f"{row['template']} {row['kept']} of {row['aim']}" for row in rows if row["kept"] < row["aim"]]
-        more = [f"{row['template']} +{row['kept'] - row['aim']}" for row in rows if row["kept"] > row["aim"]]
-        numbers = {"family": family, "aimed": aimed, "reached": reached, "missing": aimed - reached}
-        found.append(numbers | {"short": ", ".join(short) or None, "filled_by": ", ".join(more) or None})
-    return found

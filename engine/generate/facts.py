@@ -15,6 +15,7 @@ from jrdb_avr.queries.compiler.reads import Seen
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.choice_labels import ListedActions, list_actions
 from jrdb_avr.schema.labels import (
     ACTIONS,
     AGES,
@@ -68,6 +69,7 @@ class Facts:
     Attributes:
         keyframes: Frames at which facts are known, in order.
         people: Sightings by keyframe and track.
+        lists: Written actions by track and keyframe, of each person with a box.
         uncovered: People with a box who are not covered, by keyframe. Only these people count.
         judges_views: Whether the rules judge who is in clear view.
     """
@@ -84,6 +86,7 @@ class Facts:
         self._rules, self._with_faces = rules, with_faces
         self.judges_views = rules.visibility == "clear"
         self.people: dict[int, dict[int, Sighting]] = defaultdict(dict)
+        self.lists: dict[int, dict[int, ListedActions]] = defaultdict(dict)
         self._labels: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
         self._pairs: dict[int, dict[tuple[int, str], _Marks]] = defaultdict(lambda: defaultdict(dict))
         self._matches: dict[tuple[Condition, int], Fit] = {}
@@ -116,13 +119,19 @@ class Facts:
         self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
 
     def _read_labels(self, rows: Mapping[str, Iterable[dict[str, Any]]]) -> None:
+        written: dict[tuple[int, int], dict[str, bool]] = defaultdict(dict)
         for row in rows["performs"]:
             if row["value"] in ACTIONS:
                 self._mark(self._labels, row, ("action", row["value"]), row["who"])
+                if row["written"]:
+                    written[row["who"], row["frame"]][row["value"]] = row["easy"]
             if self.judges_views and row["written"] and row["value"] in FLICKERING:
                 for near in (row["frame"] - KEYFRAME_STEP, row["frame"] + KEYFRAME_STEP):
                     about = row | {"frame": near, "certain": False}
                     self._mark(self._labels, about, ("action", row["value"]), row["who"])
+        for frame, people in self.people.items():
+            for who, row in people.items():
+                self.lists[who][frame] = list_actions(written[who, frame], row["listed"])
         for row in rows["handles"]:
             if row["verb"] in VERBS:
                 category = row["value"] if row["value"] in OBJECTS else None
@@ -273,6 +282,10 @@ class Facts:
         """Return the posture of a person at a keyframe, or None if it is unknown or the person has no box."""
         row = self.people.get(frame, {}).get(who)
         return None if row is None else row["pose"]
+
+    def labels(self, who: int, frame: int) -> ListedActions | None:
+        """Return the written actions of a person at a keyframe, or None if the person has no box or is covered."""
+        return self.lists[who].get(frame) if who in self.uncovered[frame] else None
 
     def seen(self, who: int, frame: int) -> Seen:
         """Return whether a person is in clear view at a keyframe, and the distance from the robot.

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate import views
+from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.describe import conditions_json, describe, find_leads
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.queries.graph.handle import Graph
@@ -29,7 +30,13 @@ from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
 
-_TYPES: Final = {"STRING": pa.string(), "INT64": pa.int64(), "BOOLEAN": pa.bool_(), "DOUBLE": pa.float64()}
+_TYPES: Final = {
+    "STRING": pa.string(),
+    "STRING[]": pa.list_(pa.string()),
+    "INT64": pa.int64(),
+    "BOOLEAN": pa.bool_(),
+    "DOUBLE": pa.float64(),
+}
 
 Row = dict[str, Any]
 
@@ -45,7 +52,8 @@ class Layer:
         segments: Rows of `Segment` by id, each with the column `track`.
         boxes: Columns of sightings by track and frame.
         images: Frames that have an image, or empty if the sequence has no images.
-        doubtful: Uncertain postures by track, each with the first and the last frame.
+        present: Actions that a person in clear view certainly does at a keyframe.
+        length: Number of frames of the sequence.
         fps: Frames per second.
         action_step: Frames from one list of actions to the next.
     """
@@ -56,7 +64,8 @@ class Layer:
     segments: dict[int, Row] = field(default_factory=dict)
     boxes: Mapping[tuple[int, int], Row] = field(default_factory=dict)
     images: frozenset[int] = frozenset()
-    doubtful: dict[int, list[tuple[str, int, int]]] = field(default_factory=lambda: defaultdict(list))
+    present: frozenset[str] = frozenset()
+    length: int = 0
     fps: float = FPS
     action_step: int = KEYFRAME_STEP
 
@@ -114,7 +123,7 @@ def read_layer(store: Store, graph: Graph, sequence: str, rules: Rules, low: int
     tables = {name: store.interval(name, sequence) for name in ("sequence", "frames", "sightings", "segments")}
     (layers,) = tables["sequence"]["layers"].to_pylist()
     facts = Facts(graph, sequence, rules.load, with_faces="pose" in layers)
-    return make_layer(facts, sequence, tables | {"actions": store.facts("actions", sequence)}, rules, low)
+    return make_layer(facts, sequence, tables, rules, low)
 
 
 def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rules: Rules, low: int = 0) -> Layer:
@@ -123,7 +132,7 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
     Args:
         facts: Facts of the sequence.
         sequence: Name of the sequence.
-        tables: Interval tables `sequence`, `frames`, `sightings`, `segments` and `actions` of the sequence.
+        tables: Interval tables `sequence`, `frames`, `sightings` and `segments` of the sequence.
         rules: Rules of descriptions, and thresholds.
         low: First id of a node.
 
@@ -134,10 +143,8 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
     columns = tables["sightings"].select(["track", "frame", "x", "y", "w", "h", "angle", "clear"]).to_pylist()
     layer = Layer(facts, boxes={(row["track"], row["frame"]): row for row in columns}, images=images)
     (head,) = tables["sequence"].to_pylist()
-    layer.fps, layer.action_step = head["fps"], head["action_step"]
-    for row in tables["actions"].select(["track", "action", "first", "last", "certain"]).to_pylist():
-        if row["action"] in POSES and not row["certain"]:
-            layer.doubtful[row["track"]].append((row["action"], row["first"], row["last"]))
+    layer.fps, layer.action_step, layer.length = head["fps"], head["action_step"], head["frame_count"]
+    layer.present = frozenset().union(*count_actions(facts).values())
     x, w = (np.array([row[side] for row in columns], dtype=np.float64) for side in "xw")
     for row, ahead in zip(columns, views.ahead(x, w, rules.visible_share).tolist(), strict=True):
         row["ahead"] = ahead
@@ -149,7 +156,7 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
             name = low + len(layer.names)
             layer.names[name] = one.conditions
             row = {"id": name, "sequence": sequence, "conditions": f"[{conditions_json(one.conditions)}]"}
-            layer.rows["Name"].append(row | {"general": one.general, "poseless": one.poseless})
+            layer.rows["Name"].append(row | {"general": one.general})
             layer.rows["Describes"].append({"from": name, "to": number})
         for relation, target in find_leads(facts, who, frame).items():
             layer.rows["Leads"].append({"from": number, "to": ids[target, frame], "relation": relation})
@@ -158,6 +165,16 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
         layer, sequence, sorted(row["frame"] for row in tables["frames"].to_pylist() if row["annotated"]), low
     )
     return layer
+
+
+def count_actions(facts: Facts) -> dict[int, Counter[str]]:
+    """Return how many people in clear view certainly do each action, by keyframe."""
+    numbers: dict[int, Counter[str]] = defaultdict(Counter)
+    for frame, people in facts.people.items():
+        for who, row in people.items():
+            if row["clear"]:
+                numbers[frame].update(facts.lists[who][frame].certain)
+    return numbers
 
 
 def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tuple[int, int], int]:
@@ -175,11 +192,9 @@ def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tu
         row = {"id": number, "sequence": sequence, "track": who, "frame": frame, "seen": seen[who, frame]}
         row |= {"earlier": seen.get((who, frame - step)), "later": seen.get((who, frame + step))}
         row |= {"clear": bool(sighting.get("clear")), "image": layer.has_image(frame), "ahead": box.get("ahead", False)}
-        row |= {
-            "pose": sighting.get("pose"),
-            "distance": facts.seen(who, frame).distance,
-            "angle": sighting.get("angle"),
-        }
+        row |= {"doing": sorted(true_labels(facts.lists[who], frame))}
+        row |= {"not_doing": different_labels(facts.labels(who, frame))}
+        row |= {"distance": facts.seen(who, frame).distance, "angle": sighting.get("angle")}
         layer.rows["Moment"].append(row)
         layer.rows["At"].append({"from": f"{sequence}/{who}", "to": number})
     return ids

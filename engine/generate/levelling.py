@@ -10,10 +10,10 @@ per person and sequence, and wrong choices that no person in the frame does.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from jrdb_avr.engine.generate.asked import (
     Question,
     Selected,
     Twins,
+    keep_most,
     moment_hash,
     offer_of,
     sequence_cap,
@@ -51,8 +52,6 @@ _PASSES: Final = 6
 """Maximum number of passes that look for better choices of each question."""
 
 _SWAP_PASSES: Final = 2
-
-Result = TypeVar("Result")
 
 _SHARES: Final = np.array([-3, 1, 1, 1])
 """What a question adds to X for its true choice and its three wrong choices."""
@@ -389,27 +388,6 @@ def select_choices(
     for _, question in sorted(best.chosen.items()):
         taken.add(question.candidate.subject)
     return Selected([question for _, question in sorted(best.chosen.items())], shortage)
-
-
-def keep_most(most: int, attempt: Callable[[int], Result | None]) -> Result | None:
-    """Find the largest number of twins with which a selection succeeds, by halving.
-
-    Args:
-        most: Maximum number of pairs, which is tried first.
-        attempt: Returns the selection with so many of the first pairs, or None if the bound does not hold.
-
-    Returns:
-        The selection, or None if no attempt succeeds.
-    """
-    best, low, high, count = None, 0, most, most
-    while low < high:
-        result = attempt(count)
-        if result is None:
-            high = count - 1
-        else:
-            best, low = result, count
-        count = (low + high + 1) // 2
-    return best
 
 
 def level_choices(candidates: Sequence[Candidate], counts: LabelCounts) -> list[Question]:

@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol, cast
 import msgspec
 from msgspec.structs import replace
 
+from jrdb_avr.engine.generate.choices import outcome
 from jrdb_avr.engine.generate.facts import Fit, Key
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
@@ -64,7 +65,7 @@ class FactSource(Protocol):
             keys: Keys of one of these forms, with people by track:
                 ("people_at", sequence, frame), ("match", sequence, condition, frame) and
                 ("follow", sequence, relation, track, frame) give the people as a `Fit`;
-                ("pose", sequence, track, frame) gives a posture or None;
+                ("labels", sequence, track, frame) gives `ListedActions`, or None if nothing can be read;
                 ("seen", sequence, track, frame) gives a `Seen`;
                 ("start", sequence, track, action, after) gives a `FrameViewpoint` or None;
                 ("onsets", sequence, track, action, frame) gives rows (frame, angle, could, certain).
@@ -215,7 +216,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     """Run a program.
 
     Args:
-        program: Program that reads an action, presence, a change of distance, or a start with its direction.
+        program: Program that reads presence, a change of distance, or a start with its direction.
         source: Source of facts.
         rules: Thresholds of distances.
 
@@ -231,11 +232,6 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
         (start,) = source.ask([("start", program.sequence, who, program.action, program.frame)])
         return cast(FrameViewpoint, _known(start))
     seen = [("seen", program.sequence, who, frame) for frame in program.times]
-    if program.read == "action":
-        view, pose = source.ask([*seen, ("pose", program.sequence, who, program.times[0])])
-        if view.present is False:
-            raise NoAnswerError("empty")
-        return str(_known(pose))
     first, second = source.ask(seen)
     if program.read == "presence":
         return PRESENCE_ANSWERS[3 - 2 * _known(first.present) - _known(second.present)]
@@ -246,6 +242,26 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     if abs(nearer) >= rules.distance_changed_m:
         return DISTANCE_ANSWERS[0 if nearer > 0 else 1]
     return DISTANCE_ANSWERS[_known(2 if abs(nearer) < rules.distance_same_m else None)]
+
+
+def read_action(program: Program, label: str, source: FactSource) -> str:
+    """Read whether the target of a program does an action.
+
+    Args:
+        program: Program that reads an action.
+        label: The action.
+        source: Source of facts.
+
+    Returns:
+        The outcome: "same", "different", "unknown", or "empty" if the person is absent.
+
+    Raises:
+        NoAnswerError: If the program finds no single person.
+        MissingFactsError: If facts are missing.
+    """
+    about = program.sequence, find_people(program, source)[program.target], program.times[0]
+    seen, labels = source.ask([("seen", *about), ("labels", *about)])
+    return "empty" if seen.present is False else outcome(labels, label)
 
 
 def _known(value: Any) -> Any:
@@ -329,7 +345,7 @@ def prove_changes(
 
     Yields: The proofs in the order in which questions store them.
     """
-    for kind, variant, perturbed in _hops(replace(program, held=people["a"])):
+    for kind, variant, perturbed in hops(replace(program, held=people["a"])):
         yield _prove(kind, variant, perturbed, answer, keyframes, rules, source)
     if program.moves == "construction":
         yield from (Proof(kind, BY_CONSTRUCTION, None, "not_run") for kind in ("time.shift", "time.drop"))
@@ -339,7 +355,7 @@ def prove_changes(
         # The person of whom the answer is read stays the same.
         moving = replace(program, edges=(), target="a", held=people[program.target])
         begin = program.frame + frames(rules.min_wait_s)
-    for variant, shifted in _shifts(moving, keyframes, rules):
+    for variant, shifted in shifts(moving, keyframes, rules):
         yield _prove("time.shift", variant, shifted, answer, keyframes, rules, source)
     moved = (_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin)
     yield _prove_drop(moved, answer, keyframes, rules, source)
@@ -358,10 +374,10 @@ def _prove(
     if perturbed is None:
         return Proof(kind, variant, False, "outside")
     try:
-        outcome, text = _outcome(perturbed, answer, keyframes, rules, source)
+        result, text = _compare(perturbed, answer, keyframes, rules, source)
     except MissingFactsError:
         return None
-    return Proof(kind, variant, outcome in PROVING, outcome, text)
+    return Proof(kind, variant, result in PROVING, result, text)
 
 
 def _prove_drop(
@@ -371,26 +387,32 @@ def _prove_drop(
     kind, variant, known, missing = "time.drop", "all keyframes", [], False
     for program in moved:
         try:
-            text = _outcome(program, answer, keyframes, rules, source)[1]
+            result = _compare(program, answer, keyframes, rules, source)
         except MissingFactsError:
             missing = True
             continue
-        known += [] if text is None else [text]
+        known += [result] if result[0] in ("same", "different") else []
         if known and known[-1] != known[0]:
             return Proof(kind, variant, True, "different")
-    outcome = "same" if len(known) > 1 else "empty"
-    return None if missing else Proof(kind, variant, outcome in PROVING, outcome)
+    end = "same" if len(known) > 1 else "empty"
+    return None if missing else Proof(kind, variant, end in PROVING, end)
 
 
-def _outcome(
+def _compare(
     perturbed: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
 ) -> tuple[str, str | None]:
-    """Compare the answer of a perturbed program with the question's answer; return the outcome, and a choice's text."""
+    """Compare the answer of a perturbed program with the question's answer; return the outcome, and a choice's text.
+
+    Of actions there is a text only if the outcome is "same", because a person may do several.
+    """
     if not all(frame in keyframes for frame in (perturbed.frame, *perturbed.times)):
         return "unknown", None
     try:
         if isinstance(answer, FrameViewpoint):
             return _compare_starts(perturbed, answer, source), None
+        if perturbed.read == "action":
+            result = read_action(perturbed, answer, source)
+            return result, answer if result == "same" else None
         again = run(perturbed, source, rules)
     except NoAnswerError as reason:
         return str(reason), None
@@ -412,8 +434,15 @@ def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSour
     return "empty"
 
 
-def _hops(program: Program) -> Iterator[tuple[str, str, Program]]:
-    """Yield the programs that stop at an earlier person, then those without a hop: kind, variant, program."""
+def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
+    """Yield the programs that stop at an earlier person, then those without a hop.
+
+    Args:
+        program: Program of a question.
+
+    Yields:
+        The kind and the variant of the proof, and the program.
+    """
     if not program.edges:
         return
     for place, node in enumerate(program.nodes[:-1]):
@@ -432,8 +461,17 @@ def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
     return tuple(replace(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
 
 
-def _shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
-    """Yield the programs with moved times. None stands for a time outside the sequence or before the description."""
+def shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
+    """Yield the programs with moved times.
+
+    Args:
+        moving: Program of a question.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+
+    Yields:
+        The variant of the proof, and the program, or None if a time is outside the sequence or before the description.
+    """
     first = max(moving.frame + 1, keyframes[0]) if moving.moves == "times" else keyframes[0]
     later = _later(moving)
     for by in (-frames(rules.shift_s), frames(rules.shift_s)):

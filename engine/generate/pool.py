@@ -1,22 +1,28 @@
-"""The pool of a template in one sequence: proposals are proven in the order of a hash until nothing else can be used.
+"""The pool of a template in one sequence: proposals are proven in the order of a hash until selection has enough.
 
-Whatever reads the same as a proposal that stays is dropped without a proof.
+What a selection cannot use is dropped without a proof.
 """
 
 from __future__ import annotations
 
-import hashlib
+from bisect import bisect_left
 from collections import Counter, defaultdict
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
+from jrdb_avr.engine.generate.answer_levels import answer_contexts
+from jrdb_avr.engine.generate.asked import Candidate, choice_contexts
+from jrdb_avr.engine.generate.bins import answer_bin
+from jrdb_avr.engine.generate.choices import false_labels, wrong_choices, wrong_sets
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
+from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
+from jrdb_avr.engine.generate.layer import Row
 from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.perturb import (
     Answer,
@@ -28,34 +34,34 @@ from jrdb_avr.engine.generate.perturb import (
 )
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.questions import Proof
-from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.relations import QUESTION_RELATIONS
+from jrdb_avr.schema.rules import frames
 from jrdb_avr.schema.templates import Template
-from jrdb_avr.schema.wording.text import stated_actions
+from jrdb_avr.schema.wording.text import implied_choices
 
-Proven = tuple[Proposal, list[Proof]]
+EXAMPLES: Final = 100
+"""Maximum number of examples of refused proposals per sequence, template and rule."""
 
+_DESCRIPTIONS: Final = 6
+"""Number of descriptions of a person with which questions of a template with time twins begin."""
 
-class Refused(NamedTuple):
-    """A proposal that was tried and refused.
+_TRIES: Final = 6
+"""Maximum number of proposals about one person, time and answer that are tried without success."""
 
-    Attributes:
-        proposal: Proposal.
-        rule: Rule that refuses the proposal, a key of `diagnostics.REASONS`.
-        detail: Outcomes of the proofs of this rule, or other details of the reason.
-    """
+_PAIRS: Final = 3
+"""Maximum number of candidates of the template presence with one description and one answer."""
 
-    proposal: Proposal
-    rule: str
-    detail: str | None = None
+_ROW_KEYS: Final = ("segment", "t0", "t1", "t2", "r1", "r2", "r3", "r4", "answer")
 
 
 class Prover:
     """Proves proposals of one template in one sequence over its sets of facts.
 
     Attributes:
-        refused: Proposals that were tried and refused.
-        untried: Number of proposals that were dropped before they were tried, by rule.
+        counts: Number of proposals that were refused, by rule, a key of `diagnostics.RULES`.
+        examples: The first refused proposals, by rule, each with the outcomes of the proofs of the rule.
     """
 
     def __init__(self, search: Search, cypher: CypherFacts, held_out: Sequence[Extent] = ()) -> None:
@@ -67,8 +73,14 @@ class Prover:
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
         self._search, self._cypher, self._held_out = search, cypher, held_out
-        self.refused: list[Refused] = []
-        self.untried: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
+        self.examples: dict[str, list[tuple[Proposal, str | None]]] = defaultdict(list)
+
+    def refuse(self, rule: str, proposal: Proposal | None = None, detail: str | None = None) -> None:
+        """Count a proposal as refused. A proposal that was tried may become an example."""
+        self.counts[rule] += 1
+        if proposal is not None and len(self.examples[rule]) < EXAMPLES:
+            self.examples[rule].append((proposal, detail))
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
@@ -79,7 +91,7 @@ class Prover:
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
         if rule := self._excluding_rule(proposal):
-            self.refused.append(Refused(proposal, rule))
+            self.refuse(rule, proposal)
             return None
         template = proposal.template
         program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
@@ -88,7 +100,7 @@ class Prover:
             return proofs
         rule = lacking[0].split()[0]
         detail = ", ".join(f"{proof.variant}: {proof.outcome}" for proof in proofs if proof.kind == rule)
-        self.refused.append(Refused(proposal, rule, detail))
+        self.refuse(rule, proposal, detail)
         return None
 
     def _excluding_rule(self, proposal: Proposal) -> str | None:
@@ -96,8 +108,6 @@ class Prover:
         template, frames = proposal.template, proposal.frames
         if any(_touches(proposal, extent) for extent in self._held_out):
             return "held_out"
-        if template.pose_answer and proposal.answer in stated_actions(proposal.plan):
-            return "stated"
         if not template.single_view and self._fits_one_view(proposal):
             return "view.single"
         if template.counts:
@@ -137,8 +147,16 @@ class Prover:
         return bool(views.single_view(x, w, self._search.rules.visible_share))
 
 
-def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list[Proven]:
-    """Prove the proposals of a template.
+class Entry(NamedTuple):
+    """A candidate of the pool, with the form and the row that make its proposal again."""
+
+    candidate: Candidate
+    form: str
+    row: Row
+
+
+def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list[Entry]:
+    """Prove the proposals of a template, as many as selection can use.
 
     Args:
         search: Sequence to search.
@@ -146,62 +164,208 @@ def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list
         prover: Prover of the sequence.
 
     Returns:
-        The proposals that stay, each with its proofs.
+        The proven candidates.
     """
-    if forms[0].name == "presence":
-        return _fill_presence(search, forms[0], prover)
-    groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
+    fill = _FILLS.get(forms[0].name, _thin_out)
+    return list(fill(search, forms, prover))
+
+
+def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
+    """Yield one candidate for each person, time and true answer: the first proven one in the order of a hash."""
+    (form,) = forms
+    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    for row in propose(search, form):
+        moments[_moment(form, row)].append(row)
+    for rows in moments.values():
+        yield from _prove_first(search, form, rows, prover)
+
+
+def _fill_described(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
+    """Yield the candidates of all times and true answers for some descriptions of each person, and one of each other.
+
+    Time twins have equal descriptions, so that some descriptions need all their times.
+    """
+    (form,) = forms
+    described: dict[int, dict[tuple[Any, ...], list[Row]]] = defaultdict(lambda: defaultdict(list))
+    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    for row in propose(search, form):
+        described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
+        moments[_moment(form, row)].append(row)
+    for groups in described.values():
+        used = 0
+        for rows in sorted(groups.values(), key=lambda rows: _rank(search, rows[0])):
+            proven = [(entry, row) for row in rows if (entry := _prove(search, form, row, prover)) is not None]
+            for entry, row in proven:
+                moments.pop(_moment(form, row), None)
+                yield entry
+            used += bool(proven)
+            if used == _DESCRIPTIONS:
+                break
+    for rows in moments.values():
+        yield from _prove_first(search, form, rows, prover)
+
+
+def _moment(form: Template, row: Row) -> tuple[Any, ...]:
+    """Return the person, the time asked and the true answer of a row."""
+    return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
+
+
+def _prove_first(search: Search, form: Template, rows: Iterable[Row], prover: Prover) -> Iterator[Entry]:
+    """Yield the first proven candidate of some rows in the order of a hash, after a few tries at most."""
+    tries = 0
+    for row in sorted(rows, key=lambda row: _rank(search, row)):
+        proposal = make_proposal(search, form, row)
+        if (candidate := make_candidate(search, proposal)) is None:
+            prover.refuse("choices", proposal)
+        elif prover.prove(proposal) is not None:
+            yield Entry(candidate, form.query, row)
+            return
+        elif (tries := tries + 1) == _TRIES:
+            return
+
+
+def _fill_presence(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
+    """Yield, for some descriptions of each person, a few candidates with each answer, in the order of a hash."""
+    (form,) = forms
+    described, pairs = propose_presence(search, form)
+    wait = frames(search.rules.min_wait_s)
+    for who, descriptions in described.items():
+        used = 0
+        for row in sorted(descriptions, key=lambda row: _rank(search, row)):
+            later = [pair for pair in pairs.get(who, ()) if pair["t1"] >= row["t0"] + wait]
+            entries = list(_prove_pairs(search, form, row, later, prover))
+            yield from entries
+            used += bool(entries)
+            if used == _DESCRIPTIONS:
+                break
+
+
+def _prove_pairs(search: Search, form: Template, row: Row, pairs: Iterable[Row], prover: Prover) -> Iterator[Entry]:
+    near = near_frames(form.name, search.rules)
+    kept: dict[str, list[tuple[int, int]]] = defaultdict(list)
+    for pair in sorted(pairs, key=lambda pair: _rank(search, row | pair)):
+        times, stay = (pair["t1"], pair["t2"]), kept[pair["answer"]]
+        if len(stay) == _PAIRS or (row["ahead"] and pair["away"]) or any(_is_near(times, one, near) for one in stay):
+            continue
+        if (entry := _prove(search, form, row | pair, prover)) is not None:
+            stay.append(times)
+            yield entry
+
+
+def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
+    """Yield candidates in the order of their keys, but none that reads the same as one before it."""
+    groups: dict[tuple[int, str], list[tuple[Proposal, Row]]] = defaultdict(list)
     for form in forms:
-        for proposal in propose(search, form):
-            groups[proposal.target, proposal.answer].append(proposal)
-    kept: list[Proven] = []
+        for row in propose(search, form):
+            proposal = make_proposal(search, form, row)
+            groups[proposal.target, proposal.answer].append((proposal, row))
     near = near_frames(forms[0].name, search.rules)
-    for _, members in sorted(groups.items()):
-        kept += _thin_out(sorted(members, key=lambda one: one.key), near, search.rules, prover)
-    return kept
+    for members in groups.values():
+        kept: list[Sequence[int]] = []
+        for proposal, row in sorted(members, key=lambda member: member[0].key):
+            if len(kept) == search.rules.max_per_person:
+                prover.refuse("max_per_person")
+            elif any(_is_near(proposal.read, read, near) for read in kept):
+                prover.refuse("near_duplicate")
+            elif (candidate := make_candidate(search, proposal)) and prover.prove(proposal) is not None:
+                kept.append(proposal.read)
+                yield Entry(candidate, proposal.template.query, row)
 
 
-def _thin_out(members: Sequence[Proposal], near: int, rules: Rules, prover: Prover) -> list[Proven]:
-    """Prove proposals of one target and answer in their order; drop those that read the same as one that stays."""
-    kept: list[Proven] = []
-    for number, proposal in enumerate(members):
-        if len(kept) == rules.max_per_person:
-            prover.untried["max_per_person"] += len(members) - number
-            break
-        if any(_is_near(proposal.read, other.read, near) for other, _ in kept):
-            prover.untried["near_duplicate"] += 1
-        elif (proofs := prover.prove(proposal)) is not None:
-            kept.append((proposal, proofs))
-    return kept
+def _prove(search: Search, form: Template, row: Row, prover: Prover) -> Entry | None:
+    """Return the candidate of a row, or None if it lacks wrong choices or a proof does not hold."""
+    proposal = make_proposal(search, form, row)
+    candidate = make_candidate(search, proposal)
+    if candidate is None:
+        prover.refuse("choices", proposal)
+    elif prover.prove(proposal) is not None:
+        return Entry(candidate, form.query, row)
+    return None
+
+
+_FILLS: Final[dict[str, Callable[[Search, Sequence[Template], Prover], Iterator[Entry]]]] = {
+    **dict.fromkeys(("two_hop", "three_hop", "fork_join", "consequence"), _fill_moments),
+    **dict.fromkeys(("change", "later_action"), _fill_described),
+    "presence": _fill_presence,
+}
+
+
+def _rank(search: Search, row: Row) -> int:
+    """Return the hash that decides among rows. It does not depend on the place of the sequence in the data."""
+    number = row["name"] - min(search.layer.names)
+    return hash_of(search.sequence, number, [row.get(key) for key in _ROW_KEYS])
 
 
 def _is_near(read: Sequence[int], other: Sequence[int], near: int) -> bool:
     return all(abs(a - b) <= near for a, b in zip(read, other, strict=True))
 
 
-def _fill_presence(search: Search, template: Template, prover: Prover) -> list[Proven]:
-    """Prove questions of presence: pairs of times in the order of a hash, each with one description."""
-    groups: dict[tuple[int, str], list[tuple[bytes, tuple[int, int], list[Any]]]] = defaultdict(list)
-    for who, answer, times, rows in propose_presence(search, template):
-        groups[who, answer].append((_hash(search.sequence, who, *times), times, rows))
-    near, kept = near_frames(template.name, search.rules), []
-    for _, members in sorted(groups.items()):
-        stay: list[Proven] = []
-        for number, (_, times, rows) in enumerate(sorted(members, key=lambda one: one[0])):
-            if len(stay) == search.rules.max_per_person:
-                prover.untried["max_per_person"] += len(members) - number
-                break
-            if any(_is_near(times, other.read, near) for other, _ in stay):
-                prover.untried["near_duplicate"] += 1
-                continue
-            rows.sort(key=lambda row: _hash(search.sequence, row["name"], *times))
-            for row in rows:
-                proposal = make_proposal(search, template, row)
-                if (proofs := prover.prove(proposal)) is not None:
-                    stay.append((proposal, proofs))
-                    break
-        kept += stay
-    return kept
+# -- candidates -------------------------------------------------------------------------------------------------------
+
+
+def make_candidate(search: Search, proposal: Proposal) -> Candidate | None:
+    """Make the candidate of a proposal.
+
+    Args:
+        search: Sequence of the proposal.
+        proposal: Proposal.
+
+    Returns:
+        The candidate, or None if fewer than three wrong choices fit.
+    """
+    template, answer, layer = proposal.template, proposal.answer, search.layer
+    words, begin = [condition.words for condition in proposal.conditions], proposal.frames["t0"]
+    key, asked, wrong = proposal.key, proposal.read, frozenset[str]()
+    if template.asks_action:
+        # The labels are given at keyframes; a posture may begin between two of them.
+        after = bisect_left(layer.facts.keyframes, proposal.frames[template.decisive[0]])
+        key, asked = f"{key} {answer}", (layer.facts.keyframes[after],)
+        wrong = _wrong_actions(search, proposal, asked[0])
+        if not wrong_sets(wrong):
+            return None
+        last = " ".join(proposal.relations[-2 if template.joins else -1 :]) or None
+        contexts = choice_contexts(proposal.sequence, words, last, asked[0] - begin)
+    elif template.answer is None:
+        asked = tuple(proposal.frames[name] for name in template.decisive)
+        wrong = frozenset(PRESENCE_ANSWERS if answer in PRESENCE_ANSWERS else DISTANCE_ANSWERS) - {answer}
+        contexts = answer_contexts(proposal.sequence, layer.length, begin, asked, words)
+    else:
+        times = [proposal.frames[name] for name in template.stated]
+        number = answer_bin(template.spec.mode, answer, times, template.spec.read)
+        contexts = ((f"form {template.query}", 1), (f"form {template.query} answer {number}", 1))
+    return Candidate(
+        key=key,
+        template=template.name,
+        sequence=proposal.sequence,
+        track=proposal.target,
+        described=repr((begin, words, proposal.relations)),
+        asked=asked,
+        truth=answer,
+        wrong=wrong,
+        contexts=contexts,
+        event=_event(search, proposal),
+    )
+
+
+def _wrong_actions(search: Search, proposal: Proposal, frame: int) -> frozenset[str]:
+    """Return the actions that may be wrong choices of a proposal."""
+    false = false_labels(search.layer.facts.lists[proposal.target], frame)
+    if proposal.template.spec.read == "next_action":
+        false &= frozenset(POSES)
+    return wrong_choices(proposal.answer, false, implied_choices(proposal.plan), search.layer.present)
+
+
+_EVENTS: Final = ("start", "span", "start_view")
+"""Reads of which only one question may be about one start."""
+
+
+def _event(search: Search, proposal: Proposal) -> str | None:
+    """Return the start of an action, or the count of people, that only one question may be about."""
+    template = proposal.template
+    if template.counts:
+        return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"
+    number = proposal.segments[0] - min(search.layer.segments) if template.spec.read in _EVENTS else None
+    return None if number is None else f"start {number}"
 
 
 def _touches(proposal: Proposal, extent: Extent) -> bool:
@@ -211,7 +375,3 @@ def _touches(proposal: Proposal, extent: Extent) -> bool:
     times += [frame for _, frame in counted]
     people = {*proposal.people.values(), *(who for who, _ in counted)}
     return min(times) <= extent.last and max(times) >= extent.first and not people.isdisjoint(extent.tracks)
-
-
-def _hash(*parts: Any) -> bytes:
-    return hashlib.blake2b(repr(parts).encode(), digest_size=8).digest()

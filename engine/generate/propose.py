@@ -1,13 +1,14 @@
 """Proposals of questions: the rows of the generators, as plans that are not proven yet.
 
 A generator is a statement in `queries/generators`. Its rows have what one row decides: descriptions, relations that
-lead to single people, clear views, images, waits, and that the view straight ahead is not enough. Two forms add people
-here: a fork-join the person to whom both branches lead, and a count the people who are met.
+lead to single people, clear views, images, waits, answers, and that the view straight ahead is not enough. Two forms
+add people here: a fork-join the person to whom both branches lead, and a count the people who are met.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,6 +18,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
+from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, Row
 from jrdb_avr.queries.graph.handle import Graph
@@ -105,19 +107,17 @@ class Search:
         return rows
 
 
-def propose(search: Search, template: Template) -> Iterator[Proposal]:
-    """Yield the proposals of a form of a template.
+def propose(search: Search, template: Template) -> Iterable[Row]:
+    """Return the rows of the proposals of a form of a template.
 
     Args:
         search: Sequence to search.
         template: Form of the template, any but presence.
 
     Returns:
-        The proposals, in an order that means nothing.
+        The rows that `make_proposal` takes, in an order that means nothing.
     """
-    rows = _MAKERS.get(template.query, _plain)(search, template)
-    for row in rows:
-        yield make_proposal(search, template, row)
+    return _MAKERS.get(template.query, _plain)(search, template)
 
 
 def _plain(search: Search, template: Template) -> Iterable[Row]:
@@ -176,11 +176,12 @@ def _fork_joins(search: Search, template: Template) -> Iterator[Row]:
             if len(could) != 1 or len(certain) != 1:
                 continue
             (who,) = certain
-            poses = [people[one]["pose"] for one in (row["a"], row["b"], row["c"], who)]
-            different = poses[0] != poses[3] and any(pose not in (None, poses[3]) for pose in poses[1:3])
-            ahead = search.layer.boxes[who, frame]["ahead"]
-            if poses[3] is not None and different and people[who]["clear"] and not ahead:
-                yield row | {"d": who, "r3": r3, "r4": r4, "answer": poses[3]}
+            if not people[who]["clear"] or search.layer.boxes[who, frame]["ahead"]:
+                continue
+            first, *branches = (different_labels(facts.labels(row[node], frame)) for node in "abc")
+            for label in true_labels(facts.lists[who], frame):
+                if label in first and any(label in different for different in branches):
+                    yield row | {"d": who, "r3": r3, "r4": r4, "answer": label}
 
 
 _WINDOWS: Final = tuple(label for label in RELATIONS_OF["join"] if RELATIONS[label].kind == "window")
@@ -240,29 +241,22 @@ _MAKERS: Final[Mapping[str, Callable[[Search, Template], Iterable[Row]]]] = {
 }
 
 
-def propose_presence(search: Search, template: Template) -> Iterator[tuple[int, str, tuple[int, int], list[Row]]]:
-    """Yield each pair of times at which a person is present or absent, with the descriptions before it.
+def propose_presence(search: Search, template: Template) -> tuple[dict[int, list[Row]], dict[int, list[Row]]]:
+    """Find the descriptions of people, and the pairs of times at which a person is present or absent.
 
     Args:
         search: Sequence to search.
         template: Template presence.
 
     Returns:
-        Track, answer, both times, and a row per description.
+        Rows of descriptions, and rows of pairs of times, by track. A row of one kind and a row of the other kind make a
+        row for `make_proposal`. The key `away` says whether the person is absent at both times.
     """
-    described: dict[int, list[Row]] = {}
+    described: dict[int, list[Row]] = defaultdict(list)
+    pairs: dict[int, list[Row]] = defaultdict(list)
     for row in search.rows("described"):
-        described.setdefault(row["a"], []).append(row)
-    wait = frames(search.rules.min_wait_s)
-    for pair in search.rows(template.query):
-        answer = PRESENCE_ANSWERS[3 - 2 * pair["first"] - pair["second"]]
-        away = pair["first"] + pair["second"] == 0
-        begins = [
-            row
-            for row in described.get(pair["a"], ())
-            if row["t0"] + wait <= pair["t1"] and not (away and row["ahead"])
-        ]
-        times = pair["t1"], pair["t2"]
-        if begins:
-            rows = [pair | row | {"answer": answer} for row in begins]
-            yield pair["a"], answer, times, rows
+        described[row["a"]].append(row)
+    for row in search.rows(template.query):
+        answer = PRESENCE_ANSWERS[3 - 2 * row["first"] - row["second"]]
+        pairs[row["a"]].append(row | {"answer": answer, "away": row["first"] + row["second"] == 0})
+    return described, pairs

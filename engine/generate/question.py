@@ -1,92 +1,222 @@
-"""Questions of proven proposals: choices, all proofs, the boxes that are needed, and measures of difficulty."""
+"""Questions of selected candidates: proofs, needed boxes, measures of difficulty, and choices.
+
+Two other programs confirm each candidate. The statements in `queries/necessity` run each perturbation of its plan over
+the stored graph; their outcomes are the proofs that are stored. The second program (`engine.rederive`) derives the plan
+again from the annotation tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
-from jrdb_avr.engine.generate.distractors import Choices, arrange, pose_sets
-from jrdb_avr.engine.generate.layer import Layer
-from jrdb_avr.engine.generate.perturb import NoAnswerError, Program, make_program, match, run
-from jrdb_avr.engine.generate.propose import Proposal, Search
+from jrdb_avr.engine.generate.asked import Question
+from jrdb_avr.engine.generate.cypher_facts import CypherFacts
+from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.layer import Layer, Row
+from jrdb_avr.engine.generate.perturb import (
+    Answer,
+    MissingFactsError,
+    NoAnswerError,
+    Program,
+    find_people,
+    hops,
+    make_program,
+    match,
+    prove,
+    read_answer,
+    run,
+    shifts,
+)
+from jrdb_avr.engine.generate.proofs import failing
+from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal
+from jrdb_avr.engine.generate.stored_layer import LayerJob
+from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.queries.graph.handle import open_worker_graph
+from jrdb_avr.queries.store import Store
+from jrdb_avr.queries.workers import without_collector
 from jrdb_avr.schema.answers import Choice, encode_answer
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
+from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.questions import NeededBox, Proof, QuestionRecord
-from jrdb_avr.schema.relations import QUESTION_RELATIONS
-from jrdb_avr.schema.rules import KEYFRAME_STEP, rules_hash
-from jrdb_avr.schema.wording.text import question_id, render, stated_actions
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
+from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.templates import TEMPLATES
+from jrdb_avr.schema.wording.text import question_id, render
 
-_EVENTS: Final = ("start", "span", "start_view")
-"""Reads of which only one question may be about one start."""
+COLUMNS: Final = pa.schema([*dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS["answers"])), ("key", pa.string())])
+"""Columns of the tables `questions` and `answers`, and the key of `key_of`."""
 
 
-def make_row(search: Search, proposal: Proposal, proofs: list[Proof]) -> dict[str, Any] | None:
-    """Make the row of the pool for a proven proposal.
+AT_FIRST: Final = "description's time"
+"""Name of a wrong choice that is true at the time of the description."""
+
+
+class Chosen(NamedTuple):
+    """A selected question, with the form and the row that make its proposal again."""
+
+    question: Question
+    form: str
+    row: Row
+
+
+@dataclass(frozen=True)
+class QuestionJob(LayerJob):
+    """Selected questions of a sequence."""
+
+    chosen: tuple[Chosen, ...]
+
+
+class Fault(NamedTuple):
+    """A candidate that is not confirmed.
+
+    Attributes:
+        candidate: Sequence and plan of the candidate.
+        difference: Result of the other program.
+    """
+
+    candidate: str
+    difference: str
+
+    def __str__(self) -> str:
+        """Return the fault as one line."""
+        return ": ".join(self)
+
+
+def key_of(question: Question) -> str:
+    """Return a key of a question with its choices and its twin."""
+    return " ".join((question.candidate.template, question.candidate.key, *question.choices, question.twin or ""))
+
+
+@without_collector()
+def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, Fault]]:
+    """Make the selected questions of a sequence.
 
     Args:
-        search: Sequence of the proposal.
-        proposal: Proven proposal.
-        proofs: Its proofs about conditions, hops and times.
+        job: Selected questions of the sequence.
 
     Returns:
-        The row, in the columns of `selection.POOL`, or None if fewer than three answers are certainly wrong.
+        The questions in the columns of `COLUMNS`, and the faults of those that are not confirmed, by `key_of`.
+
+    Raises:
+        StoreError: If a table or the graph is missing.
     """
-    sets = _choice_sets(search, proposal, proofs)
-    if not sets:
-        return None
-    record = make_record(search, proposal, proofs, sets[0])
-    template, frames = proposal.template, proposal.frames
-    row: dict[str, Any] = {"key": proposal.key, "form": template.query, "answer_text": proposal.answer}
-    row |= {"stated": list(stated_actions(proposal.plan)), "times": [frames[name] for name in template.stated]}
-    row |= {"read_frames": list(proposal.read), "event": _event(search, proposal)}
-    row["sets"] = [msgspec.json.encode(choices).decode() for choices in sets if choices.texts]
-    return record.columns() | row
+    store = Store(job.store)
+    annotations = Annotations.read(store, job.sequence, job.rules)
+    with open_worker_graph(store.graph_path) as graph:
+        search = Search(graph, job.sequence, job.layer(graph), job.rules)
+        proposals = {key_of(one.question): make_proposal(search, TEMPLATES[one.form], one.row) for one in job.chosen}
+        source, keyframes = CypherFacts(graph, job.rules.load), search.layer.facts.keyframes
+        programs = {key: _program(proposal) for key, proposal in proposals.items()}
+        proofs = prove_all(programs, keyframes, job.rules, source)
+    rows, faults = [], {}
+    for chosen in job.chosen:
+        key = key_of(chosen.question)
+        proposal = proposals[key]
+        row = _make_row(search, proposal, chosen.question, proofs[key])
+        if difference := _refuted(proofs[key], proposal, job.rules) or _rederived(
+            annotations, row, proposal, job.rules
+        ):
+            faults[key] = Fault(f"{job.sequence} {row['plan']}", difference)
+        rows.append(row | {"key": key})
+    return pa.Table.from_pylist(rows, schema=COLUMNS), faults
 
 
-def _event(search: Search, proposal: Proposal) -> str | None:
-    """Return the start of an action, or the count of people, that a question is about."""
-    template = proposal.template
-    if template.counts:
-        return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"
-    number = proposal.segments[0] - min(search.layer.segments) if template.spec.read in _EVENTS else None
-    return None if number is None else f"start {number}"
+def _program(proposal: Proposal) -> tuple[Program, Answer]:
+    program = make_program(proposal.sequence, proposal.plan, proposal.template)
+    # Proofs leave out the conditions in the order of the description.
+    program = replace(program, conditions=proposal.conditions)
+    return program, read_answer(proposal.template.spec.mode, proposal.answer)
 
 
-def make_record(search: Search, proposal: Proposal, proofs: list[Proof], choices: Choices) -> QuestionRecord:
-    """Make the record of a question.
+def prove_all(
+    programs: Mapping[str, tuple[Program, Answer]], keyframes: Sequence[int], rules: Rules, source: CypherFacts
+) -> dict[str, list[Proof]]:
+    """Prove programs of one sequence together, so that one statement returns the facts of all of them.
 
     Args:
-        search: Sequence of the proposal.
-        proposal: Proven proposal.
-        proofs: Its proofs about conditions, hops and times.
-        choices: Choices of the question, without texts if the answer is not a choice.
+        programs: Programs with the answers of their questions, by key.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+        source: Source of the facts.
 
     Returns:
-        The record.
+        The proofs of each program by key, or no proofs if the program finds no single person.
     """
+    proofs: dict[str, list[Proof]] = {}
+    while waiting := programs.keys() - proofs.keys():
+        for key in sorted(waiting):
+            program, answer = programs[key]
+            try:
+                proofs[key] = prove(program, answer, keyframes, rules, source)
+            except NoAnswerError:
+                proofs[key] = []
+            except MissingFactsError:
+                continue
+        source.fill()
+    return proofs
+
+
+def _refuted(proofs: Sequence[Proof], proposal: Proposal, rules: Rules) -> str | None:
+    """Return which proofs by statements do not hold."""
+    if not proofs:
+        return "statements find no single person"
+    lacking = failing(proposal.template.name, proofs, rules)
+    return f"by statements, {', '.join(lacking)} do not hold" if lacking else None
+
+
+def _rederived(annotations: Annotations, row: Row, proposal: Proposal, rules: Rules) -> str | None:
+    """Return how the result of the second program differs."""
+    second = rederive(annotations, proposal.plan, proposal.template.name, rules, row["choices"])
+    if second.outcome != "defined" or second.answer != proposal.answer:
+        return f"answer {proposal.answer}, rederived {second.answer or second.outcome}"
+    if second.target != proposal.target:
+        return f"target {proposal.target}, rederived {second.target}"
+    if second.faults:
+        return second.faults[0]
+    needed = msgspec.json.decode(row["needed"], type=tuple[NeededBox, ...])
+    return None if _places(needed) == _places(second.needed) else "other boxes are needed"
+
+
+def _places(boxes: Iterable[NeededBox]) -> set[tuple[str, int, int, bool]]:
+    return {(box.node, box.track, box.frame, box.decisive) for box in boxes}
+
+
+# -- rows -------------------------------------------------------------------------------------------------------------
+
+
+def _make_row(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> Row:
+    """Return the columns of a question in the tables `questions` and `answers`."""
     layer, template, plan = search.layer, proposal.template, proposal.plan
-    about, in_view = layer.action_step == KEYFRAME_STEP, layer.facts.judges_views
-    text = render(template.name, plan, proposal.key, about, in_view)
-    public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
-    public |= {"question": text, "choices": choices.texts, "answer_mode": plan.answer.mode}
     needed, times, begin = needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
     angles = {box.frame: layer.boxes[box.track, box.frame]["angle"] for box in needed if box.node == template.target}
     decisive = [angles[box.frame] for box in needed if box.node == template.target and box.decisive]
-    return QuestionRecord(
+    public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
+    about, in_view = layer.action_step == KEYFRAME_STEP, layer.facts.judges_views
+    public["question"] = render(template.name, plan, proposal.key, about, in_view)
+    answer, mistakes = proposal.answer, dict[str, str]()
+    labels = question.choices if question.wrong else ()
+    if labels:
+        answer = encode_answer(Choice(labels.index(proposal.answer) + 1))
+        # The first name of an answer is the most telling one.
+        mistakes = dict(reversed(list(_mistakes(search, proposal)))) | {proposal.answer: ""}
+    public |= {"choices": tuple(map(choice_text, labels)), "answer_mode": plan.answer.mode}
+    record = QuestionRecord(
         question_id=question_id(**public),
         **public,
-        answer=encode_answer(Choice(choices.true)) if choices.true else proposal.answer,
+        answer=answer,
         target_track=proposal.target,
         plan=canonical(plan),
         proofs=_all_proofs(search, proposal, proofs, needed),
-        distractors=choices.perturbations,
+        distractors=tuple(mistakes.get(label) or None for label in labels),
         rules=rules_hash(search.rules),
         hops=len(template.edges),
         time_gap_s=(max(times.values()) - begin) / layer.fps,
@@ -94,7 +224,9 @@ def make_record(search: Search, proposal: Proposal, proofs: list[Proof], choices
         people_in_scene=len(layer.facts.people[begin]),
         bindings={**proposal.people, **dict(sorted(times.items()))},
         needed=needed,
+        twin_id=None if question.twin is None else f"{hash_of(question.twin):016x}",
     )
+    return record.columns()
 
 
 def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:
@@ -157,70 +289,44 @@ def _all_proofs(
     )
 
 
-# -- choices ----------------------------------------------------------------------------------------------------------
+# -- mistakes ---------------------------------------------------------------------------------------------------------
 
 
-def _choice_sets(search: Search, proposal: Proposal, proofs: list[Proof]) -> tuple[Choices, ...]:
-    """Return the sets of choices that a question may have: one without choices if its answer is not a choice."""
-    template, truth = proposal.template, proposal.answer
-    if template.answer is not None:
-        return (Choices((), 0, ()),)
-    sets: tuple[tuple[str, ...], ...] = (PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS,)
-    if template.pose_answer:
-        barred: set[str] = {pose for pose in POSES if pose in stated_actions(proposal.plan)}
-        frame = proposal.frames[template.decisive[-1]]
-        doubtful = search.layer.doubtful.get(proposal.target, [])
-        barred |= {pose for pose, first, last in doubtful if first <= frame <= last} - {truth}
-        sets = pose_sets(truth, frozenset(barred))
-    return arrange(sets, truth, proposal.key, _mistakes(search, proposal, proofs))
-
-
-def _mistakes(search: Search, proposal: Proposal, proofs: list[Proof]) -> Iterator[tuple[str, str]]:
-    """Yield the answer and the name of every perturbed program that has an answer, the most telling first."""
+def _mistakes(search: Search, proposal: Proposal) -> Iterator[tuple[str, str]]:
+    """Yield the answers of changed programs, each with the name of the change, the most telling first."""
     template, facts = proposal.template, search.layer.facts
-    answers = [(proof.kind, proof.variant, proof.answer) for proof in proofs if proof.answer is not None]
-    for hop in ("hop.stop", "hop.skip"):
+    program = make_program(proposal.sequence, proposal.plan, template)
+    if program.read == "next_action":
+        return
+    for kind in ("hop.stop", "hop.skip"):
         # The people nearest to the target on the path come first.
-        for kind, variant, answer in reversed(answers):
-            if kind == hop:
-                yield answer, f"{kind}({variant})"
-    if template.pose_answer and template.read != ("t0",):
-        own = facts.pose(proposal.target, proposal.frames["t0"])
-        if own is not None:
-            yield own, "pose at t0"
-    for kind, variant, answer in answers:
-        if kind == "time.shift":
-            yield answer, f"time.shift {variant}"
-    if not template.joins:
-        yield from _look_alikes(search, proposal)
-
-
-def _look_alikes(search: Search, proposal: Proposal) -> Iterator[tuple[str, str]]:
-    """Yield the answers of the people whom a description may mean if one condition is left out."""
-    facts = search.layer.facts
-    program = make_program(proposal.sequence, proposal.plan, proposal.template)
+        for name, variant, hopped in reversed(list(hops(replace(program, held=proposal.people["a"])))):
+            if name == kind:
+                yield from _named(search, hopped, f"{kind}({variant})")
+    if program.read == "action" and program.times[0] != program.frame:
+        yield from _named(search, replace(program, times=(program.frame,)), AT_FIRST)
+    for variant, shifted in shifts(program, facts.keyframes, search.rules):
+        if shifted is not None:
+            yield from _named(search, shifted, f"time.shift {variant}")
+    if template.joins:
+        return
     for condition in proposal.conditions:
         left = replace(program, conditions=tuple(one for one in proposal.conditions if one is not condition))
         for who in sorted(match(left, facts).could - {proposal.people["a"]}):
-            if (answer := _answer_of(search, replace(program, held=who))) is not None:
-                yield answer, f"look-alike without {condition.words}"
+            yield from _named(search, replace(program, held=who), f"look-alike without {condition.words}")
 
 
-def _answer_of(search: Search, program: Program) -> str | None:
-    """Return the answer of a program, or None if there is none."""
+def _named(search: Search, program: Program, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the answers of a program with the name."""
     facts = search.layer.facts
+    if not facts.keyframe_set.issuperset((program.frame, *program.times)):
+        return
     try:
-        if program.read != "next_action":
-            return str(run(program, facts, search.rules))
+        if program.read != "action":
+            yield str(run(program, facts, search.rules)), name
+            return
+        target = find_people(program, facts)[program.target]
     except NoAnswerError:
-        return None
-    held = facts.pose(program.held or 0, program.frame)
-    later = (facts.pose(program.held or 0, frame) for frame in facts.keyframes if frame > program.frame)
-    return None if held is None else next((pose for pose in later if pose != held), None)
-
-
-def rows_of(search: Search, proven: list[tuple[Proposal, list[Proof]]]) -> Iterator[Mapping[str, Any]]:
-    """Yield the rows of the pool for proven proposals that have enough wrong answers."""
-    for proposal, proofs in proven:
-        if (row := make_row(search, proposal, proofs)) is not None:
-            yield row
+        return
+    labels = facts.labels(target, program.times[0])
+    yield from ((label, name) for label in sorted(labels.certain if labels else ()))

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.engine.generate.asked import Candidate, Question
 from jrdb_avr.engine.generate.blind import blind_check, question_texts
-from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, Fault, find_faults
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.diagnostics import EXAMPLES, dropped_rows, refusal_rows, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import refusal_rows, shortfalls, tallies
+from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.held_out import Extent, HeldOut, read_held_out
+from jrdb_avr.engine.generate.layer import Row, count_actions
 from jrdb_avr.engine.generate.learned import learned_guesser
-from jrdb_avr.engine.generate.pool import Prover, Refused, fill_pool
+from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Search
-from jrdb_avr.engine.generate.publish import Chosen, publish
-from jrdb_avr.engine.generate.question import make_row
-from jrdb_avr.engine.generate.selection import POOL, TRAIN, Selection, select, with_choices
+from jrdb_avr.engine.generate.publish import publish, question_tables
+from jrdb_avr.engine.generate.question import COLUMNS, Chosen, Fault, QuestionJob, key_of, make_questions
+from jrdb_avr.engine.generate.selection import TRAIN, select
 from jrdb_avr.engine.generate.stored_layer import LayerJob, ensure_layer
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash
@@ -38,13 +41,6 @@ from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FORMS
 
-SELECTED_BY: Final = [
-    *("sequence", "family", "template", "target_track", "key", "form"),
-    *("answer_text", "stated", "times", "read_frames", "event", "sets"),
-]
-"""Columns of the pool that selection reads."""
-
-
 Advance = Callable[[int], None]
 
 
@@ -55,7 +51,7 @@ class Generation(Displayed):
     Attributes:
         templates: Candidates, refusals by rule and questions of each template.
         shortfalls: Reason for few questions of each template.
-        selection: Requested and selected questions of each template.
+        selection: Quota, proven candidates, questions, time twins and guessers of each template.
         blind: Scores of blind guessers for each form of a template.
         faults: Selected candidates that the second program refused.
     """
@@ -67,18 +63,17 @@ class Generation(Displayed):
     faults: tuple[str, ...]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row per template: counts, reason if few, requested number, and its rows of the blind check."""
-        aims = {row["template"]: row["aim"] for row in self.selection}
-        blind: dict[str, list[dict[str, Any]]] = {name: [] for name in aims}
+        """Return a row per template: counts, reason if few, the selection, and its rows of the blind check."""
+        blind: dict[str, list[dict[str, Any]]] = {row["template"]: [] for row in self.templates}
         for row in self.blind:
             blind[row["template"]].append(row)
         return [
-            {**row, **short, "aim": aims[row["template"]], "blind": blind[row["template"]]}
-            for row, short in zip(self.templates, self.shortfalls, strict=True)
+            {**row, **short, **selected, "blind": blind[row["template"]]}
+            for row, short, selected in zip(self.templates, self.shortfalls, self.selection, strict=True)
         ]
 
     def _summary(self) -> str:
-        questions = sum(row["kept"] for row in self.selection)
+        questions = sum(row["reached"] for row in self.selection)
         return f"{questions} questions of {len(self.selection)} templates, {len(self.faults)} faults"
 
     def _tables(self) -> Tables:
@@ -90,7 +85,6 @@ def generate(
     rules: Rules | None = None,
     *,
     profile: str = "all",
-    seed: int = 0,
     workers: Executor = 2,
     n: int | None = None,
     disjoint_from: str | Path | None = None,
@@ -101,15 +95,14 @@ def generate(
 ) -> Generation:
     """Generate the questions of a store.
 
-    The result depends only on the tables of the store, the rules, the profile, the seed and the excluded questions. An
-    AvrWarning gives the number of sequences without occlusion attributes.
+    The result depends only on the tables of the store, the rules, the profile and the excluded questions. An AvrWarning
+    gives the number of sequences without occlusion attributes.
 
     Args:
         store: The store, or its folder.
         rules: The rules; None for the defaults.
-        profile: "all", as many questions as balance allows; "paper", the numbers of the paper; or "train", a training
-            set under `training_rules`.
-        seed: Seed that decides among equal selections.
+        profile: "all", as many questions as near-duplicates and caps allow; "paper", the numbers of the paper; or
+            "train", a training set under `training_rules`.
         workers: Number of processes, or a Ray cluster.
         n: Maximum number of questions of a training set; None for all.
         disjoint_from: A store. No question of the training set needs a person of its questions at the same time.
@@ -143,35 +136,32 @@ def generate(
         }
         with hold_graph(store.graph_path, workers):
             found = _search(list(jobs.values()), workers, step_counter(progress, "searching", len(jobs)))
-            pool = pa.concat_tables([one.pool for one in found])
-            slim = pool.select(SELECTED_BY).append_column("row", pa.array(range(len(pool)), pa.int64()))
-            selection, faults = _select(
-                pool,
-                slim,
-                lambda slim: select(slim, rules, profile, seed, n),
+            counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
+            selected = _choose(
+                [entry for one in found for entry in _ENTRIES.decode(one.pool)],
+                lambda pool: select(pool, counts, rules, profile, n),
+                partial(_make, jobs, workers, progress),
                 excluded,
-                partial(_confirm, jobs, pool, workers, progress),
             )
-        rows = [row for one in found for row in one.refused]
-        rows += dropped_rows(pool, selection.table, {key: fault.difference for key, fault in faults.items()})
-        rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"])
-        order = ("kind", "sequence", "template", "rule", "plan")
-        tables = {
-            "rejected": rejected.sort_by([(name, "ascending") for name in order]),
-            "sequences": pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"]),
-        }
-        chosen = Chosen(pool, selection.table)
+        rows = [*(row for one in found for row in one.refused), *_left_out(selected)]
+        order = [(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")]
+        rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"]).sort_by(order)
+        heads = pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"])
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
-        publish(store, chosen, tables, training)
-    counts = tallies(rejected, selection.table)
+        tables = question_tables(store, selected.questions) | {"rejected": [rejected], "sequences": [heads]}
+        publish(store, tables, training)
+    templates = tallies(rejected, selected.questions)
     lacking = Counter((name, layer) for one in found for name, layers in one.lacking.items() for layer in layers)
-    texts = chosen.by_template(["question_id", "answer"])
+    blind = []
+    for name in sorted(set(selected.questions["template"].to_pylist())):
+        own = selected.questions.filter(pc.equal(selected.questions["template"], name))
+        blind += blind_check(question_texts(own, own), guesser)
     return Generation(
-        templates=tuple(counts),
-        shortfalls=tuple(shortfalls(counts, lacking, len(found), selection.report)),
-        selection=selection.report,
-        blind=tuple(row for some in texts for row in blind_check(question_texts(*some), guesser)),
-        faults=tuple(sorted(map(str, faults.values()))),
+        templates=tuple(templates),
+        shortfalls=tuple(shortfalls(templates, lacking, len(found), selected.report)),
+        selection=tuple(selected.report),
+        blind=tuple(blind),
+        faults=tuple(sorted(map(str, selected.faults.values()))),
     )
 
 
@@ -246,19 +236,32 @@ class SearchJob(LayerJob):
     held_out: tuple[Extent, ...] = ()
 
 
+class Entry(NamedTuple):
+    """A candidate of the pool, with the form and the encoded row that make its proposal again."""
+
+    candidate: Candidate
+    form: str
+    row: msgspec.Raw
+
+
+_ENTRIES: Final = msgspec.msgpack.Decoder(list[Entry])
+
+
 class Found(NamedTuple):
     """Result of the search of one sequence.
 
     Attributes:
         head: Row of the table `sequences`.
-        pool: Proven candidates without near-duplicates, in the columns of `selection.POOL`.
+        pool: Proven candidates, encoded as a list of `Entry`.
+        counts: Number of people in clear view who certainly do each action, by keyframe.
         refused: Rows of the table `rejected`.
         lacking: Missing layers of each template that was not searched.
     """
 
-    head: dict[str, Any]
-    pool: pa.Table
-    refused: list[dict[str, Any]]
+    head: Row
+    pool: bytes
+    counts: dict[int, Counter[str]]
+    refused: list[Row]
     lacking: dict[str, tuple[str, ...]]
 
 
@@ -283,9 +286,7 @@ def search_sequence(job: SearchJob) -> Found:
     frames = store.interval("frames", job.sequence).sort_by("frame")
     frames = frames.filter(frames["image" if "images" in head["layers"] else "annotated"])["frame"].to_pylist()
     own = {"sequence": job.sequence, "fps": head["fps"], "frame_count": head["frame_count"], "frames": frames}
-    rows: list[dict[str, Any]] = []
-    refused: list[dict[str, Any]] = []
-    lacking: dict[str, tuple[str, ...]] = {}
+    pool, refused, lacking = [], list[Row](), {}
     with open_worker_graph(store.graph_path) as graph:
         search = Search(graph, job.sequence, job.layer(graph), job.rules)
         cypher = CypherFacts(graph, job.rules.load)
@@ -296,25 +297,16 @@ def search_sequence(job: SearchJob) -> Found:
                 continue
             allowed = [form for form, layers in zip(forms, missing, strict=True) if not layers]
             prover = Prover(search, cypher, job.held_out)
-            for proposal, proofs in fill_pool(search, allowed, prover):
-                if row := make_row(search, proposal, proofs):
-                    rows.append(row)
-                else:
-                    prover.refused.append(Refused(proposal, "choices"))
+            pool += fill_pool(search, allowed, prover)
             refused += _refusals(job.sequence, name, prover)
-    return Found(own, pa.Table.from_pylist(rows, schema=POOL), refused, lacking)
+    return Found(own, msgspec.msgpack.encode(pool), count_actions(search.layer.facts), refused, lacking)
 
 
-def _refusals(sequence: str, template: str, prover: Prover) -> list[dict[str, Any]]:
-    by_rule: dict[str, list[Refused]] = {}
-    for one in sorted(prover.refused, key=lambda one: one.proposal.key):
-        by_rule.setdefault(one.rule, []).append(one)
-    rows: list[dict[str, Any]] = []
-    for rule, some in by_rule.items():
-        examples = [(one.proposal.target, canonical(one.proposal.plan), one.detail) for one in some[:EXAMPLES]]
-        rows += refusal_rows(sequence, template, rule, len(some), examples)
-    for rule, count in prover.untried.items():
-        rows += refusal_rows(sequence, template, rule, count)
+def _refusals(sequence: str, template: str, prover: Prover) -> list[Row]:
+    rows: list[Row] = []
+    for rule, count in prover.counts.items():
+        examples = [(one.target, canonical(one.plan), detail) for one, detail in prover.examples[rule]]
+        rows += refusal_rows(sequence, template, rule, count, examples)
     return rows
 
 
@@ -330,49 +322,83 @@ def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Advance) -> l
 # -- choice -----------------------------------------------------------------------------------------------------------
 
 
-def _select(
-    pool: pa.Table,
-    slim: pa.Table,
-    choose: Callable[[pa.Table], Selection],
-    excluded: frozenset[str],
-    confirm: Callable[[pa.Table], Mapping[str, Fault]],
-) -> tuple[Selection, dict[str, Fault]]:
-    """Choose until all that is chosen is confirmed and not excluded. Return the choice, and the faults by key."""
-    faults: dict[str, Fault] = {}
-    confirmed: set[str] = set()
+class Selected(NamedTuple):
+    """Result of the selection.
+
+    Attributes:
+        questions: The questions in the columns of `question.COLUMNS`.
+        report: Row of each template, as `select` returns it.
+        left: Number of proven candidates that are not selected, by sequence, template and rule.
+        faults: Candidates that are not confirmed, by template and key.
+    """
+
+    questions: pa.Table
+    report: list[Row]
+    left: Counter[tuple[str, str, str]]
+    faults: dict[tuple[str, str], Fault]
+
+
+def _choose(
+    entries: Iterable[Entry],
+    choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[Row]]],
+    make: Callable[[Sequence[Chosen]], tuple[pa.Table, dict[str, Fault]]],
+    excluded: Collection[str],
+) -> Selected:
+    """Select until all questions are confirmed and none is excluded."""
+    pool = {(entry.candidate.template, entry.candidate.key): entry for entry in entries}
+    made = COLUMNS.empty_table()
+    faults: dict[tuple[str, str], Fault] = {}
+    gone: set[tuple[str, str]] = set()
     while True:
-        selection = choose(slim)
-        gone: set[str] = set()
+        candidates: dict[str, list[Candidate]] = defaultdict(list)
+        for name, entry in pool.items():
+            if name not in gone:
+                candidates[name[0]].append(entry.candidate)
+        selected, report = choose(candidates)
+        questions = {key_of(one): one for one in selected}
+        names = {key: (one.candidate.template, one.candidate.key) for key, one in questions.items()}
+        new = sorted(questions.keys() - set(made["key"].to_pylist()))
+        table, found = make([_chosen(questions[key], pool[names[key]]) for key in new])
+        refused = set(found)
         if excluded:
-            gone = {row["key"] for row in with_choices(pool, selection.table) if row["question_id"] in excluded}
-        if not gone:
-            added = _without(selection.table, confirmed)
-            confirmed |= set(added["key"].to_pylist())
-            found = confirm(added)
-            faults |= found
-            gone = set(found)
-        if not gone:
-            return selection, faults
-        slim = _without(slim, gone)
+            refused |= {row["key"] for row in table.to_pylist() if row["question_id"] in excluded}
+        made = pa.concat_tables([made, table])
+        if not refused:
+            break
+        gone |= {names[key] for key in refused}
+        faults |= {names[key]: fault for key, fault in found.items()}
+    left: Counter[tuple[str, str, str]] = Counter()
+    for name in pool.keys() - set(names.values()):
+        left[pool[name].candidate.sequence, name[0], "unconfirmed" if name in faults else "selection"] += 1
+    made = made.filter(pc.is_in(made["key"], value_set=pa.array(sorted(questions), pa.string())))
+    return Selected(made.sort_by("question_id"), report, left, faults)
 
 
-def _without(rows: pa.Table, keys: Set[str]) -> pa.Table:
-    """Return the rows of other keys."""
-    return rows.filter(pc.invert(pc.is_in(rows["key"], value_set=pa.array(sorted(keys), pa.string()))))
+def _chosen(question: Question, entry: Entry) -> Chosen:
+    return Chosen(question, entry.form, msgspec.msgpack.decode(entry.row))
 
 
-def _confirm(
-    jobs: Mapping[str, SearchJob], pool: pa.Table, workers: Executor, progress: Progress | None, chosen: pa.Table
-) -> dict[str, Fault]:
-    """Return the chosen candidates that are not confirmed, by key."""
-    rows = pool.select(["sequence", *CONFIRMED]).take(chosen["row"])
-    confirm_jobs = []
-    for name in sorted(set(rows["sequence"].to_pylist())):
-        job, own = jobs[name], rows.filter(pc.equal(rows["sequence"], name))
-        confirm_jobs.append(ConfirmJob(job.store, name, job.low, job.rules, own.select(CONFIRMED)))
-    advance = step_counter(progress, "confirming", len(confirm_jobs))
-    faults: dict[str, Fault] = {}
-    for _, found in map_sequences(find_faults, confirm_jobs, workers, lambda job: job.weight):
+def _left_out(selected: Selected) -> Iterator[Row]:
+    """Yield the rows of the table `rejected` for proven candidates that are not selected."""
+    for place, count in sorted(selected.left.items()):
+        yield from refusal_rows(*place, count)
+
+
+def _make(
+    jobs: Mapping[str, SearchJob], workers: Executor, progress: Progress | None, chosen: Sequence[Chosen]
+) -> tuple[pa.Table, dict[str, Fault]]:
+    """Make selected questions; return them, and the faults by key."""
+    by_sequence: dict[str, list[Chosen]] = defaultdict(list)
+    for one in chosen:
+        by_sequence[one.question.candidate.sequence].append(one)
+    question_jobs = [
+        QuestionJob(jobs[name].store, name, jobs[name].low, jobs[name].rules, tuple(some))
+        for name, some in sorted(by_sequence.items())
+    ]
+    advance = step_counter(progress, "confirming", len(question_jobs))
+    tables, faults = [COLUMNS.empty_table()], dict[str, Fault]()
+    for _, (table, found) in map_sequences(make_questions, question_jobs, workers, lambda job: job.weight):
+        tables.append(table)
         faults |= found
         advance(1)
-    return faults
+    return pa.concat_tables(tables), faults

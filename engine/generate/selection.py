@@ -1,49 +1,23 @@
-"""Selection: which proven candidates of all sequences become questions, and how many of each family and template.
+"""Selection: which proven candidates of all sequences become questions, and with which wrong choices.
 
-The result depends on the rows of the pool alone, never on their order: `key` decides among equals (sha256 hex of
-sequence, target and plan). `near_duplicates` says which questions may stand beside each other, `balance` which
-candidates of a form come first and how many of an answer stay.
+The result depends on the candidates alone, never on their order. Hashes of the candidates decide among equals.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from itertools import chain
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-import msgspec
-import pyarrow as pa
-
-from jrdb_avr.engine.generate.balance import Form
-from jrdb_avr.engine.generate.blind import FEW
-from jrdb_avr.engine.generate.distractors import Choices
+from jrdb_avr.engine.generate.answer_levels import select_answers
+from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
+from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
+from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.levelling import level_choices, select_choices
 from jrdb_avr.engine.generate.near_duplicates import Taken
-from jrdb_avr.schema.answers import Choice, encode_answer
+from jrdb_avr.engine.generate.twins import MAX_TWINS, match_twins
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.tables import QUESTIONS
-from jrdb_avr.schema.templates import FAMILIES, TEMPLATES
-from jrdb_avr.schema.wording.text import question_id
-
-POOL: Final = pa.schema(
-    [
-        *dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS["answers"])),
-        ("key", pa.string()),
-        ("form", pa.string()),
-        ("answer_text", pa.string()),
-        ("stated", pa.list_(pa.string())),
-        ("times", pa.list_(pa.int32())),
-        ("read_frames", pa.list_(pa.int32())),
-        ("event", pa.string()),
-        ("sets", pa.list_(pa.string())),
-    ]
-)
-"""Columns of the records that selection chooses from: those of the tables `questions` and `answers`, and what it goes
-by. `form` is a name of TEMPLATES; `answer_text` a choice's answer or another answer's stored JSON; `stated` the action
-words of the question; `times` its stated frames; `read_frames` those where the answer is read; `event` the start or the
-count of the target that only one question may be about, null for none; `sets` the sets of choices that it may have, as
-JSON of `distractors.Choices`."""
+from jrdb_avr.schema.templates import FAMILIES, forms_of
 
 TRAIN: Final = "train"
 """The profile of training sets: of every template as many as there are, under `training_rules`."""
@@ -61,133 +35,166 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
     },
     TRAIN: {},
 }
-"""Questions per family, in the order of the paper's table; a family not named keeps all that balance leaves."""
+"""Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates."""
 
-_CHOICES: Final = msgspec.json.Decoder(Choices)
+_TOGETHER: Final = (("action_search",), ("span", "start"), ("gap",))
+"""Templates without choices. Those that stand together share the quota of their family, and are selected first."""
 
-_PUBLIC: Final = ("sequence", "family", "template", "question", "choices", "answer_mode")
+ORDER: Final = ("fork_join", "three_hop", "two_hop", "consequence", "later_action", "change", "distance", "presence")
+"""Templates with choices in the order of selection. As a person is in few questions, scarce templates come first."""
+
+_FIXED: Final = ("distance", "presence")
+"""Templates with four fixed answers."""
+
+_CHANGE_QUOTA: Final = 350
+"""Maximum number of questions of the template change."""
+
+_LONG_RANGE_PARTS: Final = 3
+"""The templates gap and consequence each have at most this part of their family's quota."""
+
+Row = dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """The selected rows by sequence, template and key, each with the number of its set of choices in a column `set`
-    (null where it has none), and one report row per template."""
+def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int]) -> int:
+    """Return how many questions a template with choices should give.
 
-    table: pa.Table
-    report: tuple[dict[str, Any], ...]
+    Args:
+        template: Name of the template.
+        quotas: Quota of each family.
+        reached: Number of selected questions of the templates before it.
 
-
-def select(table: pa.Table, rules: Rules, profile: str, seed: int, n: int | None = None) -> Selection:
-    """Choose among the candidates of all sequences; under a profile, its number per family, under TRAIN at most `n`.
-
-    No answer takes more than `max_answer_share` of a choice template. What one template of a family cannot give, the
-    others give; what one form of a template cannot give, its others give. Families with few candidates for their number
-    choose first, as a person is in `max_per_person_in_all` questions at most. `profile` is a name of PROFILES.
-
-    The report has a row for every template: family, template, candidates, aim (its even part of the family's number,
-    None where there is none), kept (selected) and shortage (why balance keeps it from its aim or, without one, from
-    FEW; else None).
+    Returns:
+        What is left of the quota of the family. Change has at most 350, consequence a third of its family's quota, and
+        distance half of what change leaves.
     """
-    taken = Taken(rules)
-    rows: dict[str, list[int]] = defaultdict(list)
-    for row, name in enumerate(table["form"].to_pylist()):
-        rows[name].append(row)
-    forms: dict[str, list[Form]] = defaultdict(list)
-    for name in sorted(rows):
-        forms[TEMPLATES[name].name].append(Form(table, rows[name], name, taken, seed))
-    wanted = PROFILES[profile]
-    families: dict[str, list[str]] = defaultdict(list)
-    for name, family in FAMILIES.items():
-        families[family].append(name)
-    sizes = Counter(table["family"].to_pylist())
-    aims: dict[str, int] = {}
-    if profile == TRAIN:
-        # Nothing balances a training set but the turns of templates and answers.
-        _deal([forms[name] for name in sorted(forms)], len(table) if n is None else n)
-        families_in_turn, enough = [], 0
-    else:
-        families_in_turn = sorted(families, key=lambda name: (sizes[name] / max(wanted.get(name, 1), 1), name))
-        enough = FEW
-    for family in families_in_turn:
-        names = sorted(families[family])
-        if family in wanted:
-            aims |= zip(names, _even_shares(len(names), wanted[family]), strict=True)
-        _choose([forms[name] for name in names], [aims.get(name) for name in names])
-    report = tuple(
-        {"family": family, "template": name, "candidates": sum(form.candidates for form in forms[name])}
-        | {"aim": aims.get(name), "kept": _kept(forms[name])}
-        | {"shortage": _shortage(forms[name], aims.get(name, enough))}
-        for family, names in families.items()
-        for name in sorted(names)
-    )
-    chosen = [form.options[number] for form in chain(*forms.values()) for number in form.chosen]
-    selected = table.take(pa.array([option.row for option in chosen], pa.int64()))
-    sets = pa.array([option.order[0] if option.set else None for option in chosen], pa.int64())
-    order = [(name, "ascending") for name in ("sequence", "template", "key")]
-    return Selection(selected.append_column("set", sets).sort_by(order), report)
+    family = FAMILIES[template]
+    left = quotas[family] - sum(number for name, number in reached.items() if FAMILIES[name] == family)
+    if template == "change":
+        return min(_CHANGE_QUOTA, left)
+    if template == "consequence":
+        return quotas[family] // _LONG_RANGE_PARTS
+    return left // 2 if template == "distance" else left
 
 
-def with_choices(pool: pa.Table, chosen: pa.Table) -> list[dict[str, Any]]:
-    """Rows of the pool with their sets of choices, and so with other ids; `chosen` has the columns `row` and `set`."""
-    rows: list[dict[str, Any]] = pool.take(chosen["row"]).to_pylist()
-    for row, number in zip(rows, chosen["set"].to_pylist(), strict=True):
-        if number is not None:
-            choices = _CHOICES.decode(row["sets"][number])
-            row["choices"] = list(choices.texts)
-            row["question_id"] = question_id(**{name: row[name] for name in _PUBLIC})
-            row["answer"] = encode_answer(Choice(choices.true))
-            row["distractors"] = msgspec.json.encode(choices.perturbations).decode()
-    return rows
+def select(
+    pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, rules: Rules, profile: str, n: int | None = None
+) -> tuple[list[Question], list[Row]]:
+    """Select the questions of all templates.
+
+    Args:
+        pool: The proven candidates of each template, in any order.
+        counts: How common actions are in all sequences.
+        rules: Rules of near-duplicates and caps.
+        profile: Name of `PROFILES`.
+        n: Maximum number of questions of a profile without quotas, or None for all.
+
+    Returns:
+        The selected questions. Also a row per template: family, template, quota, proven, reached, twins (pairs),
+        shortage and guessers (the share of right answers of each guesser that counts).
+    """
+    quotas = PROFILES[profile]
+    if quotas:
+        return _select_quotas(pool, counts, Taken(rules), quotas)
+    chosen = _deal(pool, Taken(rules), n)
+    questions: list[Question] = []
+    rows = []
+    for template in FAMILIES:
+        candidates = chosen.get(template, [])
+        if template in ORDER and template not in _FIXED:
+            selected = level_choices(candidates, counts)
+        else:
+            selected = [Question(one, tuple(sorted(one.wrong))) for one in candidates]
+        rows.append(_report(template, None, pool.get(template, ()), Selected(selected, None), counts))
+        questions += selected
+    return questions, rows
 
 
-def _kept(forms: Iterable[Form]) -> int:
-    return sum(len(form.chosen) for form in forms)
+def _select_quotas(
+    pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, taken: Taken, quotas: Mapping[str, int]
+) -> tuple[list[Question], list[Row]]:
+    questions: list[Question] = []
+    rows: dict[str, Row] = {}
+    sequences = len(counts.present)
+    for templates in _TOGETHER:
+        quota = quotas[FAMILIES[templates[0]]]
+        if templates == ("gap",):
+            quota //= _LONG_RANGE_PARTS
+        candidates = [one for name in templates for one in pool.get(name, ())]
+        selected = _level(candidates, quota, taken, sequence_cap(quota, sequences))
+        for name in templates:
+            own = Selected([one for one in selected.questions if one.candidate.template == name], selected.shortage)
+            rows[name] = _report(name, quota // len(templates), pool.get(name, ()), own, counts)
+        questions += selected.questions
+    for name in ORDER:
+        quota = quota_of(name, quotas, {done: row["reached"] for done, row in rows.items()})
+        selected = _select_choices(name, pool.get(name, ()), quota, counts, taken, sequences)
+        rows[name] = _report(name, quota, pool.get(name, ()), selected, counts)
+        questions += selected.questions
+    return questions, [rows[name] for name in FAMILIES]
 
 
-def _shortage(forms: Sequence[Form], enough: int) -> str | None:
-    return "; ".join(filter(None, (form.shortage() for form in forms if _kept(forms) < enough))) or None
+def _select_choices(
+    template: str, candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken, sequences: int
+) -> Selected:
+    """Match the time twins of a template with choices, and select its questions around them."""
+    if not candidates or not quota:
+        return Selected([], None if quota else "the family is full")
+    cap = sequence_cap(quota, sequences, 10 if template == "presence" else 20)
+    twins = match_twins(candidates, taken, cap) if template in MAX_TWINS else []
+    if template in _FIXED:
+        return select_answers(candidates, quota, taken, sequences, twins)
+    return select_choices(candidates, quota, counts, taken, sequences, twins)
 
 
-def _choose(templates: Sequence[Sequence[Form]], aims: Sequence[int | None]) -> None:
-    """Let the forms of a family's templates choose what each aims at, or all that they can where it has no aim."""
-    for forms, aim in zip(templates, aims, strict=True):
-        _deal([forms], sum(form.candidates for form in forms) if aim is None else aim)
-        # Of fewer no guesser's share is reliable.
-        lacking = (FEW if aim is None else min(FEW, aim)) - _kept(forms)
-        if lacking > 0:
-            _loosen(forms)
-            _deal([forms], lacking)
-    # What some cannot give, the others give: first as level as before, then level in each template as a whole.
-    left = sum(aim or 0 for aim in aims) - _kept(chain(*templates))
-    left -= _deal([[form for form in forms if not form.loose] for forms in templates], left)
-    if left > 0:
-        _loosen(chain(*templates))
-        _deal(templates, left)
+def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int) -> Selected:
+    """Select questions without choices, so that templates, and then forms, answers and people, are level."""
+    alive = sorted(candidates, key=lambda candidate: hash_of(candidate.key))
+    total, chosen, numbers = len(alive), list[Candidate](), Counter[object]()
 
+    def cost(one: Candidate) -> tuple[int, int, int]:
+        contexts = sum(weight * numbers[name] for name, weight in one.contexts)
+        return numbers[one.template], contexts + numbers[one.moment[:2]], numbers[one.sequence]
 
-def _loosen(forms: Iterable[Form]) -> None:
-    for form in forms:
-        form.loosen()
-
-
-def _deal(templates: Sequence[Sequence[Form]], wanted: int) -> int:
-    """Let the forms choose so many more, shared out evenly; returns how many they choose."""
-    left = wanted
-    # Nobody knows before how many a form can give: what one lacks is shared out among the others again.
-    while left > 0 and (able := [some for forms in templates if (some := [one for one in forms if not one.spent])]):
-        before = left
-        for forms, share in zip(able, _even_shares(len(able), left), strict=True):
-            for form, part in zip(forms, _even_shares(len(forms), share), strict=True):
-                left -= form.extend(part)
-        if left == before:
-            # Some shares are too small for any number of answers: whoever can take all that is left.
-            for form in chain(*templates):
-                left -= form.extend(left)
+    while len(chosen) < quota:
+        alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one.subject)]
+        if not alive:
             break
-    return wanted - left
+        best = min(alive, key=cost)
+        chosen.append(best)
+        taken.add(best.subject)
+        numbers.update([best.template, best.moment[:2], best.sequence, *(name for name, _ in best.contexts)])
+    shortage = None if len(chosen) == quota else f"caps and near-duplicates leave {len(chosen)} of {total} candidates"
+    return Selected([Question(one, ()) for one in chosen], shortage)
 
 
-def _even_shares(parts: int, whole: int) -> list[int]:
-    """Even shares of a whole, the first ones larger by one where they must be."""
-    share, extra = divmod(whole, parts)
-    return [share + (place < extra) for place in range(parts)]
+def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) -> dict[str, list[Candidate]]:
+    """Let the templates choose in turn, in the order of a hash, what caps and near-duplicates allow."""
+    queues = {name: iter(sorted(some, key=lambda one: hash_of(one.key))) for name, some in sorted(pool.items())}
+    chosen: dict[str, list[Candidate]] = {name: [] for name in queues}
+    while queues and (n is None or sum(map(len, chosen.values())) < n):
+        for name in list(queues):
+            candidate = next((one for one in queues[name] if taken.admits(one.subject)), None)
+            if candidate is None:
+                del queues[name]
+            elif n is None or sum(map(len, chosen.values())) < n:
+                chosen[name].append(candidate)
+                taken.add(candidate.subject)
+    return chosen
+
+
+def _report(
+    template: str, quota: int | None, candidates: Sequence[Candidate], selected: Selected, counts: LabelCounts
+) -> Row:
+    questions = selected.questions
+    shortage = selected.shortage if candidates else f"nowhere is it certain that {forms_of(template)[0].seeks}"
+    offers = [offer_of(question, counts) for question in questions] if template in ORDER else []
+    return {
+        "family": FAMILIES[template],
+        "template": template,
+        "quota": quota,
+        "proven": len(candidates),
+        "reached": len(questions),
+        "twins": sum(question.twin is not None for question in questions) // 2,
+        "shortage": shortage,
+        "guessers": {name: float(share) for name, share in guesser_shares(offers).items()},
+    }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from jrdb_avr.engine.pages.page import render
 from jrdb_avr.engine.pages.report import settings_text
 from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
@@ -21,10 +19,10 @@ def leaderboard_page(board: Leaderboard) -> str:
     Returns:
         The HTML.
     """
-    sets = [[replace(entry, row=without_rough([entry.row])[0]) for entry in entries] for entries in board.sets]
     return render(
         "leaderboard.html",
-        board=replace(board, sets=sets),
+        sets=[[(bundle, without_rough([row])[0]) for bundle, row in entries] for entries in board.sets],
+        board=board,
         count=len(board.rows),
         settings=settings_text,
         too_few=TOO_FEW,

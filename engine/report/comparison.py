@@ -14,7 +14,7 @@ import pyarrow as pa
 from jrdb_avr.engine.report import formats
 from jrdb_avr.engine.report.epochs import epoch_rows
 from jrdb_avr.engine.report.people import agreement_rows
-from jrdb_avr.engine.report.run_scores import make_scores_table, read_submission, score_runs, write_scores
+from jrdb_avr.engine.report.run_scores import read_submission, score_runs, write_scores
 from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun, read_index
 from jrdb_avr.engine.report.tables import (
     RESULTS,
@@ -30,6 +30,7 @@ from jrdb_avr.engine.report.tables import (
     rows_of_pairs,
     score_row,
 )
+from jrdb_avr.engine.report.time_grounding import twin_rows
 from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.named import named_queries
@@ -74,7 +75,7 @@ class Comparison(Displayed):
     @property
     def scores(self) -> pa.Table:
         """Rows of the table `scores` for all runs. The function `score` writes the same rows to files."""
-        return pa.concat_tables(map(make_scores_table, self.runs))
+        return pa.concat_tables(run.table for run in self.runs)
 
     @property
     def synthetic(self) -> bool:
@@ -121,6 +122,8 @@ class Comparison(Displayed):
         match name:
             case "main":
                 return main_rows(index, runs, self.iou) + (published_rows() if self.paper else [])
+            case "twins":
+                return twin_rows(index, runs)
             case "ablation":
                 return ablation_rows(runs, published=self.paper)
             case "pairs":
@@ -257,17 +260,10 @@ class RunDifference(Displayed):
         _, first, second = self._common()
         first_means, second_means = ((100 * scores.mean(axis=0)).round(2).tolist() for scores in (first, second))
         return [
-            {
-                "score": row["score"],
-                "n": row["n"],
-                "first": first_means[index],
-                "second": second_means[index],
-                **{name: value for name, value in row.items() if name.startswith("difference")},
-                "only first": row["only_first"],
-                "only second": row["only_second"],
-                "p": row["p"],
-                "interval": row["interval"],
-            }
+            {"score": row["score"], "n": row["n"], "first": first_means[index], "second": second_means[index]}
+            | {name: row[name] for name in row if name.startswith("difference")}
+            | {"only first": row["only_first"], "only second": row["only_second"]}
+            | {"p": row["p"], "interval": row["interval"]}
             for index, row in enumerate(self.rows)
         ]
 
@@ -293,15 +289,11 @@ class RunDifference(Displayed):
         rows = []
         for index in np.flatnonzero(first[:, column] != second[:, column]).tolist():
             row = int(common[index])
-            labels = {name: entry.names[entry.numbers[row]] for name, entry in self.index.labels.items()}
+            labels = ((name, self.index.labels[name]) for name in ("template", "sequence"))
             rows.append(
-                {
-                    "question_id": self.index.ids[row].as_py(),
-                    "only": names[int(second[index, column])],
-                    "template": labels["template"],
-                    "sequence": labels["sequence"],
-                    **{f"{run} right": _right(entry[index]) for run, entry in (("first", first), ("second", second))},
-                }
+                {"question_id": self.index.ids[row].as_py(), "only": names[int(second[index, column])]}
+                | {name: entry.names[entry.numbers[row]] for name, entry in labels}
+                | {"first right": _right(first[index]), "second right": _right(second[index])}
             )
         return sorted(rows, key=lambda entry: (names.index(entry["only"]), entry["template"], entry["question_id"]))
 

@@ -52,15 +52,12 @@ def direction_lines(rows: Sequence[_Row]) -> list[str]:
 
 
 def _line(cells: Mapping[_Cell, _Row], about: str) -> str:
-    others = []
-    for change, (before, after) in _CHANGES.items():
-        unlike = [name for name in _SCORES if not _alike(cells, before, after, name)]
-        others += [f"{change}: {', '.join(unlike)}"] if unlike else []
+    unlike = {change: [name for name in _SCORES if not _alike(cells, *ends, name)] for change, ends in _CHANGES.items()}
     count = len(_CHANGES) * len(_SCORES)
-    agreeing = sum(_alike(cells, *ends, name) for ends in _CHANGES.values() for name in _SCORES)
     label = " (synthetic)" if any(row["label"] for row in cells.values()) else ""
-    rest = f"; others: {'; '.join(others)}" if others else ""
-    return f"{about}{label}: {agreeing} of {count} directions are the paper's{rest}"
+    others = "; ".join(f"{change}: {', '.join(names)}" for change, names in unlike.items() if names)
+    agreeing = count - sum(map(len, unlike.values()))
+    return f"{about}{label}: {agreeing} of {count} directions are the paper's{others and f'; others: {others}'}"
 
 
 def _alike(cells: Mapping[_Cell, _Row], before: _Cell, after: _Cell, name: str) -> bool:

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -23,38 +22,25 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A ranked bundle: its rank among bundles of the same question set, and its row of the table `main`."""
-
-    rank: int
-    question_set: str
-    bundle: Bundle
-    row: Row
-
-    def flat(self) -> dict[str, Any]:
-        """Return the entry as one row of plain values, without macro averages."""
-        head = {"rank": self.rank, "questions": self.question_set, "bundle": self.bundle.folder.name}
-        return head | {name: value for name, value in self.row.items() if "_macro_" not in name}
-
-
 @dataclass(frozen=True, repr=False)
 class Leaderboard(Displayed):
     """Scored bundles.
 
     Attributes:
-        sets: One list of entries for each question set. In each list, the entry with the best combined score comes
-            first.
+        sets: For each question set, its bundles with their rows, the best combined score first. A row has the rank of
+            the bundle in the set, the id of the set, the folder name of the bundle, and the columns of the table
+            `main`.
         iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
     """
 
-    sets: list[list[Entry]]
+    sets: list[list[tuple[Bundle, Row]]]
     iou: float
 
     @property
     def rows(self) -> list[Row]:
-        """All entries as rows of plain values. The entries of a question set are together."""
-        return [entry.flat() for entries in self.sets for entry in entries]
+        """All rows without macro averages. The rows of a question set are together."""
+        rows = [row for entries in self.sets for _, row in entries]
+        return [{name: row[name] for name in row if "_macro_" not in name} for row in rows]
 
     @property
     def synthetic(self) -> bool:
@@ -62,7 +48,7 @@ class Leaderboard(Displayed):
 
         The scores of such a bundle do not describe JRDB.
         """
-        return any(entry.bundle.run.synthetic for entries in self.sets for entry in entries)
+        return any(row["label"] for row in self.rows)
 
     def _summary(self) -> str:
         return f"{len(self.rows)} bundles of {len(self.sets)} question sets, evidence from IoU {self.iou:g} on"
@@ -96,13 +82,12 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
         rows = main_rows(index, [run for _, run in scored], iou)
         pairs = sorted(zip((bundle for bundle, _ in scored), rows, strict=True), key=_order)
         scores = [row["combined"] for _, row in pairs]
-        ranked.append(
-            [
-                Entry(1 + scores.index(row["combined"]), name, bundle, row | {"run": bundle.run.run_id})
-                for bundle, row in pairs
-            ]
-        )
-    ranked.sort(key=lambda entries: (-entries[0].row["n"], entries[0].question_set))
+        entries = []
+        for bundle, row in pairs:
+            head = {"rank": 1 + scores.index(row["combined"]), "questions": name, "bundle": bundle.folder.name}
+            entries.append((bundle, head | row | {"run": bundle.run.run_id}))
+        ranked.append(entries)
+    ranked.sort(key=lambda entries: (-entries[0][1]["n"], entries[0][0].question_set))
     return Leaderboard(ranked, iou)
 
 

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.report.scored_runs import SCORES, ScoredRun
+from jrdb_avr.engine.report.scored_runs import ScoredRun
 from jrdb_avr.engine.report.scoring import find_questions, is_judged, score_predictions
 from jrdb_avr.engine.report.truth import Truth
 from jrdb_avr.queries.questions import fit_schema
@@ -95,10 +95,8 @@ def score_run(truth: Truth, submission: Submission, iou: float) -> ScoredRun:
     return ScoredRun(
         manifest,
         rows,
-        np.stack([scores[f"{name}_score"].to_numpy() for name in SCORES], axis=1),
-        scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int8),
+        scores,
         len(rows) - int(np.count_nonzero(is_judged(predictions["status"]))),
-        truth.ids,
         [answers.get(name) for name in ids],
     )
 
@@ -141,14 +139,4 @@ def write_scores(store: Store, run: ScoredRun, iou: float) -> None:
         iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
     """
     path = store.run_path(run.manifest.run_id) / "scores.parquet"
-    write_table(path, make_scores_table(run), RUNS["scores"], {"evidence_iou": f"{iou:g}"})
-
-
-def make_scores_table(run: ScoredRun) -> pa.Table:
-    """Return the table `scores` of a run, with one row per question of the run."""
-    columns = {f"{name}_score": run.scores[:, column] for column, name in enumerate(SCORES)}
-    ids = run.ids.take(pa.array(run.rows))
-    run_ids = pa.repeat(pa.scalar(run.manifest.run_id), len(ids))
-    return pa.table(
-        {"run_id": run_ids, "question_id": ids, **columns, "invalid": run.invalid.astype(bool)}, RUNS["scores"]
-    )
+    write_table(path, run.table, RUNS["scores"], {"evidence_iou": f"{iou:g}"})

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -47,21 +49,26 @@ class Labels(NamedTuple):
 
 
 class QuestionIndex:
-    """The questions of a store: their ids (`ids`), and their labels for each dimension (`labels`)."""
+    """The questions of a store.
+
+    Attributes:
+        ids: Their ids.
+        labels: Their labels for each dimension.
+        twins: For each question, the key that it shares with its time twin. None without a twin.
+    """
 
     def __init__(self, questions: pa.Table, answers: pa.Table) -> None:
         self.ids = questions["question_id"].combine_chunks()
         matching = answers.take(pc.index_in(self.ids, value_set=answers["question_id"].combine_chunks()))
-        self.labels = {name: _labels(questions[name]) for name in _TEXTS}
-        family, template = self.labels["family"], self.labels["template"]
-        self.labels["group"] = _renamed(family, [_GROUP_OF[name] for name in family.names])
-        self.labels["hops"] = _renamed(template, [str(forms_of(name)[0].hops) for name in template.names])
+        values: dict[str, list[str]] = {name: questions[name].to_pylist() for name in _TEXTS}
+        values["group"] = [_GROUP_OF[family] for family in values["family"]]
+        hops = {name: str(forms_of(name)[0].hops) for name in set(values["template"])}
+        values["hops"] = [hops[name] for name in values["template"]]
         for name, edges in (("time_gap_s", _GAP_EDGES_S), ("separation_deg", _SEPARATION_EDGES_DEG)):
             bins = [f"[{low:g}, {high:g})" for low, high in pairwise((0.0, *edges, math.inf))]
-            numbers = np.searchsorted(
-                edges, matching[name].to_numpy(zero_copy_only=False).astype(np.float64), side="right"
-            )
-            self.labels[name] = _renamed(Labels(tuple(bins), numbers), bins)
+            values[name] = [bins[bisect_right(edges, value)] for value in matching[name].to_pylist()]
+        self.labels = {name: _labels(of_questions) for name, of_questions in values.items()}
+        self.twins: list[str | None] = matching["twin_id"].to_pylist()
 
 
 @dataclass(eq=False)
@@ -71,20 +78,26 @@ class ScoredRun:
     Attributes:
         manifest: The run's manifest.
         rows: Indexes in `ids` of the run's questions, ascending. Shape: (n,).
-        scores: The three scores of each question, each 0 or 1: answer, evidence, combined. Shape: (n, 3).
-        invalid: 1 for each question for which the output of the model could not be read, else 0. Shape: (n,).
+        table: The rows of the table `scores`.
         errors: Number of questions that ended in an error or have no prediction.
-        ids: Ids of all questions of the store.
         answers: The predicted answer to each of the n questions as JSON, or None without an answer.
     """
 
     manifest: RunManifest
     rows: Ints
-    scores: Digits
-    invalid: Digits
+    table: pa.Table
     errors: int
-    ids: pa.Array
     answers: list[str | None]
+
+    @cached_property
+    def scores(self) -> Digits:
+        """The three scores of each question, each 0 or 1: answer, evidence, combined. Shape: (n, 3)."""
+        return np.stack([self.table[f"{name}_score"].to_numpy() for name in SCORES], axis=1)
+
+    @cached_property
+    def invalid(self) -> Digits:
+        """1 for each question for which the output of the model could not be read, else 0. Shape: (n,)."""
+        return self.table["invalid"].to_numpy().astype(np.int8)
 
     @property
     def n(self) -> int:
@@ -104,7 +117,7 @@ def read_index(store: Store) -> QuestionIndex:
     Raises:
         StoreError: If the store has no questions, or no answers.
     """
-    answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg"])
+    answers = store.questions("answers", ["question_id", "time_gap_s", "separation_deg", "twin_id"])
     questions = store.questions("questions", ["question_id", *_TEXTS])
     return QuestionIndex(sort_by_sequence(questions), answers)
 
@@ -122,21 +135,10 @@ def percent_of(part: float, n: float) -> float | None:
     return round(100 * part / n, 2) if n else None
 
 
-def _labels(texts: pa.ChunkedArray) -> Labels:
-    numbered = texts.combine_chunks().dictionary_encode()
-    names = tuple(numbered.dictionary.to_pylist())
-    return _renamed(Labels(names, numbered.indices.to_numpy()), names)
-
-
-def _renamed(labels: Labels, names: Sequence[str]) -> Labels:
-    """Rename labels, and sort the new names. New names that no question has are left out.
-
-    The argument `names` has one new name for each old name, in the order of the old names in `labels.names`.
-    """
-    used = {names[index] for index in np.unique(labels.numbers).tolist()}
-    order = tuple(sorted(used, key=lambda name: (_first_number(name), name)))
-    indexes = {name: index for index, name in enumerate(order)}
-    return Labels(order, np.array([indexes.get(name, -1) for name in names], np.int64)[labels.numbers])
+def _labels(values: Sequence[str]) -> Labels:
+    names = tuple(sorted(set(values), key=lambda name: (_first_number(name), name)))
+    numbers = {name: index for index, name in enumerate(names)}
+    return Labels(names, np.array([numbers[value] for value in values], np.int64))
 
 
 def _first_number(value: str) -> float:

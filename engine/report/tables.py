@@ -74,8 +74,8 @@ def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) ->
             statistics[f"{name}_macro_{title}"] = mean_ratio(*ratios)
         column += 4 * count
     shares = intervals(np.concatenate(sums, axis=1), tuple(statistics.values()))
-    bounds = {name: _with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
-    row = _head(run) | {
+    bounds = {name: with_bounds(name, share) for name, share in zip(statistics, shares, strict=True)}
+    row = run_names(run) | {
         "setting": setting,
         "n": run.n,
         "sequences": len(sequences),
@@ -102,7 +102,8 @@ def interval_label(sequences: int) -> str:
     return INTERVALS if sequences >= LEAST_CLUSTERS else TOO_FEW
 
 
-def _head(run: ScoredRun) -> Row:
+def run_names(run: ScoredRun) -> Row:
+    """Return the first columns of a run's row in a table: run, method, model and label."""
     manifest = run.manifest
     label = "synthetic" if manifest.synthetic else ""
     return {"run": manifest.run_id, "method": manifest.method, "model": manifest.model, "label": label}
@@ -112,7 +113,16 @@ def _percent(share: float | None) -> float | None:
     return None if share is None or math.isnan(share) else round(100 * share, 2)
 
 
-def _with_bounds(name: str, interval: Interval) -> Row:
+def with_bounds(name: str, interval: Interval) -> Row:
+    """Return the columns of a share in percent.
+
+    Args:
+        name: Name of the column.
+        interval: The share, 0 to 1.
+
+    Returns:
+        The share and the bounds of its interval. The columns of the bounds are `NAME_low` and `NAME_high`.
+    """
     return {
         name: _percent(interval.value),
         f"{name}_low": _percent(interval.low),
@@ -151,7 +161,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
         for run, sums_of_run in zip(runs, columns, strict=True)
     ]
     return [
-        {dimension: name, **_head(run), **_shares(*sums_of_run[value])}
+        {dimension: name, **run_names(run), **_shares(*sums_of_run[value])}
         for value, name in enumerate(labels.names)
         for run, sums_of_run in zip(runs, sums, strict=True)
         if sums_of_run[value][0]
@@ -178,7 +188,7 @@ def score_row(run: ScoredRun, iou: float) -> Row:
     Returns:
         The scores of the run in percent of the run's questions.
     """
-    head = {"run": run.manifest.run_id, "label": _head(run)["label"]}
+    head = {"run": run.manifest.run_id, "label": run_names(run)["label"]}
     return head | _shares(*_totals(run)) | {"errors": percent_of(run.errors, run.n), "iou": iou}
 
 
@@ -220,7 +230,7 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
     rows = [
         CELLS[run.manifest.method]
         | {"policy": _policy(run)}
-        | _head(run)
+        | run_names(run)
         | {"setting": settings[run.manifest.run_id]}
         | _shares(*_totals(run))
         for run in among
@@ -286,7 +296,7 @@ def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredR
             rows[member] = [
                 {"first": first.manifest.run_id, "second": second.manifest.run_id, "score": name, "n": len(common)}
                 | {"only_first": only_first, "only_second": only_second, "p": p}
-                | _with_bounds("difference", difference)
+                | with_bounds("difference", difference)
                 | {"interval": label}
                 for name, (only_first, only_second, p, difference) in zip(SCORES, comparison, strict=True)
             ]
@@ -312,5 +322,6 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
 RESULTS: Final = ("wrong_choices", "evidence_failures", "cost")
 """Names of the tables that are SQL queries in `queries/results/`."""
 
-TABLES: Final = ("main", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
-"""Names of all tables. `main` has the scores with intervals. A dimension's table has the scores per value."""
+TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)
+"""Names of all tables. `main` has the scores with intervals. `twins` is empty if the questions have no time twins. A
+dimension's table has the scores per value."""

@@ -1,67 +1,73 @@
-"""Time-grounded accuracy: the share of pairs of time twins with both answers right.
+"""The table `twins`: time-grounded accuracy, the share of pairs of time twins with both answers right.
 
 Time twins differ in one asked time, and their answers differ. A method that finds the right person and ignores the time
-has at most one of the two right. As the pairs are few, methods are never ranked by this share alone.
+has at most one of the two right. As the pairs are few, methods are never ranked by this share.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from jrdb_avr.engine.report.bootstrap import Interval, intervals, mean_ratio
+from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sums
+from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, percent_of
+from jrdb_avr.engine.report.tables import Row, interval_label, run_names, with_bounds
+from jrdb_avr.schema.arrays import Ints
 
-CHANCE: Final = {"change": (1 / 16, 1 / 12), "later_action": (1 / 16, 1 / 12), "presence": (1 / 16, 1 / 4)}
-"""For each template with twins, the share of pairs that a uniform guesser has right: without knowledge of the twins,
-and with two different answers for each pair. In presence the twins share a time, so fewer answers fit."""
-
-
-class TwinScore(NamedTuple):
-    """The scores of a method for one question that has a twin.
-
-    Attributes:
-        twin: The common id of the two questions.
-        template: Name of the template.
-        sequence: Name of the sequence.
-        answer: 1 if the answer is right, else 0.
-        combined: 1 if the answer and the evidence box are right, else 0.
-    """
-
-    twin: str
-    template: str
-    sequence: str
-    answer: int
-    combined: int
+_DIFFERENT: Final = {"presence": 1 / 4}
+"""Share of pairs that a guesser of two different answers has right, by template. In presence the twins share a time, so
+that only four pairs of answers fit. In the templates that this dictionary lacks, twelve fit."""
 
 
-def time_grounded_row(scores: Sequence[TwinScore]) -> dict[str, Any] | None:
-    """Compute the time-grounded accuracy of a method.
+def twin_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Row]:
+    """Compute the table `twins`.
 
     Args:
-        scores: Scores of the questions that have a twin, in any order. A question without the score of its twin is
-            ignored.
+        index: The questions of the store, with their labels.
+        runs: Scored runs.
 
     Returns:
-        n (number of pairs), sequences; the shares `both_answers` and `both_combined` of pairs with both right, as
-        intervals over sequences; the share `single` of right answers to the same questions; the mean chance of the
-        pairs for a guesser without (`chance`) and with knowledge of the twins (`chance_twins`). None without a pair.
+        One row per run that has both questions of a pair, then one row per guesser. `n` is the number of pairs.
+        `both_answers` is the share of pairs with both answers right, `both_combined` the share with both boxes right in
+        addition, each with an interval over sequences. `single` is the share of right answers to the same questions.
+        The list is empty if no run has a pair.
     """
-    by_twin: dict[str, list[TwinScore]] = defaultdict(list)
-    for score in scores:
-        by_twin[score.twin].append(score)
-    pairs = [pair for _, pair in sorted(by_twin.items()) if len(pair) == 2]
-    if not pairs:
-        return None
-    sequences = sorted({first.sequence for first, _ in pairs})
-    sums = np.zeros((len(sequences), 4))
-    for first, second in pairs:
-        both = first.answer * second.answer, first.combined * second.combined
-        sums[sequences.index(first.sequence)] += (1, *both, first.answer + second.answer)
-    answers, combined = intervals(sums, (mean_ratio((1, 0)), mean_ratio((2, 0))))
-    chances = [sum(CHANCE[first.template][known] for first, _ in pairs) / len(pairs) for known in (0, 1)]
-    shares: dict[str, Interval | float] = {"both_answers": answers, "both_combined": combined}
-    shares |= {"single": float(sums[:, 3].sum()) / (2 * len(pairs))}
-    return {"n": len(pairs), "sequences": len(sequences), **shares, "chance": chances[0], "chance_twins": chances[1]}
+    rows = [_row(index, run, pairs) for run in runs if len(pairs := _pairs(index, run.rows))]
+    return rows and rows + _guessers(index)
+
+
+def _pairs(index: QuestionIndex, rows: Ints) -> Ints:
+    """Return the positions in `rows` of the two questions of each pair. Shape: (pairs, 2)."""
+    by_twin: dict[str, list[int]] = defaultdict(list)
+    for position, row in enumerate(rows.tolist()):
+        if (twin := index.twins[row]) is not None:
+            by_twin[twin].append(position)
+    return np.array([pair for pair in by_twin.values() if len(pair) == 2], np.int64).reshape(-1, 2)
+
+
+def _row(index: QuestionIndex, run: ScoredRun, pairs: Ints) -> Row:
+    scores, n = run.scores[pairs], len(pairs)
+    sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows[pairs[:, 0]]], return_inverse=True)
+    columns = np.concatenate([np.ones((n, 1)), scores.prod(axis=1)], axis=1)
+    sums = numbered_sums(cluster, len(sequences), columns)
+    answers, combined = intervals(sums, (mean_ratio((1, 0)), mean_ratio((3, 0))))
+    row = run_names(run) | {"n": n} | with_bounds("both_answers", answers) | with_bounds("both_combined", combined)
+    row |= {"single": percent_of(int(scores[:, :, 0].sum()), 2 * n)}
+    return row | {"sequences": len(sequences), "interval": interval_label(len(sequences))}
+
+
+def _guessers(index: QuestionIndex) -> list[Row]:
+    """Return the row of each guesser over all pairs of the store."""
+    pairs, template = _pairs(index, np.arange(len(index.twins))), index.labels["template"]
+    n = len(pairs)
+    different = sum(_DIFFERENT.get(template.names[number], 1 / 12) for number in template.numbers[pairs[:, 0]].tolist())
+    # The names have spaces, so that no run id is equal to one of them.
+    shares = {"uniform answers": (n / 16, 25.0), "two answers": (different, 25.0), "time ignored": (0, 50.0)}
+    return [
+        {"run": name, "method": "", "model": "", "label": "guesser", "n": n}
+        | {"both_answers": percent_of(both, n), "single": single}
+        for name, (both, single) in shares.items()
+    ]

@@ -18,17 +18,18 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
 from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.proofs import expected, failing
+from jrdb_avr.engine.generate.question import AT_FIRST
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
 from jrdb_avr.engine.validate.replay import Advance, compare_record, replay, run_compiled
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice, Number
+from jrdb_avr.schema.choice_labels import CHOICE_COUNT
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
-from jrdb_avr.schema.labels import answer_of_choice, overlapping
+from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.panorama import Box, angle_error
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY, QuestionRecord
@@ -332,9 +333,6 @@ class _QuestionCheck:
         self.check("rules", record.rules == rules_hash(self.rules), f"generated under the rules {record.rules}")
         complete = count == len(set(record.choices)) == (CHOICE_COUNT if MODES[mode].is_choice else 0)
         self.check("choices", complete, f"choices {list(record.choices)} for an answer of mode {mode}")
-        labels = set(map(answer_of_choice, record.choices))
-        both = sorted(label for label in labels if overlapping(label) & labels)
-        self.check("choices", not both, f"{both} may be true at the same time")
         answer = decode_answer(mode, record.answer)
         inside = _is_inside(answer, count, self.info["frame_count"])
         self.check("answers", inside, f"{record.answer} is outside the sequence or the choices")
@@ -410,16 +408,18 @@ class _QuestionCheck:
         record = self.record
         if len(record.distractors) != len(record.choices):
             return False
-        answers = {f"{proof.kind}({proof.variant})": proof.answer for proof in record.proofs}
-        answers |= {f"{proof.kind} {proof.variant}": proof.answer for proof in record.proofs}
+        proofs = {f"{proof.kind}({proof.variant})": proof for proof in record.proofs}
+        proofs |= {f"{proof.kind} {proof.variant}": proof for proof in record.proofs}
         for position, (choice, name) in enumerate(zip(record.choices, record.distractors, strict=True), start=1):
             if name is None:
                 continue
             if isinstance(answer, Choice) and answer.choice == position:
                 return False
-            # A pose at t0 and the answers of look-alikes are in no proof.
-            unproven = name == "pose at t0" or name.startswith("look-alike without ")
-            if not unproven and answers.get(name) != answer_of_choice(choice):
+            # Actions at the time of the description and the answers of look-alikes are in no proof.
+            if name == AT_FIRST or name.startswith("look-alike without "):
+                continue
+            proof = proofs.get(name)
+            if proof is None or proof.outcome != "different" or proof.answer not in (None, answer_of_choice(choice)):
                 return False
         return True
 

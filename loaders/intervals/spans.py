@@ -56,8 +56,8 @@ def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
     """Runs of facts, unique, in any order. `gap_frames`: missing frames that are closed, 0 for none."""
     facts = facts.at(ascending(facts.track, facts.value, facts.frame))
     frame, track, value, certain = facts.frame, facts.track, facts.value, facts.certain
-    # Certain, doubtful, not written: frames of one kind make one run.
-    kind = certain.astype(np.int64) + 2 * (facts.difficulty == UNWRITTEN)
+    # Certain, doubtful, hard, not written: frames of one kind make one run.
+    kind = certain.astype(np.int64) + 2 * (facts.difficulty >= HARD) + 4 * (facts.difficulty == UNWRITTEN)
     starts = np.flatnonzero(begins(track, value, kind, frame - step * np.arange(len(frame))))
     ends = np.append(starts, len(frame))[1:] - 1
     highest = np.maximum.reduceat(facts.difficulty, starts)

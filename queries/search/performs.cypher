@@ -5,4 +5,4 @@ MATCH (f:Frame), (p:Person)-[r:Performs|MayPerform]->(x:Action)
 WHERE f.sequence = $sequence AND f.frame % 15 = $phase AND r.sequence = $sequence AND r.first <= f.frame
   AND r.last >= f.frame
 RETURN DISTINCT f.frame AS frame, p.track AS who, coalesce(r.certain, false) AS certain, x.name AS value,
-       label(r) = 'Performs' AS written ORDER BY frame, who
+       label(r) = 'Performs' AS written, coalesce(r.difficulty < 3, false) AS easy ORDER BY frame, who

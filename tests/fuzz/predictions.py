@@ -19,7 +19,7 @@ from sample_store import sample_store
 
 from jrdb_avr.engine.report.bundle import bundle_submission, read_bundle, write_bundle
 from jrdb_avr.engine.report.prediction_lines import parse_lines, write_lines
-from jrdb_avr.engine.report.run_scores import make_scores_table, score_runs
+from jrdb_avr.engine.report.run_scores import score_runs
 from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.engine.run.imported import import_predictions
 from jrdb_avr.schema.errors import AvrError, InputError
@@ -116,7 +116,7 @@ def _score(store, truth, folder, data, run):
     for name, text in (("run.json", run), ("predictions.jsonl", data), ("SHA256SUMS", sums.encode())):
         (place / name).write_bytes(text)
     ((_, scored),) = score_runs(truth, [place], lambda own: bundle_submission(store, read_bundle(own)), 0.5, _refuse)
-    scores = make_scores_table(scored)
+    scores = scored.table
     for row in scores.select(["answer_score", "evidence_score", "combined_score"]).to_pylist():
         assert set(row.values()) <= {0, 1}, row
         assert row["combined_score"] == min(row["answer_score"], row["evidence_score"]), row

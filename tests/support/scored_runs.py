@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun
+from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun
 from jrdb_avr.engine.report.scoring import is_judged, score_predictions
 from jrdb_avr.engine.report.truth import Truth, row_numbers
 from jrdb_avr.engine.run.journal import Journal, KeptEntries, LinePosition, journal_folder
@@ -113,12 +113,10 @@ class Benchmark:
 def scored_run(index, manifest, predictions, scores):
     """A run of its tables, whose rows are in the run's order."""
     rows = row_numbers(scores["question_id"].combine_chunks(), index.ids)
-    digits = np.stack([scores[f"{name}_score"].to_numpy() for name in SCORES], axis=1)
-    invalid = scores["invalid"].to_numpy(zero_copy_only=False).astype(np.int8)
     errors = len(rows) - int(np.count_nonzero(is_judged(predictions["status"])))
     given = {row["question_id"]: row["answer"] for row in predictions.to_pylist()}
     answers = [given.get(name) for name in scores["question_id"].to_pylist()]
-    return ScoredRun(manifest, rows, digits, invalid, errors, index.ids, answers)
+    return ScoredRun(manifest, rows, scores, errors, answers)
 
 
 CASES = {

@@ -8,13 +8,24 @@ import loaded_stores
 import pytest
 from environment import DEEP
 from keyframe_layers import all_proofs, forms_in, make_prover, memory_graph, proposals, searched
-from random_worlds import SEQUENCE, build, in_crowds, in_other_words, lively_world, random_world, sociable_world
+from random_worlds import (
+    SEQUENCE,
+    build,
+    in_crowds,
+    in_other_words,
+    lively_world,
+    random_world,
+    sociable_world,
+    with_chorus,
+)
 
-from jrdb_avr.engine.generate.distractors import Choices
+from jrdb_avr.engine.generate import question
+from jrdb_avr.engine.generate.asked import Question
+from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.facts import Facts
-from jrdb_avr.engine.generate.question import make_record
+from jrdb_avr.engine.generate.pool import make_candidate
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, prove_again, rederive
-from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS
+from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS, choice_text
 from jrdb_avr.schema.plan import Condition, canonical
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import LoadRules, Rules
@@ -167,21 +178,34 @@ def some_of(rows, most):
     return rows[:: max(1, len(rows) // most)]
 
 
+def choices_of(search, one):
+    """The choices of a proposal, as texts; None if it has too few."""
+    candidate = make_candidate(search, one)
+    if candidate is None:
+        return None
+    wrong = wrong_sets(candidate.wrong)[0] if one.template.asks_action else tuple(candidate.wrong)
+    return tuple(map(choice_text, Question(candidate, wrong).choices))
+
+
 def compare(store, sequence, most=60, rules=RULES):
     """Ask the second path for what the first has proven, at most so many of a template; how many were asked for."""
     annotations, counts = Annotations.read(store, sequence, rules), Counter()
     with searched(store, sequence, rules) as search:
         for template in forms_in(store, sequence):
             prover = make_prover(search)
-            proven = [(one, proofs) for one in proposals(search, template) if (proofs := prover.prove(one)) is not None]
+            offered = [one for one in proposals(search, template) if choices_of(search, one) is not None]
+            proven = [(one, proofs) for one in offered if (proofs := prover.prove(one)) is not None]
             for one, proofs in some_of(proven, most):
-                second = rederive(annotations, one.plan, template.name, rules)
+                second = rederive(annotations, one.plan, template.name, rules, choices_of(search, one))
                 told = (second.outcome, second.answer, second.target, second.faults)
                 assert told == ("defined", one.answer, one.target, ()), canonical(one.plan)
-                record = make_record(search, one, proofs, Choices((), 0, ()))
-                assert dict(second.people) | dict(second.times) == record.bindings, record.plan
-                assert set(second.needed) == set(record.needed), record.plan
-                assert set(prove_again(annotations, one.plan, template.name, rules, second)) == set(record.proofs)
+                times = question._times(search.layer, one)
+                assert dict(second.people) | dict(second.times) == {**one.people, **times}, canonical(one.plan)
+                needed = question.needed_boxes(search.layer, one)
+                assert set(second.needed) == set(needed), canonical(one.plan)
+                stored = question._all_proofs(search, one, proofs, needed)
+                again = prove_again(annotations, one.plan, template.name, rules, second)
+                assert set(again) == set(stored), canonical(one.plan)
                 counts[template.query] += 1
     return counts
 
@@ -196,10 +220,11 @@ def compare_refused(store, sequence, most=30):
         for template in forms_in(store, sequence):
             prover = make_prover(search)
             for one in proposals(search, template):
-                prover.prove(one)
+                if choices_of(search, one) is not None:
+                    prover.prove(one)
             for rule in ("hop.stop", "hop.skip", "time.shift", "time.drop"):
-                for one, _, _ in some_of([refused for refused in prover.refused if refused.rule == rule], most):
-                    own = rederive(annotations, one.plan, template.name, RULES)
+                for one, _ in some_of(prover.examples[rule], most):
+                    own = rederive(annotations, one.plan, template.name, RULES, choices_of(search, one))
                     again = prove_again(annotations, one.plan, template.name, RULES, own)
                     again = {(proof.kind, proof.variant): (proof.outcome, proof.answer) for proof in again}
                     for proof in all_proofs(search, one):
@@ -214,7 +239,8 @@ def test_both_paths_perturb_alike_where_a_candidate_is_refused(tmp_path):
     counts = Counter()
     for seed in range(8 if DEEP else 4):
         sequence, make = f"yard-{seed:02d}", sociable_world if seed < 2 else lively_world
-        counts += compare_refused(memory_store(tmp_path / sequence, make(random.Random(seed), sequence)), sequence)
+        world = with_chorus(make)(random.Random(seed), sequence)
+        counts += compare_refused(memory_store(tmp_path / sequence, world), sequence)
     assert {"hop.stop", "hop.skip", "time.shift", "time.drop"} < {kind for _, kind, _, _ in counts}
 
 
@@ -244,6 +270,7 @@ def test_both_paths_know_that_one_branch_without_anybody_empties_a_fork(tmp_path
             "6 | tttttttttttt | column 1775",
         ]
     )
+    world = with_chorus(lambda *_, few=world: few)(None, SEQUENCE)
     counts = compare_refused(memory_store(tmp_path, world), SEQUENCE)
     assert counts["fork_join", "time.shift", "+3 s", "empty"]
 
@@ -269,6 +296,6 @@ def test_the_second_path_confirms_all_that_is_proven(tmp_path, rules):
     worlds += [(in_other_words(lively_world), 3)] * DEEP + [(in_crowds(sociable_world), 4)] * (rules == CLEAR)
     for make, seed in worlds:
         sequence = f"yard-{seed:02d}"
-        store = memory_store(tmp_path / sequence, make(random.Random(seed), sequence), rules)
+        store = memory_store(tmp_path / sequence, with_chorus(make)(random.Random(seed), sequence), rules)
         counts.update(compare(store, sequence, rules=rules))
     assert counts.keys() == {template.query for template in TEMPLATES.values()}

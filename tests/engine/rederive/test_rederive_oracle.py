@@ -86,7 +86,7 @@ def words_of(plan):
 
 def choices_of(world, template, plan, target, answer):
     """Every three wrong choices beside the answer; one empty set where choices are fixed or there are none."""
-    if not template.pose_answer:
+    if not template.asks_action:
         return [()]
     frames = [plan.times[name].frame for name in plan.answer.times]
     if frames == [None]:
@@ -125,7 +125,7 @@ def compare(annotations, world, rules, most):
             told = found and (found[0], rounded(found[1]))
             assert told == (target, rounded(answer)), (query, text, wrong)
             counts[query, "proven"] += 1
-            if not template.pose_answer:
+            if not template.asks_action:
                 continue
             other = [*wrong[:2], rng.choice(CHOICE_LABELS)]
             found = accepted(annotations, template, plan, (answer, *other), rules)

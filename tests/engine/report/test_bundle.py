@@ -214,13 +214,13 @@ def test_bundles_are_ranked_among_those_of_the_same_questions(store, tmp_path):
     folders = [write_bundle(store, name, tmp_path / f"B-{name}").folder for name in names]
     # Two of them with one run id, as two people may send.
     board = leaderboard(store, [*folders, folders[0]])
-    found = [[(entry.rank, entry.row["run"], entry.row["n"]) for entry in entries] for entries in board.sets]
+    found = [[(row["rank"], row["run"], row["n"]) for _, row in entries] for entries in board.sets]
     assert found == [[(1, "r", 13), (1, "r", 13), (1, "same", 13), (4, "worse", 13)], [(1, "few", 1)]]
-    assert len({entry.question_set for entry in board.sets[0]}) == 1
-    assert board.sets[0][0].question_set != board.sets[1][0].question_set
-    for entry in (entry for entries in board.sets for entry in entries):
-        (row,) = score_bundles(store, [entry.bundle.folder]).rows
-        assert {name: entry.row[name] for name in row} | {"label": row["label"]} == row
+    assert len({row["questions"] for _, row in board.sets[0]}) == 1
+    assert board.sets[0][0][1]["questions"] != board.sets[1][0][1]["questions"]
+    for bundle, ranked in (entry for entries in board.sets for entry in entries):
+        (row,) = score_bundles(store, [bundle.folder]).rows
+        assert {name: ranked[name] for name in row} | {"label": row["label"]} == row
 
 
 def test_what_cannot_be_scored_is_left_out_of_a_leaderboard(store, bundle, tmp_path):

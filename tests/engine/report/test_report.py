@@ -169,8 +169,8 @@ def test_each_two_runs_are_compared_on_the_questions_that_they_share():
     runs = []
     for name, kept in {"a": slice(None), "b": slice(None), "c": slice(0, 40), "d": slice(20, 60)}.items():
         run = benchmark.run([(choice, BOX, 7) for choice in generator.integers(1, 3, 60).tolist()], name)
-        cut = (run.rows[kept], run.scores[kept], run.invalid[kept])
-        runs.append(ScoredRun(run.manifest, *cut, 0, run.ids, []))
+        cut = (run.rows[kept], run.table.take(np.arange(60)[kept]))
+        runs.append(ScoredRun(run.manifest, *cut, 0, []))
     found = pair_rows(benchmark.index, runs)
     assert [(row["first"], row["second"], row["n"]) for row in found[::3]] == [
         *(("a", "b", 60), ("a", "c", 40), ("a", "d", 40)),

@@ -385,7 +385,7 @@ def row_of(rows, predicted, synthetic=False):
     numbers = {name: pa.array([0.0] * len(names)) for name in ("time_gap_s", "separation_deg")}
     index = QuestionIndex(
         pa.table({**texts, **{name: pa.array(values, pa.string()) for name, values in kinds.items()}}),
-        pa.table({"question_id": texts["question_id"], **numbers}),
+        pa.table({"question_id": texts["question_id"], **numbers, "twin_id": pa.nulls(len(names), pa.string())}),
     )
     return score_row(scored_run(index, manifest, table, score_predictions(truth, "r", names, table)), 0.5)
 
