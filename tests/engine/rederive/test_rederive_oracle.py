@@ -9,14 +9,14 @@ from environment import DEEP
 from loaded_stores import memory_store
 from msgspec.structs import replace
 from oracle_candidates import RELATIONS, WINDOWS, World
-from oracle_choices import MAYBE, NO, YES, doing, false_choices, same, true_choices, wrong_sets
+from oracle_choices import MAYBE, NO, YES, doing, false_choices, same, true_choices
 from oracle_files import ACTIONS
 from random_worlds import in_crowds, in_other_words, lively_world, random_world, sociable_world, with_chorus
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, prove_again, rederive
 from jrdb_avr.engine.rederive.choices import is_false_around, is_supported
 from jrdb_avr.schema.choice_labels import CHOICE_LABELS
-from jrdb_avr.schema.labels import POSES, choice_text
+from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.plan import Time, canonical, parse_plan
 from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.templates import TEMPLATES
@@ -79,20 +79,9 @@ def accepted(annotations, template, plan, choices, rules):
     return outcome.target, outcome.answer
 
 
-def words_of(plan):
-    conditions = [condition for node in plan.nodes for condition in node.conditions]
-    return {one.action or one.interaction or one.verb for one in conditions} | {edge.relation for edge in plan.edges}
-
-
 def choices_of(world, template, plan, target, answer):
-    """Every three wrong choices beside the answer; one empty set where choices are fixed or there are none."""
-    if not template.asks_action:
-        return [()]
-    frames = [plan.times[name].frame for name in plan.answer.times]
-    if frames == [None]:
-        [frames] = [[world.next_pose(plan.times["t0"].frame, target)]]
-    among = POSES if template.name == "consequence" else ACTIONS
-    return wrong_sets(world, frames[0], target, answer, words_of(plan), among)
+    """Every three wrong choices beside the answer; one empty set where choices are fixed."""
+    return world.wrong_sets(template.name, canonical(plan), target, answer) if template.asks_action else [()]
 
 
 def mutated(rng, template, plan, keyframes):
@@ -112,7 +101,7 @@ def mutated(rng, template, plan, keyframes):
 def compare(annotations, world, rules, most):
     """Ask the second path for what the oracle proves, and for plans and choices that differ a little."""
     counts, rng, by_form = Counter(), random.Random(0), {}
-    proven = {found for t0 in world.keyframes for track in world.in_frame(t0) for found in world.of(track, t0)}
+    proven = world.proven()
     for name, target, text, answer in sorted(proven):
         by_form.setdefault(form_of(name, parse_plan(text))[0].query, []).append((target, text, answer))
     for query, rows in by_form.items():
