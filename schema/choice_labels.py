@@ -98,7 +98,7 @@ def may_be_same(label: str, other: str) -> bool:
     >>> may_be_same("typing", "sitting"), may_be_same("walking", "standing")
     (True, False)
     """
-    return label == other or other in CALLED[label] or label in CALLED[other]
+    return label == other or other in CALLED.get(label, ()) or label in CALLED.get(other, ())
 
 
 @cache

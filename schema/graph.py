@@ -71,8 +71,7 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 
 LAYER_NODES: Final[dict[str, str]] = {
     "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, seen INT64, earlier INT64, "
-    "later INT64, clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, doing STRING[], not_doing STRING[], "
-    "distance DOUBLE, angle DOUBLE",
+    "later INT64, clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, not_doing STRING[], distance DOUBLE, angle DOUBLE",
     "Name": "id INT64 PRIMARY KEY, sequence STRING, conditions STRING, general BOOLEAN",
     "Segment": "id INT64 PRIMARY KEY, sequence STRING, action STRING, first INT64, last INT64, start INT64, "
     "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
@@ -83,14 +82,15 @@ LAYER_NODES: Final[dict[str, str]] = {
 }
 """Node tables of the keyframe layer. `seen` is 1 for a clear view, 0 for an absence, and null if neither is certain.
 
-`earlier` and `later` are `seen` of the same person when the proof time.shift moves the time. `doing` are the actions
-that may be the true choice of a question, and `not_doing` those that are certainly false.
+`earlier` and `later` are `seen` of the same person when the proof time.shift moves the time. `not_doing` are actions
+that are certainly false.
 """
 
 LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "At": ("Person", "Moment", ()),
     "Describes": ("Name", "Moment", ()),
     "Leads": ("Moment", "Moment", ("relation STRING",)),
+    "Doing": ("Moment", "Action", ()),
     "Acts": ("Person", "Segment", ()),
     "Leaves": ("Person", "Absence", ()),
 }

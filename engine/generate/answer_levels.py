@@ -1,4 +1,4 @@
-"""Select questions with four fixed answers, so that no answer is more frequent than others in any context.
+"""Level the answers of questions with four fixed answers, so that no answer is more frequent in any context.
 
 For each context and each answer, X is three times the number of questions with that answer, minus the number of
 questions with another one. The cost is the sum of the squares of X, each with the weight of its context, plus costs for
@@ -13,26 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from jrdb_avr.engine.generate.asked import (
-    Candidate,
-    Question,
-    Selected,
-    Twins,
-    doublings,
-    keep_most,
-    sequence_cap,
-    sizes_of,
-)
-from jrdb_avr.engine.generate.guessers import JUDGED, Offer, above_bound
-from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.near_duplicates import Taken
-from jrdb_avr.schema.arrays import Ints
-
-_MAX_ANSWER_PERCENT: Final = 31
-"""Maximum share of one answer, in percent."""
+from jrdb_avr.engine.generate.asked import Candidate, Question, doublings
 
 _MAX_DESCRIBED: Final = 4
-"""Maximum number of questions of the template presence with one description at one time."""
+"""Maximum number of questions with one description at one time."""
 
 _PERSON_COST: Final = 160
 _DESCRIBED_COST: Final = 160
@@ -70,150 +54,51 @@ def answer_contexts(
     return (*contexts, *((f"condition {word}", 3) for word in words))
 
 
-class _Rows:
-    """The candidates of a template as arrays, in the order of their keys' hashes, and the state of the selection."""
+class AnswerLevel:
+    """Level of a template with four fixed answers. See `levelling.Level`."""
 
     def __init__(self, candidates: Sequence[Candidate]) -> None:
-        self.candidates = sorted(candidates, key=lambda candidate: hash_of(candidate.key))
-        count = len(self.candidates)
-        self.number = {candidate.key: row for row, candidate in enumerate(self.candidates)}
-        answers = sorted({candidate.truth for candidate in candidates})
-        names = sorted({name for candidate in candidates for name, _ in candidate.contexts})
-        numbers = {name: number for number, name in enumerate(names, 1)}
-        most = max((len(candidate.contexts) for candidate in candidates), default=0)
-        self.contexts, self.weights = np.zeros((2, count, most), np.int64)
-        for row, candidate in enumerate(self.candidates):
-            for index, (name, weight) in enumerate(candidate.contexts):
-                self.contexts[row, index], self.weights[row, index] = numbers[name], weight
-        self.answers = np.array([answers.index(candidate.truth) for candidate in self.candidates], np.int64)
-        self.levels = np.zeros((len(names) + 1, len(answers)), np.int64)
-        self.people = _numbered([candidate.moment[:2] for candidate in self.candidates])
-        self.described = _numbered([(one.sequence, one.described) for one in self.candidates])
-        self.sequences = _numbered([candidate.sequence for candidate in self.candidates])
-        self.per = [np.zeros(count, np.int64) for _ in range(3)]
+        """Number the contexts, answers and groups of all candidates of a template that may be selected."""
+        names = {name: number for number, name in enumerate(sorted({n for one in candidates for n, _ in one.contexts}))}
+        answers = sorted({one.truth for one in candidates})
+        self._row = {one.key: row for row, one in enumerate(candidates)}
+        most = max(len(one.contexts) for one in candidates)
+        self._contexts, self._weights = np.zeros((2, len(candidates), most), np.int64)
+        for row, one in enumerate(candidates):
+            self._contexts[row, : len(one.contexts)] = [names[name] for name, _ in one.contexts]
+            self._weights[row, : len(one.contexts)] = [weight for _, weight in one.contexts]
+        self._answers = np.array([answers.index(one.truth) for one in candidates])
+        self._levels = np.zeros((len(names), len(answers)), np.int64)
+        self._people: Counter[object] = Counter()
+        self._described: Counter[object] = Counter()
+        self.of_sequence: Counter[str] = Counter()
 
-    def costs(self, rows: Ints) -> Ints:
-        """Return by how much each row raises the cost."""
-        levels = self.levels[self.contexts[rows], self.answers[rows, None]]
-        costs: Ints = (self.weights[rows] * (8 * levels + 12)).sum(axis=1)
-        for number, groups, cost in zip(self.per, self._groups, _GROUP_COSTS, strict=True):
-            costs += cost * number[groups[rows]]
-        return costs
+    def add(self, question: Question, sign: int = 1) -> None:
+        """Add a question to the state, or remove it by the sign -1."""
+        one, row = question.candidate, self._row[question.candidate.key]
+        contexts = self._contexts[row, : len(one.contexts)]
+        self._levels[contexts] -= sign
+        self._levels[contexts, self._answers[row]] += 4 * sign
+        self._people[one.moment[:2]] += sign
+        self._described[one.sequence, one.described] += sign
+        self.of_sequence[one.sequence] += sign
 
-    def add(self, row: int, sign: int = 1) -> None:
-        """Add a row to the state, or remove it by the sign -1."""
-        contexts = self.contexts[row][self.contexts[row] > 0]
-        self.levels[contexts] -= sign
-        self.levels[contexts, self.answers[row]] += 4 * sign
-        for number, groups in zip(self.per, self._groups, strict=True):
-            number[groups[row]] += sign
+    def allows(self, candidate: Candidate) -> bool:
+        """Return whether a further question may have the candidate's description."""
+        return self._described[candidate.sequence, candidate.described] < _MAX_DESCRIBED
 
-    @property
-    def _groups(self) -> tuple[Ints, Ints, Ints]:
-        return self.people, self.described, self.sequences
+    def cheapest(self, candidates: Sequence[Candidate]) -> tuple[int, Question]:
+        """Find the question that raises the cost least. Of equals the first one is taken."""
+        rows = np.array([self._row[one.key] for one in candidates])
+        # X of the answer grows by three, and X of each other answer falls by one.
+        levels = self._levels[self._contexts[rows], self._answers[rows, None]]
+        costs = (self._weights[rows] * (8 * levels + 12)).sum(axis=1)
+        costs += _PERSON_COST * np.array([self._people[one.moment[:2]] for one in candidates])
+        costs += _DESCRIBED_COST * np.array([self._described[one.sequence, one.described] for one in candidates])
+        costs += _SEQUENCE_COST * np.array([self.of_sequence[one.sequence] for one in candidates])
+        best = candidates[index := int(costs.argmin())]
+        return int(costs[index]), Question(best, tuple(sorted(best.wrong)))
 
-
-_GROUP_COSTS: Final = (_PERSON_COST, _DESCRIBED_COST, _SEQUENCE_COST)
-
-
-def _numbered(values: Sequence[object]) -> Ints:
-    """Return a number for each value; equal values have the same number."""
-    numbers: dict[object, int] = {}
-    return np.array([numbers.setdefault(value, len(numbers)) for value in values], np.int64)
-
-
-def select_answers(
-    candidates: Sequence[Candidate], quota: int, taken: Taken, sequences: int, twins: Sequence[Twins] = ()
-) -> Selected:
-    """Select the questions of a template with fixed answers, such as presence.
-
-    Args:
-        candidates: The proven candidates of the template, in any order.
-        quota: Number of questions wanted.
-        taken: Account of near-duplicates and caps of all templates. The selected questions are added.
-        sequences: Number of sequences of the data.
-        twins: Matched pairs of time twins, the best first.
-
-    Returns:
-        The selected questions. Their number is the largest share of the quota, in steps of 5 %, for which no counting
-        guesser is above its bound.
-    """
-    cap = sequence_cap(quota, sequences, 10 if candidates and candidates[0].template == "presence" else 20)
-    best: list[Question] = []
-    shortage = None
-    for size in [quota, *sizes_of(quota)]:
-        if best and len(best) <= size:
-            continue
-        best = _attempt(candidates, size, taken.copy(), cap, ())
-        guesser = above_bound([_offer(question) for question in best])
-        if guesser is None:
-            break
-        shortage = f"of {size} questions a guesser would have too many right: {guesser}"
-
-    def with_twins(count: int) -> list[Question] | None:
-        paired = _attempt(candidates, size, taken.copy(), cap, twins[:count])
-        return paired if above_bound([_offer(question) for question in paired]) is None else None
-
-    best = keep_most(len(twins), with_twins) or best
-    for question in best:
-        taken.add(question.candidate.subject)
-    if shortage is None and len(best) < quota:
-        shortage = f"caps and the share of each answer leave {len(best)} of {len(candidates)} candidates"
-    return Selected(best, shortage)
-
-
-def _attempt(
-    candidates: Sequence[Candidate], size: int, taken: Taken, cap: int, twins: Sequence[Twins]
-) -> list[Question]:
-    """Select greedily up to a size, then drop questions with too frequent answers."""
-    rows = _Rows(candidates)
-    alive = np.ones(len(candidates), bool)
-    chosen: dict[int, Question] = {}
-
-    def admits(row: int) -> bool:
-        below = rows.per[1][rows.described[row]] < _MAX_DESCRIBED and rows.per[2][rows.sequences[row]] < cap
-        return bool(below) and taken.admits(rows.candidates[row].subject)
-
-    def put(row: int, twin: str | None = None) -> None:
-        candidate = rows.candidates[row]
-        chosen[row] = Question(candidate, tuple(sorted(candidate.wrong)), twin)
-        rows.add(row)
-        taken.add(candidate.subject)
-        alive[row] = False
-
-    for first, second in twins:
-        pair = rows.number[first.key], rows.number[second.key]
-        if len(chosen) + 2 <= size and admits(pair[0]) and not chosen.keys() & set(pair):
-            put(pair[0], min(first.key, second.key))
-            if admits(pair[1]):
-                put(pair[1], min(first.key, second.key))
-            else:
-                rows.add(pair[0], -1)
-                taken.remove(chosen.pop(pair[0]).candidate.subject)
-    while len(chosen) < size and alive.any():
-        free = np.flatnonzero(alive)
-        for index in np.argsort(rows.costs(free), kind="stable"):
-            row = int(free[index])
-            if admits(row):
-                put(row)
-                break
-            alive[row] = False
-    _drop_frequent(rows, chosen)
-    return [chosen[row] for row in sorted(chosen)]
-
-
-def _drop_frequent(rows: _Rows, chosen: dict[int, Question]) -> None:
-    """Drop the costliest questions with the most frequent answer until its share is within bounds; twins stay."""
-    while len(chosen) >= JUDGED:
-        numbers = Counter(question.candidate.truth for question in chosen.values())
-        answer, number = min(numbers.items(), key=lambda item: (-item[1], item[0]))
-        loose = [row for row, one in chosen.items() if one.candidate.truth == answer and one.twin is None]
-        if 100 * number <= _MAX_ANSWER_PERCENT * len(chosen) or not loose:
-            return
-        worst = max(zip(rows.costs(np.array(loose)).tolist(), loose, strict=True))[1]
-        rows.add(worst, -1)
-        del chosen[worst]
-
-
-def _offer(question: Question) -> Offer:
-    return Offer(question.candidate.sequence, question.candidate.truth, question.wrong)
+    def cost_of(self, question: Question) -> int:
+        """Return by how much a question raises the cost."""
+        return self.cheapest([question.candidate])[0]

@@ -22,6 +22,9 @@ COUNTING: Final = ("data", "sequence", "label", "set", "pair")
 """Guessers that the bound judges: the commonest choice in all data and in the sequence; the choice that is most often
 true elsewhere, by itself, with its set of choices, and beside each of the other choices."""
 
+_MAX_ANSWER_PERCENT: Final = 31
+"""Maximum share of one answer in a template with four fixed answers, in percent."""
+
 _PRIOR: Final = 4
 """Weight of the prior belief, in questions: one choice of four is true."""
 
@@ -149,7 +152,11 @@ def above_bound(offers: Sequence[Offer]) -> str | None:
         return None
     shares = guesser_shares(offers)
     share, name = max((shares[name], name) for name in COUNTING if name in shares)
-    return f"{name} {float(100 * share):.1f} %" if share > BOUND else None
+    if share > BOUND:
+        return f"{name} {float(100 * share):.1f} %"
+    answer, number = min(Counter(offer.truth for offer in offers).items(), key=lambda item: (-item[1], item[0]))
+    common = not offers[0].ranks and 100 * number > _MAX_ANSWER_PERCENT * len(offers)
+    return f"the answer {answer!r}, {100 * number / len(offers):.1f} %" if common else None
 
 
 _Key = tuple[object, ...]

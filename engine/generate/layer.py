@@ -3,6 +3,7 @@
 (Person)-[:At]->(Moment)                  a person at a keyframe: with a box, or certainly absent
 (Name)-[:Describes]->(Moment)             a description that fits one person at a keyframe
 (Moment)-[:Leads {relation}]->(Moment)    the only person to whom a relation leads
+(Moment)-[:Doing]->(Action)               an action that may be the true choice of a question
 (Person)-[:Acts]->(Segment)               a stable segment of an action
 (Person)-[:Leaves]->(Absence)             a certain absence between two boxes
 """
@@ -78,8 +79,9 @@ class Layer:
         for name, columns in LAYER_NODES.items():
             types = dict(column.strip("`").split()[:2] for column in columns.replace("`", "").split(", "))
             yield from self._table(name, types)
-        for name, (source, _, more) in LAYER_RELS.items():
-            ends = {"from": "STRING" if source == "Person" else "INT64", "to": "INT64"}
+        for name, (source, target, more) in LAYER_RELS.items():
+            ends = {"from": "STRING" if source == "Person" else "INT64"}
+            ends["to"] = "STRING" if target == "Action" else "INT64"
             yield from self._table(name, ends | dict(column.split() for column in more))
 
     def _table(self, name: str, types: Mapping[str, str]) -> Iterator[tuple[str, pa.Table]]:
@@ -192,8 +194,8 @@ def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tu
         row = {"id": number, "sequence": sequence, "track": who, "frame": frame, "seen": seen[who, frame]}
         row |= {"earlier": seen.get((who, frame - step)), "later": seen.get((who, frame + step))}
         row |= {"clear": bool(sighting.get("clear")), "image": layer.has_image(frame), "ahead": box.get("ahead", False)}
-        row |= {"doing": sorted(true_labels(facts.lists[who], frame))}
-        row |= {"not_doing": different_labels(facts.labels(who, frame))}
+        row["not_doing"] = different_labels(facts.labels(who, frame))
+        layer.rows["Doing"] += [{"from": number, "to": label} for label in true_labels(facts.lists[who], frame)]
         row |= {"distance": facts.seen(who, frame).distance, "angle": sighting.get("angle")}
         layer.rows["Moment"].append(row)
         layer.rows["At"].append({"from": f"{sequence}/{who}", "to": number})

@@ -9,11 +9,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from jrdb_avr.engine.generate.answer_levels import select_answers
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
+from jrdb_avr.engine.generate.choice_levels import level_choices
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.levelling import level_choices, select_choices
+from jrdb_avr.engine.generate.levelling import select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.engine.generate.twins import MAX_TWINS, match_twins
 from jrdb_avr.schema.rules import Rules
@@ -141,9 +141,7 @@ def _select_choices(
         return Selected([], None if quota else "the family is full")
     cap = sequence_cap(quota, sequences, 10 if template == "presence" else 20)
     twins = match_twins(candidates, taken, cap) if template in MAX_TWINS else []
-    if template in _FIXED:
-        return select_answers(candidates, quota, taken, sequences, twins)
-    return select_choices(candidates, quota, counts, taken, sequences, twins)
+    return select_level(candidates, quota, counts, taken, cap, twins)
 
 
 def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int) -> Selected:

@@ -14,7 +14,6 @@ from jrdb_avr.engine.generate.asked import Candidate, Twins, moment_hash
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.near_duplicates import Taken, near_frames
-from jrdb_avr.schema.choice_labels import CHOICE_LABELS
 from jrdb_avr.schema.rules import Rules
 
 MAX_TWINS: Final = {"change": 50, "presence": 50, "later_action": 9}
@@ -59,7 +58,7 @@ def may_be_twins(first: Candidate, second: Candidate, rules: Rules) -> bool:
         return False
     if first.truth not in second.wrong or second.truth not in first.wrong:
         return False
-    return first.truth not in CHOICE_LABELS or bool(wrong_sets(first.wrong & second.wrong, 2))
+    return bool(wrong_sets(first.wrong & second.wrong, 2))
 
 
 def _possible(candidates: Iterable[Candidate], rules: Rules) -> Iterator[Twins]:
