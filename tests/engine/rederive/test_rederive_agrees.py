@@ -187,13 +187,15 @@ def choices_of(search, one):
     return tuple(map(choice_text, Question(candidate, wrong).choices))
 
 
-def compare(store, sequence, most=60, rules=RULES):
+def compare(store, sequence, most=40, rules=RULES):
     """Ask the second path for what the first has proven, at most so many of a template; how many were asked for."""
     annotations, counts = Annotations.read(store, sequence, rules), Counter()
     with searched(store, sequence, rules) as search:
         for template in forms_in(store, sequence):
             prover = make_prover(search)
-            offered = [one for one in proposals(search, template) if choices_of(search, one) is not None]
+            offered = [
+                one for one in some_of([*proposals(search, template)], 150) if choices_of(search, one) is not None
+            ]
             proven = [(one, proofs) for one in offered if (proofs := prover.prove(one)) is not None]
             for one, proofs in some_of(proven, most):
                 second = rederive(annotations, one.plan, template.name, rules, choices_of(search, one))
@@ -219,7 +221,7 @@ def compare_refused(store, sequence, most=30):
     with searched(store, sequence, RULES) as search:
         for template in forms_in(store, sequence):
             prover = make_prover(search)
-            for one in proposals(search, template):
+            for one in some_of([*proposals(search, template)], 150):
                 if choices_of(search, one) is not None:
                     prover.prove(one)
             for rule in ("hop.stop", "hop.skip", "time.shift", "time.drop"):
