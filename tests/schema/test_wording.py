@@ -237,7 +237,7 @@ def test_a_question_says_once_that_only_people_in_clear_view_count(case, key, ab
 def test_questions_with_actions_as_choices_say_that_one_is_true(case, key, in_view):
     form, plan = case
     text = render(template_of(form), plan, key, in_view=in_view)
-    asked = TEMPLATES[form].pose_answer
+    asked = TEMPLATES[form].asks_action
     assert asked == (form in {"change", "two_hop", "three_hop", "fork_join", "later_action", "consequence"})
     words = r"hich of these is (C|D|that person|this person) doing|hich of these does (that|the) person do (next|first)"
     assert (text.count(" Only one is true."), bool(re.search(words, text))) == (asked, asked)

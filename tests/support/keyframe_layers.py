@@ -7,11 +7,12 @@ with layers_in_memory(): generate(store, rules, workers=1)
 """
 
 import contextlib
+import itertools
 
 import msgspec
 import pytest
 
-from jrdb_avr.engine.generate import confirm, run
+from jrdb_avr.engine.generate import question, run
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.layer import read_layer
 from jrdb_avr.engine.generate.perturb import MissingFactsError, make_program, prove, read_answer
@@ -23,7 +24,7 @@ from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, table_ddl
 from jrdb_avr.schema.panorama import CROP, Box, crop_left, to_crop
-from jrdb_avr.schema.rules import LoadRules, Rules
+from jrdb_avr.schema.rules import LoadRules, Rules, frames
 from jrdb_avr.schema.templates import TEMPLATES
 
 ANY_VIEW = Rules(load=LoadRules(visibility="any"))
@@ -66,11 +67,14 @@ def forms_in(store, sequence):
 def proposals(search, template):
     """Every proposal of a form of a template."""
     if template.name != "presence":
-        yield from propose(search, template)
+        yield from (make_proposal(search, template, row) for row in propose(search, template))
         return
-    for _, _, _, rows in propose_presence(search, template):
-        for row in rows:
-            yield make_proposal(search, template, row)
+    described, pairs = propose_presence(search, template)
+    wait = frames(search.rules.min_wait_s)
+    for who, rows in described.items():
+        for row, pair in itertools.product(rows, pairs.get(who, ())):
+            if pair["t1"] >= row["t0"] + wait and not (row["ahead"] and pair["away"]):
+                yield make_proposal(search, template, row | pair)
 
 
 def all_proofs(search, one):
@@ -113,7 +117,7 @@ def layers_in_memory():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "ensure_layer", ensure_layer)
-        for module, name in ((run, "open_worker_graph"), (confirm, "open_worker_graph"), (run, "hold_graph")):
+        for module, name in ((run, "open_worker_graph"), (question, "open_worker_graph"), (run, "hold_graph")):
             patch.setattr(module, name, shared)
         yield
 

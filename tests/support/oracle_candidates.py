@@ -829,6 +829,20 @@ class Gaps(Asked):
 
 
 class World(Alone, Chains, Gaps):
+    def wrong_sets(self, template, program, target, answer):
+        """Every three wrong choices that an action of a question with this plan's text may have."""
+        plan = json.loads(program)
+        conditions = [condition for node in plan["nodes"] for condition in node["conditions"]]
+        words = {condition.get(kind) for condition in conditions for kind in ("action", "interaction", "verb")}
+        words |= {edge["relation"] for edge in plan["edges"]}
+        frame = plan["times"][plan["answer"]["at"]].get("frame")
+        if template == "consequence":
+            return wrong_sets(self, self.next_pose(plan["times"]["t0"]["frame"], target), target, answer, words, POSES)
+        return wrong_sets(self, frame, target, answer, words)
+
+    def proven(self):
+        return {found for t0 in self.keyframes for track in self.in_frame(t0) for found in self.of(track, t0)}
+
     def of(self, track, t0):
         """Every proven candidate that begins with this person described at this keyframe."""
         templates = (
@@ -849,5 +863,4 @@ class World(Alone, Chains, Gaps):
 
 
 def proven(root, sequence, judged=JUDGED):
-    world = World(root, sequence, judged)
-    return {found for t0 in world.keyframes for track in world.in_frame(t0) for found in world.of(track, t0)}
+    return World(root, sequence, judged).proven()

@@ -366,6 +366,20 @@ def in_other_words(make):
     return made
 
 
+def with_chorus(make):
+    """A maker of worlds with people who do one thing each in the last frame, so that all these may be choices."""
+
+    def made(rng, name):
+        world = make(rng, name)
+        frames = world[name]["2d"]
+        for n, action in enumerate(("walking", "standing", "sitting", "lying", "skating", "cycling", "pushing")):
+            record = person(60 + n, (470 * n + 300, 100, 50, 150), {action: 1})
+            frames[max(frames)].append(record)
+        return world
+
+    return made
+
+
 def in_crowds(make):
     """A maker of worlds in which people are occluded for a while, and look at the robot now and then."""
 
@@ -381,20 +395,6 @@ def in_crowds(make):
                     row["attributes"] = {**row["attributes"], "occlusion": hidden[track]}
                 if row.get("action_label") and chance.random() < 0.2:
                     row["action_label"] = {**row["action_label"], "looking at robot": chance.choice((1, 1, 3))}
-        return world
-
-    return made
-
-
-def with_chorus(make):
-    """A maker of worlds with people who do one thing each in the last frame, so that all these may be choices."""
-
-    def made(rng, name):
-        world = make(rng, name)
-        frames = world[name]["2d"]
-        for n, action in enumerate(("walking", "standing", "sitting", "lying", "skating", "cycling", "pushing")):
-            record = person(60 + n, (470 * n + 300, 100, 50, 150), {action: 1})
-            frames[max(frames)].append(record)
         return world
 
     return made

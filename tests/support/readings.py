@@ -151,7 +151,7 @@ def ask(world, form, conditions, frames, action=None, rules=RULES, actions=(), r
         shown=None):  # fmt: skip
     """What the second path finds for a question of a form of the wording's table; somebody does what choices say."""
     row = TEMPLATES[form]
-    if row.pose_answer:
+    if row.asks_action:
         world.show([answer_of_choice(choice) for choice in (choices if shown is None else shown)])
     times = dict(zip(row.stated, frames, strict=True))
     named = (action,) if action else tuple(actions)

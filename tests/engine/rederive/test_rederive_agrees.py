@@ -1,27 +1,35 @@
 """The second path against the first: the same facts, relations, conditions and people in random worlds."""
 
+import itertools
 import random
-import re
 from collections import Counter
-from itertools import product
 
 import loaded_stores
 import pytest
 from environment import DEEP
-from msgspec.structs import replace
-from oracle_candidates import EMPTY, MAYBE, RELATIONS, SEVERAL, WINDOWS, World
-from oracle_choices import NO, YES, doing, false_choices, same, true_choices, wrong_sets
-from oracle_files import ACTIONS
-from random_worlds import in_other_words, lively_world, random_world, sociable_world, with_chorus
+from keyframe_layers import all_proofs, forms_in, make_prover, memory_graph, proposals, searched
+from random_worlds import (
+    SEQUENCE,
+    build,
+    in_crowds,
+    in_other_words,
+    lively_world,
+    random_world,
+    sociable_world,
+    with_chorus,
+)
 
+from jrdb_avr.engine.generate import question
+from jrdb_avr.engine.generate.asked import Question
+from jrdb_avr.engine.generate.choices import wrong_sets
+from jrdb_avr.engine.generate.facts import Facts
+from jrdb_avr.engine.generate.pool import make_candidate
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, prove_again, rederive
-from jrdb_avr.engine.rederive.choices import is_false_around, is_supported
-from jrdb_avr.schema.choice_labels import CHOICE_LABELS
 from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS, choice_text
-from jrdb_avr.schema.plan import Condition, Time, canonical, parse_plan
+from jrdb_avr.schema.plan import Condition, canonical
+from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import LoadRules, Rules
 from jrdb_avr.schema.templates import TEMPLATES
-from jrdb_avr.schema.wording.text import form_of
 
 RULES = Rules(load=LoadRules(visibility="any"))
 CLEAR = Rules(load=LoadRules(visibility="clear"))
@@ -58,7 +66,7 @@ def possible_sizes(row):
     return [] if row["group_size_min"] is None else [*range(row["group_size_min"], row["group_size_max"] + 1)]
 
 
-@pytest.fixture(params=["any", "clear"])
+@pytest.fixture(scope="module", params=["any", "clear"])
 def store_and_rules(request):
     names = {"any": ("random_store", RULES), "clear": ("judged_store", CLEAR)}
     name, rules = names[request.param]
@@ -121,163 +129,175 @@ def test_both_paths_see_the_same_actions_in_random_worlds(store_and_rules):
     assert segments > 10
 
 
-FACTS = {YES: TRUE, NO: FALSE, MAYBE: UNKNOWN}
-OUTCOMES = {EMPTY: ("empty", None), SEVERAL: ("ambiguous", None), MAYBE: ("unknown", None)}
+@pytest.fixture(scope="module")
+def facts_of(store_and_rules):
+    """Both programs' facts of each sequence: of the second one, and read from a graph."""
+    store, rules = store_and_rules
+    graph, found = memory_graph(store, store.sequences), {}
+    for name in store.sequences:
+        (layers,) = store.interval("sequence", name)["layers"].to_pylist()
+        facts = Facts(graph, name, rules.load, with_faces="pose" in layers)
+        found[name] = Annotations.read(store, name, rules), facts
+    return found
 
 
-def oracles(store, rules):
-    """The second path and the brute-force oracle of each sequence."""
-    for sequence in store.sequences:
-        world = World(store.path.parent / "root", sequence, rules.load.visibility == "clear")
-        yield Annotations.read(store, sequence, rules), world
+def state_of(fit, who):
+    return TRUE if who in fit.certain else UNKNOWN if who in fit.could else FALSE
 
 
-def test_the_second_path_sees_the_relations_and_conditions_of_the_oracle(store_and_rules):
-    steps, seen = Counter(), Counter()
-    for annotations, world in oracles(*store_and_rules):
-        for frame in world.keyframes:
-            people = world.counting(frame)
-            for track, relation in product(people, (*RELATIONS, *WINDOWS)):
-                reached = world.step(frame, track, relation)
-                found = annotations.step_to(relation, track, frame)
-                assert found == OUTCOMES.get(reached, ("defined", reached)), (world.sequence, relation, track, frame)
-                steps[found[0]] += 1
-            every = {condition for track in people for condition in world.conditions(frame, track)}
-            for track, condition in product(people, every):
-                [plain] = world.plain([condition])
-                state = annotations.holds(Condition(**plain), track, frame)
-                assert state == FACTS[world.value(condition, frame, track)], (world.sequence, condition, track, frame)
-                seen[condition[0], state] += 1
-    assert min(steps[outcome] for outcome in ("defined", "empty", "ambiguous", "unknown")) > 10
-    assert {kind for kind, state in seen if state == UNKNOWN} == {*Rules().condition_order}
+def test_both_paths_see_the_same_relations_in_random_worlds(facts_of):
+    """Every relation from everybody to everybody else who is not covered, at every keyframe."""
+    seen = {}
+    for annotations, facts in facts_of.values():
+        for frame, people in facts.uncovered.items():
+            for (source, other), relation in itertools.product(itertools.permutations(people, 2), RELATIONS):
+                state = annotations.related(relation, source, other, frame)
+                assert state == state_of(facts.follow(relation, source, frame), other), (relation, source, other, frame)
+                seen.setdefault(RELATIONS[relation].kind, set()).add(state)
+    assert seen == {kind: {TRUE, UNKNOWN, FALSE} for kind in ("social", "group", "first", "person", "window")}
 
 
-def test_the_second_path_judges_choices_as_the_oracle_does(store_and_rules):
-    seen = Counter()
-    for annotations, world in oracles(*store_and_rules):
-        assert annotations.shown_actions & ACTIONS == world.shown_actions
-        for frame in world.keyframes:
-            for track in world.in_frame(frame):
-                facts = {action: annotations.performs(track, action, frame) for action in CHOICE_LABELS}
-                assert facts == {one: FACTS[doing(world, frame, track, one)] for one in CHOICE_LABELS}
-                true = {a for a in facts if facts[a] == TRUE and is_supported(annotations, track, a, frame)}
-                false = {a for a in facts if is_false_around(annotations, track, a, frame)}
-                assert true == true_choices(world, frame, track), (world.sequence, track, frame)
-                assert false == false_choices(world, frame, track), (world.sequence, track, frame)
-                seen.update(facts.values())
-                seen.update(true=len(true), false=len(false))
-    assert min(seen.values()) > 100 and set(seen) == {TRUE, FALSE, UNKNOWN, "true", "false"}
+def test_both_paths_see_the_same_conditions_in_random_worlds(facts_of):
+    seen = {}
+    for sequence, (annotations, facts) in facts_of.items():
+        assert set(facts.keyframes) == annotations.keyframes
+        assert all(sorted(facts.uncovered[one]) == annotations.uncovered_people(one) for one in facts.keyframes)
+        sighted = [(who, frame) for frame, people in facts.uncovered.items() for who in people]
+        for condition in {condition for place in sighted for condition in facts.conditions_of(*place)}:
+            for who, frame in sighted:
+                state = state_of(facts.match(condition, frame), who)
+                assert annotations.holds(condition, who, frame) == state, (sequence, condition, who, frame)
+                seen.setdefault(condition.kind, set()).add(state)
+        for who, frame in sighted:
+            assert annotations.pose(who, frame) == facts.pose(who, frame)
+    assert set(seen) == set(RULES.condition_order)
+    assert all(states >= {TRUE, UNKNOWN} for states in seen.values())
 
 
-# -- whole questions ------------------------------------------------------------------------------------------------
+def some_of(rows, most):
+    return rows[:: max(1, len(rows) // most)]
 
 
-def holding(template, proofs):
-    """Whether the proofs of a question hold that must: one shift, and of a fork one of b and c."""
-    groups = {}
-    for proof in proofs:
-        either = proof.kind == "time.shift" or (template.joins and proof.kind == "hop.stop" and proof.variant != "0")
-        if proof.holds is not None and (proof.kind != "view.single" or not template.single_view):
-            groups.setdefault(proof.kind if either else (proof.kind, proof.variant), []).append(proof.holds)
-    return all(map(any, groups.values()))
-
-
-def accepted(annotations, template, plan, choices, rules):
-    """(target, answer) if the second path finds no fault in a question, else None."""
-    outcome = rederive(annotations, plan, template.name, rules, [choice_text(choice) for choice in choices])
-    if outcome.outcome != "defined" or outcome.faults:
+def choices_of(search, one):
+    """The choices of a proposal, as texts; None if it has too few."""
+    candidate = make_candidate(search, one)
+    if candidate is None:
         return None
-    if not holding(template, prove_again(annotations, plan, template.name, rules, outcome)):
-        return None
-    return outcome.target, outcome.answer
+    wrong = wrong_sets(candidate.wrong)[0] if one.template.asks_action else tuple(candidate.wrong)
+    return tuple(map(choice_text, Question(candidate, wrong).choices))
 
 
-def words_of(plan):
-    conditions = [condition for node in plan.nodes for condition in node.conditions]
-    return {one.action or one.interaction or one.verb for one in conditions} | {edge.relation for edge in plan.edges}
-
-
-def choices_of(world, template, plan, target, answer):
-    """Every three wrong choices beside the answer; one empty set where choices are fixed or there are none."""
-    if not template.pose_answer:
-        return [()]
-    frames = [plan.times[name].frame for name in plan.answer.times]
-    if frames == [None]:
-        [frames] = [[world.next_pose(plan.times["t0"].frame, target)]]
-    among = POSES if template.name == "consequence" else ACTIONS
-    return wrong_sets(world, frames[0], target, answer, words_of(plan), among)
-
-
-def mutated(rng, template, plan, keyframes):
-    """The same description with a later time or a relation changed."""
-    later = [name for name in template.stated if name != template.described]
-    if template.edges and (not later or rng.random() < 0.5):
-        index = rng.randrange(len(plan.edges))
-        join = template.uses[index] == "join"
-        relation = rng.choice([r for r in (*RELATIONS, *WINDOWS) if join or r not in WINDOWS])
-        edges = [replace(edge, relation=relation) if n == index else edge for n, edge in enumerate(plan.edges)]
-        return replace(plan, edges=tuple(edges))
-    if not later:
-        return plan
-    return replace(plan, times=plan.times | {rng.choice(later): Time(frame=rng.choice(keyframes))})
-
-
-def compare(store, rules, most):
-    """Ask the second path for what the oracle proves, and for plans and choices that differ a little."""
-    counts = Counter()
-    for annotations, world in oracles(store, rules):
-        proven = {found for t0 in world.keyframes for track in world.in_frame(t0) for found in world.of(track, t0)}
-        rng, by_form = random.Random(world.sequence), {}
-        for name, target, text, answer in sorted(proven):
-            by_form.setdefault(form_of(name, parse_plan(text))[0].query, []).append((name, target, text, answer))
-        for query, rows in by_form.items():
-            template = TEMPLATES[query]
-            for _, target, text, answer in rng.sample(rows, min(most, len(rows))):
-                plan = parse_plan(text)
-                sets = choices_of(world, template, plan, target, answer)
-                wrong = rng.choice(sets)
-                found = accepted(annotations, template, plan, (answer, *wrong), rules)
-                told = found and (found[0], rounded(found[1]))
-                assert told == (target, rounded(answer)), (world.sequence, query, text, wrong)
-                counts[query, "proven"] += 1
-                if not template.pose_answer:
-                    continue
-                other = [*wrong[:2], rng.choice(CHOICE_LABELS)]
-                found = accepted(annotations, template, plan, (answer, *other), rules)
-                assert (found is not None) == (tuple(sorted(other)) in sets), (world.sequence, query, text, other)
-                counts[query, "choices", found is not None] += 1
-                if template.name != "consequence":
-                    counts[refused(rng, annotations, world, template, plan, proven, rules)] += 1
+def compare(store, sequence, most=40, rules=RULES):
+    """Ask the second path for what the first has proven, at most so many of a template; how many were asked for."""
+    annotations, counts = Annotations.read(store, sequence, rules), Counter()
+    with searched(store, sequence, rules) as search:
+        for template in forms_in(store, sequence):
+            prover = make_prover(search)
+            offered = [
+                one for one in some_of([*proposals(search, template)], 150) if choices_of(search, one) is not None
+            ]
+            proven = [(one, proofs) for one in offered if (proofs := prover.prove(one)) is not None]
+            for one, proofs in some_of(proven, most):
+                second = rederive(annotations, one.plan, template.name, rules, choices_of(search, one))
+                told = (second.outcome, second.answer, second.target, second.faults)
+                assert told == ("defined", one.answer, one.target, ()), canonical(one.plan)
+                times = question._times(search.layer, one)
+                assert dict(second.people) | dict(second.times) == {**one.people, **times}, canonical(one.plan)
+                needed = question.needed_boxes(search.layer, one)
+                assert set(second.needed) == set(needed), canonical(one.plan)
+                stored = question._all_proofs(search, one, proofs, needed)
+                again = prove_again(annotations, one.plan, template.name, rules, second)
+                assert set(again) == set(stored), canonical(one.plan)
+                counts[template.query] += 1
     return counts
 
 
-def refused(rng, annotations, world, template, plan, proven, rules):
-    """Compare a plan nearby: whether it is proven for some action."""
-    plan = mutated(rng, template, plan, world.keyframes)
-    text = canonical(plan)
-    found = {(target, answer) for name, target, stored, answer in proven if (name, stored) == (template.name, text)}
-    targets = {target for target, _ in found}
-    for answer in CHOICE_LABELS:
-        outcome = rederive(annotations, plan, template.name, rules, [choice_text(answer)])
-        target = outcome.target if outcome.target is not None else min(targets, default=None)
-        sets = choices_of(world, template, plan, target, answer) if target is not None else []
-        wrong = rng.choice(sets) if sets else [one for one in CHOICE_LABELS if not same(one, answer)][:3]
-        second = accepted(annotations, template, plan, (answer, *wrong), rules)
-        accepts = second == (target, answer)
-        assert accepts == ((target, answer) in found), (world.sequence, text, answer, wrong)
-    return template.query, "nearby", bool(found)
+def compare_refused(store, sequence, most=30):
+    """Compare the outcomes of perturbations of candidates that they refuse, at most so many of each form and rule.
+
+    Returns how often each proof of a form had each outcome.
+    """
+    annotations, counts = Annotations.read(store, sequence, RULES), Counter()
+    with searched(store, sequence, RULES) as search:
+        for template in forms_in(store, sequence):
+            prover = make_prover(search)
+            for one in some_of([*proposals(search, template)], 150):
+                if choices_of(search, one) is not None:
+                    prover.prove(one)
+            for rule in ("hop.stop", "hop.skip", "time.shift", "time.drop"):
+                for one, _ in some_of(prover.examples[rule], most):
+                    own = rederive(annotations, one.plan, template.name, RULES, choices_of(search, one))
+                    again = prove_again(annotations, one.plan, template.name, RULES, own)
+                    again = {(proof.kind, proof.variant): (proof.outcome, proof.answer) for proof in again}
+                    for proof in all_proofs(search, one):
+                        found = proof.outcome, proof.answer
+                        if proof.kind != "anchor":
+                            assert again[proof.kind, proof.variant] == found, (proof.kind, canonical(one.plan))
+                        counts[template.query, proof.kind, proof.variant, proof.outcome] += 1
+    return counts
 
 
-def rounded(answer):
-    """An answer without the last bits of its floats."""
-    return re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.6f}", answer)
+def test_both_paths_perturb_alike_where_a_candidate_is_refused(tmp_path):
+    counts = Counter()
+    for seed in range(8 if DEEP else 4):
+        sequence, make = f"yard-{seed:02d}", sociable_world if seed < 2 else lively_world
+        world = with_chorus(make)(random.Random(seed), sequence)
+        counts += compare_refused(memory_store(tmp_path / sequence, world), sequence)
+    assert {"hop.stop", "hop.skip", "time.shift", "time.drop"} < {kind for _, kind, _, _ in counts}
 
 
-@pytest.mark.parametrize("visibility", ["any", "clear"])
-def test_the_second_path_accepts_exactly_what_the_oracle_proves(tmp_path, visibility):
-    rules, counts = Rules(load=LoadRules(visibility=visibility)), Counter()
-    worlds = [(lively_world, 0), (lively_world, 5), (sociable_world, 7), (sociable_world, 12)]
-    for make, seed in worlds + [(in_other_words(lively_world), 3)] * DEEP:
-        world = with_chorus(make)(random.Random(seed), f"yard-{seed:02d}")
-        counts += compare(memory_store(tmp_path / f"{seed}", world, rules), rules, 30 if DEEP else 8)
-    assert {query for query, kind, *_ in counts if kind == "proven"} == {row.query for row in TEMPLATES.values()}
+@pytest.mark.parametrize(("reading", "outcome"), [("7", "unknown"), ("7-10", "same")])
+def test_both_paths_find_the_start_that_may_score_at_the_keyframe_after_the_targets(tmp_path, reading, outcome):
+    """The target starts at second 6; the person before it, in the same place by then, may or does at second 7."""
+    world = build(
+        [
+            "1 | ssssssssssssssss | column 1000",
+            f"2 | tttttttttttttttt | column 1200 1200 1200 1200 2650 | reading {reading}",
+            "3 | tttttttttttttttt | column 1400 1400 1400 1400 2600 | reading 6-9",
+        ]
+    )
+    counts = compare_refused(memory_store(tmp_path, world), SEQUENCE)
+    assert {found for *proof, found in counts if proof == ["action_search", "hop.stop", "1"]} == {outcome}
+
+
+def test_both_paths_know_that_one_branch_without_anybody_empties_a_fork(tmp_path):
+    """From second 8 on the first person talks to two others and hugs nobody."""
+    world = build(
+        [
+            "1 | ssssssssssss | column 3100 | conversation with 2 0-11 | conversation with 5 8-11 | hugging with 3 0-7",
+            "2 | tttttttttttt | column 1044",
+            "3 | tttttttttttt | column 1880",
+            "4 | wwwwwwwwwwww | column 1462",
+            "5 | tttttttttttt | column 1149",
+            "6 | tttttttttttt | column 1775",
+        ]
+    )
+    world = with_chorus(lambda *_, few=world: few)(None, SEQUENCE)
+    counts = compare_refused(memory_store(tmp_path, world), SEQUENCE)
+    assert counts["fork_join", "time.shift", "+3 s", "empty"]
+
+
+def test_both_paths_know_no_distance_of_whoever_is_not_in_clear_view(tmp_path):
+    world = build(
+        [
+            "1 | ssssssssssssssss | column 400 | tiny 7-15 | metres 9 9 9 9 6 6 6 12 12 12 12 12 12 12 12 12",
+            "2 | tttttttttttttttt | column 900",
+        ]
+    )
+    counts = compare_refused(memory_store(tmp_path, world), SEQUENCE)
+    assert (
+        counts["distance", "time.shift", "+3 s", "unknown"]
+        and not counts["distance", "time.shift", "+3 s", "different"]
+    )
+
+
+@pytest.mark.parametrize("rules", [RULES, CLEAR], ids=["any", "clear"])
+def test_the_second_path_confirms_all_that_is_proven(tmp_path, rules):
+    counts = Counter()
+    worlds = [(lively_world, 0), (sociable_world, 7), (sociable_world, 12)]
+    worlds += [(in_other_words(lively_world), 3)] * DEEP + [(in_crowds(sociable_world), 4)] * (rules == CLEAR)
+    for make, seed in worlds:
+        sequence = f"yard-{seed:02d}"
+        store = memory_store(tmp_path / sequence, with_chorus(make)(random.Random(seed), sequence), rules)
+        counts.update(compare(store, sequence, rules=rules))
+    assert counts.keys() == {template.query for template in TEMPLATES.values()}

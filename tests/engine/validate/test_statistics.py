@@ -138,8 +138,8 @@ EDGES = {
 }
 
 VALUES = {
-    "hops": "CASE WHEN family = 'chain_3hop' THEN 3 WHEN starts_with(family, 'chain') OR template = 'later_action' THEN 2"
-    " ELSE 0 END",
+    "hops": "CASE WHEN family = 'chain_3hop' THEN 3 WHEN starts_with(family, 'chain') THEN 2 "
+    "WHEN template = 'later_action' THEN 2 ELSE 0 END",
     "words": "length(question) - length(replace(question, ' ', '')) + 1",
 }
 """Measures that no column holds; a fork-join counts as two hops."""
