@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.loaders.intervals.visibility import Source, classify_boxes
-from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, rows_of, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import ALSO, POSES
 from jrdb_avr.schema.panorama import center_angle
@@ -113,8 +113,8 @@ class People:
     boxes: Boxes
     actions: Facts
     """One row per (frame, track, action): spellings of one action are merged, the easier code counts."""
-    posed: Bools
-    """Per box, whether the list tells the pose, so that other poses are false. Also of covered people."""
+    pose: Ints
+    """Per box, the code of the one certain pose in the person's list, or -1. Covered people have one too."""
     groups: Facts
     """At most one row per (frame, track)."""
     located: Located
@@ -140,24 +140,14 @@ def with_other_words(table: pa.Table, column: str) -> pa.Table:
 def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
     """Read the annotation tables, whose rows are sorted by (frame, track)."""
     boxes = _read_boxes(tables["boxes_2d"], tables["groups"], rules)
-    actions, posed = _read_actions(tables["actions"], boxes)
     return People(
         boxes,
-        actions,
-        posed,
+        *_read_actions(tables["actions"], boxes),
         read_groups(tables["groups"]),
         read_located(tables["boxes_3d"]),
         _read_faces(tables["poses"]),
         _listed_keys(tables["listed"], tables["interactions"], boxes.keys),
     )
-
-
-def rows_of(keys: Ints, wanted: Ints) -> Ints:
-    """Position of each wanted key in ascending `keys`, -1 where missing."""
-    if not len(keys):
-        return np.full(len(wanted), -1, np.int64)
-    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[place] == wanted, place, -1)
 
 
 def _read_boxes(table: pa.Table, groups: pa.Table, rules: LoadRules) -> Boxes:
@@ -175,7 +165,7 @@ def _read_boxes(table: pa.Table, groups: pa.Table, rules: LoadRules) -> Boxes:
     )
 
 
-def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
+def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Ints]:
     names, action = ranked(table["action"])
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(*_person_columns(table), action, difficulty < HARD, difficulty, tuple(names))
@@ -187,9 +177,10 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
     row = boxes.rows(facts.frame, facts.track)
     whole = np.append(boxes.listed, False)[row]
     certain = facts.certain & (~pose | ((poses == 1) & whole))
-    posed = np.zeros(len(boxes.frame), np.bool_)
-    posed[row[certain & pose & (row >= 0)]] = True
-    return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), posed
+    pose_of_box = np.full(len(boxes.frame), -1, np.int64)
+    told = certain & pose & (row >= 0)
+    pose_of_box[row[told]] = facts.value[told]
+    return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), pose_of_box
 
 
 def read_groups(table: pa.Table) -> Facts:

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Facts, read_groups, rows_of
+from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Facts, read_groups
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import (
     ascending,
@@ -28,6 +28,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     paired,
     rank_values,
     ranked,
+    rows_of,
     texts,
     unpaired,
     whole_numbers,

@@ -59,7 +59,7 @@ class _Known:
 
     def __init__(self, grid: Grid, people: People, runs: Runs) -> None:
         boxes, labels = people.boxes, people.actions
-        self.grid, self.boxes, self.labels, self.runs, self.posed = grid, boxes, labels, runs, people.posed
+        self.grid, self.boxes, self.labels, self.runs, self.posed = grid, boxes, labels, runs, people.pose >= 0
         self.facts = distinct_of(paired(runs.track, runs.value))
         self.of_runs = np.searchsorted(self.facts, paired(runs.track, runs.value))
         on_grid = np.flatnonzero(grid.holds(boxes.frame))

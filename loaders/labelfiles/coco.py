@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.loaders.labelfiles import records
+from jrdb_avr.loaders.labelfiles.columns import rows_of
 from jrdb_avr.loaders.labelfiles.frames import RecordReader, decode_file
 from jrdb_avr.loaders.labelfiles.records import BROKEN, NOTHING
 from jrdb_avr.loaders.problems import Problems, shorten
@@ -153,10 +154,7 @@ class Images:
         Annotations without a frame are counted as problems.
         """
         image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
-        frame = np.full(len(image_id), -1, np.int64)
-        if len(self.ids):
-            row = np.minimum(np.searchsorted(self.ids, image_id), len(self.ids) - 1)
-            frame = np.where(self.ids[row] == image_id, self.frame[row], -1)
+        frame = np.append(self.frame, -1)[rows_of(self.ids, image_id)]
         if len(lost := np.flatnonzero(frame < 0)):
             first = annotations[lost[0]]
             reason, name = "image of the annotation is missing or refused", f"annotation {shorten(bytes(first.id), 30)}"

@@ -30,7 +30,7 @@ from jrdb_avr.loaders.labelfiles.coco import (
     read_categories,
     read_chunks,
 )
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, ascending, known_frames, mask_of, nullable
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, first_of_equal, known_frames, mask_of, nullable
 from jrdb_avr.loaders.labelfiles.frames import RecordReader
 from jrdb_avr.loaders.labelfiles.records import ABSENT, BROKEN, NOTHING
 from jrdb_avr.loaders.layers.boxes_2d import StitchedBox, usable_boxes
@@ -107,11 +107,8 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     frame, track, category = (columns[name] for name in ("frame", "object", "category_id"))
     refusals = Refusals(frame, problems)
     # Records of the same thing must be neighbours, so rows are sorted by frame, category and track.
-    rows = ascending(frame, category, track == NO_TRACK, track)
-    same = np.zeros(len(rows), np.bool_)
-    same[1:] = track[rows[1:]] != NO_TRACK
-    for column in (frame, category, track):
-        same[1:] &= column[rows[1:]] == column[rows[:-1]]
+    rows, first = first_of_equal(frame, category, track == NO_TRACK, track)
+    same = ~first & (track[rows] != NO_TRACK)
     again = mask_of(rows[same], len(track))
     refusals.count(again, "record", "same thing twice in a frame, the first is kept", "tracking_id", _item(track))
     wrong = ~np.isin(category, list(categories))
