@@ -55,8 +55,6 @@ class Boxes(Sighted):
     occlusion: pa.Array
     no_eval: Bools
     listed: Bools
-    has_attributes: bool
-    """Whether any record of the sequence carries attributes."""
     source: Source
     """What the classes below are judged by."""
     clear: Bools
@@ -129,11 +127,8 @@ def with_other_words(table: pa.Table, column: str) -> pa.Table:
     names, written = ranked(table[column])
     for label, other in ((label, other) for label, other in ALSO if label in names):
         rows = table.take(np.flatnonzero(written == names.index(label)))
-        for name, value in ((column, other), ("difficulty", UNWRITTEN)):
-            field = rows.schema.field(name)
-            column_of = pa.repeat(pa.scalar(value), len(rows)).cast(field.type)
-            rows = rows.set_column(rows.schema.get_field_index(name), field, column_of)
-        tables.append(rows)
+        added = {column: [other] * len(rows), "difficulty": [UNWRITTEN] * len(rows)}
+        tables.append(pa.table({name: added.get(name, rows[name]) for name in rows.column_names}, rows.schema))
     return pa.concat_tables(tables)
 
 
@@ -151,17 +146,16 @@ def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
 
 
 def _read_boxes(table: pa.Table, groups: pa.Table, rules: LoadRules) -> Boxes:
-    views = classify_boxes(table, groups, rules)
+    source, clear, covered = classify_boxes(table, groups, rules)
     return Boxes(
         *_person_columns(table),
         np.stack([table[name].to_numpy() for name in "xywh"], axis=1),
         table["occlusion"].combine_chunks(),
         table["no_eval"].fill_null(False).to_numpy(),
         table["has_actions"].to_numpy(),
-        bool(table["has_attributes"].to_numpy().any()),
-        views.source,
-        views.clear,
-        views.covered,
+        source,
+        clear,
+        covered,
     )
 
 
@@ -230,8 +224,6 @@ def _person_columns(table: pa.Table) -> tuple[Ints, Ints]:
 
 def track_spans(tables: Mapping[str, pa.Table]) -> tuple[Ints, Ints, Ints]:
     """Tracks of any box, 2D or 3D, ascending, with the first and last frame of each."""
-    flat, solid = (_person_columns(tables[layer]) for layer in ("boxes_2d", "boxes_3d"))
-    frame, track = np.append(flat[0], solid[0]), np.append(flat[1], solid[1])
-    order = ascending(track, frame)
-    tracks, start = np.unique(track[order], return_index=True)
-    return tracks, frame[order][start], frame[order][np.append(start, len(track))[1:] - 1]
+    boxes = pa.concat_tables(tables[layer].select(["track", "frame"]) for layer in ("boxes_2d", "boxes_3d"))
+    spans = boxes.group_by("track").aggregate([("frame", "min"), ("frame", "max")]).sort_by("track")
+    return whole_numbers(spans, "track"), whole_numbers(spans, "frame_min"), whole_numbers(spans, "frame_max")

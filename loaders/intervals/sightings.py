@@ -62,13 +62,9 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
     boxes, located = people.boxes, people.located
     member, place, face = (rows_of(other.keys, boxes.keys) for other in (people.groups, located, people.faces))
     least, most, known = group_sizes(line, boxes, people.groups, member, rules)
-    distance = _take(located.distance, place)
-    words = (np.where(place >= 0, word, -1) for word in distance_word(distance, rules))
-    metric = {
-        "distance": distance,
-        "heading": _take(located.heading, place),
-        **{name: _take(located.center[:, i], place) for i, name in enumerate(("cx", "cy", "cz"))},
-    }
+    words = (np.where(place >= 0, word, -1) for word in distance_word(_take(located.distance, place), rules))
+    metrics = {name: located.center[:, i] for i, name in enumerate(("cx", "cy", "cz"))}
+    metrics |= {"distance": located.distance, "heading": located.heading}
     columns = {
         **{name: boxes.box[:, i] for i, name in enumerate("xywh")},
         **{
@@ -85,11 +81,8 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
         "group_size_max": nullable(most, ~known, pa.int32()),
         "sector": texts(tuple(ROBOT_SECTORS), robot_sector(boxes.angle, rules)),
         "located": place >= 0,
-        **{
-            name: texts(DISTANCE_WORDS, w)
-            for name, w in zip(("distance_word", "distance_word_other"), words, strict=True)
-        },
-        **{name: nullable(values, place < 0, pa.float64()) for name, values in metric.items()},
+        **dict(zip(("distance_word", "distance_word_other"), (texts(DISTANCE_WORDS, w) for w in words), strict=True)),
+        **{name: nullable(_take(values, place), place < 0, pa.float64()) for name, values in metrics.items()},
         "robot_view_listed": np.full(len(place), views_listed[0]),
         "person_view_listed": (place >= 0) & views_listed[1],
     }
@@ -137,7 +130,8 @@ def group_sizes(
 def _may_lack_members(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> Bools:
     """Return for each box whether some member of the person's group may be absent for a moment.
 
-    Such a member is seen within a second. People without a membership may be such members of any group, and so may people in frames that could not be read.
+    Such a member is seen within a second. People without a membership may be such members of any group, and so may
+    people in frames that could not be read.
     """
     annotated, bare = line.frames_of("2d"), np.flatnonzero(cluster_row < 0)
     _, code = rank_values(groups.value)

@@ -145,8 +145,8 @@ def handles_tables(
 def _both_boxed(table: pa.Table, keys: Ints) -> Bools:
     """Rows whose two people have a 2D box in the frame; `keys` are those of the boxes, ascending."""
     frame = whole_numbers(table, "frame")
-    source, target = (rows_of(keys, paired(frame, whole_numbers(table, name))) for name in ("track", "partner"))
-    return np.asarray((source >= 0) & (target >= 0))
+    boxed = (rows_of(keys, paired(frame, whole_numbers(table, name))) >= 0 for name in ("track", "partner"))
+    return np.logical_and(*boxed)
 
 
 def _relation_runs(
