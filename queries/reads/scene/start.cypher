@@ -38,7 +38,7 @@ WHERE clear = named
 MATCH (p)-[s:SeenIn]->(:Frame)
 WHERE (s.frame - low) % step = 0
 WITH id, after, low, high, step, first, last, next, edge, quiet, s.frame AS t, s.angle AS angle, s.clear AS clear,
-     CASE WHEN posture = true THEN s.pose IS NOT NULL ELSE s.listed END AS told
+     CASE WHEN posture = true THEN s.posed ELSE s.listed END AS told
 WITH id, after, low, high, step, first, last, next, edge, quiet,
      max(CASE WHEN t = first THEN angle END) AS angle,
      sum(CASE WHEN told = true AND t >= after AND t < first THEN 1 ELSE 0 END) AS since,
