@@ -18,10 +18,10 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
-from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
+from jrdb_avr.schema.rules import LoadRules
 
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
@@ -169,6 +169,4 @@ def _condition_values(condition: Condition) -> dict[str, Any]:
         return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible)}
     if condition.object is not None:
         return {"v": condition.object, "w": condition.verb}
-    if condition.kind == "action":
-        return {"v": condition.action, "near": KEYFRAME_STEP if condition.action in FLICKERING else 0}
     return {"v": condition.value or condition.action or condition.interaction}

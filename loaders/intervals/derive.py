@@ -43,7 +43,7 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
     chosen = {name: chosen_values(demographics, name, tracks) for name in ("gender", "age", "ethnicity")}
     beside, views_listed = beside_table(line, boxes, people.located, rules)
     derived = {
-        "sequence": sequence_table(line, boxes.has_attributes, boxes.source),
+        "sequence": sequence_table(line, boxes.source),
         "frames": frames_table(line),
         "persons": line.table("persons", {"track": tracks, **chosen, "first_frame": first, "last_frame": last}),
         "sightings": sightings_table(line, people, rules, views_listed),

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.loaders.intervals.visibility import Source, classify_boxes
-from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, rows_of, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import ALSO, POSES
 from jrdb_avr.schema.panorama import center_angle
@@ -55,8 +55,6 @@ class Boxes(Sighted):
     occlusion: pa.Array
     no_eval: Bools
     listed: Bools
-    has_attributes: bool
-    """Whether any record of the sequence carries attributes."""
     source: Source
     """What the classes below are judged by."""
     clear: Bools
@@ -113,8 +111,8 @@ class People:
     boxes: Boxes
     actions: Facts
     """One row per (frame, track, action): spellings of one action are merged, the easier code counts."""
-    posed: Bools
-    """Per box, whether the list tells the pose, so that other poses are false. Also of covered people."""
+    pose: Ints
+    """Per box, the code of the one certain pose in the person's list, or -1. Covered people have one too."""
     groups: Facts
     """At most one row per (frame, track)."""
     located: Located
@@ -129,22 +127,17 @@ def with_other_words(table: pa.Table, column: str) -> pa.Table:
     names, written = ranked(table[column])
     for label, other in ((label, other) for label, other in ALSO if label in names):
         rows = table.take(np.flatnonzero(written == names.index(label)))
-        for name, value in ((column, other), ("difficulty", UNWRITTEN)):
-            field = rows.schema.field(name)
-            column_of = pa.repeat(pa.scalar(value), len(rows)).cast(field.type)
-            rows = rows.set_column(rows.schema.get_field_index(name), field, column_of)
-        tables.append(rows)
+        added = {column: [other] * len(rows), "difficulty": [UNWRITTEN] * len(rows)}
+        tables.append(pa.table({name: added.get(name, rows[name]) for name in rows.column_names}, rows.schema))
     return pa.concat_tables(tables)
 
 
 def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
     """Read the annotation tables, whose rows are sorted by (frame, track)."""
     boxes = _read_boxes(tables["boxes_2d"], tables["groups"], rules)
-    actions, posed = _read_actions(tables["actions"], boxes)
     return People(
         boxes,
-        actions,
-        posed,
+        *_read_actions(tables["actions"], boxes),
         read_groups(tables["groups"]),
         read_located(tables["boxes_3d"]),
         _read_faces(tables["poses"]),
@@ -152,30 +145,21 @@ def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
     )
 
 
-def rows_of(keys: Ints, wanted: Ints) -> Ints:
-    """Position of each wanted key in ascending `keys`, -1 where missing."""
-    if not len(keys):
-        return np.full(len(wanted), -1, np.int64)
-    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[place] == wanted, place, -1)
-
-
 def _read_boxes(table: pa.Table, groups: pa.Table, rules: LoadRules) -> Boxes:
-    views = classify_boxes(table, groups, rules)
+    source, clear, covered = classify_boxes(table, groups, rules)
     return Boxes(
         *_person_columns(table),
         np.stack([table[name].to_numpy() for name in "xywh"], axis=1),
         table["occlusion"].combine_chunks(),
         table["no_eval"].fill_null(False).to_numpy(),
         table["has_actions"].to_numpy(),
-        bool(table["has_attributes"].to_numpy().any()),
-        views.source,
-        views.clear,
-        views.covered,
+        source,
+        clear,
+        covered,
     )
 
 
-def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
+def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Ints]:
     names, action = ranked(table["action"])
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(*_person_columns(table), action, difficulty < HARD, difficulty, tuple(names))
@@ -187,9 +171,10 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
     row = boxes.rows(facts.frame, facts.track)
     whole = np.append(boxes.listed, False)[row]
     certain = facts.certain & (~pose | ((poses == 1) & whole))
-    posed = np.zeros(len(boxes.frame), np.bool_)
-    posed[row[certain & pose & (row >= 0)]] = True
-    return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), posed
+    pose_of_box = np.full(len(boxes.frame), -1, np.int64)
+    told = certain & pose & (row >= 0)
+    pose_of_box[row[told]] = facts.value[told]
+    return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), pose_of_box
 
 
 def read_groups(table: pa.Table) -> Facts:
@@ -239,8 +224,6 @@ def _person_columns(table: pa.Table) -> tuple[Ints, Ints]:
 
 def track_spans(tables: Mapping[str, pa.Table]) -> tuple[Ints, Ints, Ints]:
     """Tracks of any box, 2D or 3D, ascending, with the first and last frame of each."""
-    flat, solid = (_person_columns(tables[layer]) for layer in ("boxes_2d", "boxes_3d"))
-    frame, track = np.append(flat[0], solid[0]), np.append(flat[1], solid[1])
-    order = ascending(track, frame)
-    tracks, start = np.unique(track[order], return_index=True)
-    return tracks, frame[order][start], frame[order][np.append(start, len(track))[1:] - 1]
+    boxes = pa.concat_tables(tables[layer].select(["track", "frame"]) for layer in ("boxes_2d", "boxes_3d"))
+    spans = boxes.group_by("track").aggregate([("frame", "min"), ("frame", "max")]).sort_by("track")
+    return whole_numbers(spans, "track"), whole_numbers(spans, "frame_min"), whole_numbers(spans, "frame_max")

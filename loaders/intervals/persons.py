@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Facts, read_groups, rows_of
+from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, Facts, read_groups
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import (
     ascending,
@@ -28,6 +28,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     paired,
     rank_values,
     ranked,
+    rows_of,
     texts,
     unpaired,
     whole_numbers,
@@ -130,8 +131,7 @@ def _of_topic(votes: pa.Table, topics: pa.Table, name: str) -> pa.ChunkedArray:
 
 
 def _columns(votes: pa.Table, subject: str, chosen: pa.ChunkedArray) -> dict[str, pa.ChunkedArray]:
-    columns = {name: votes[name] for name in ("attribute", "value", "votes")}
-    return {subject: votes["subject"], **columns, "chosen": chosen}
+    return {subject: votes["subject"], "chosen": chosen, **{n: votes[n] for n in ("attribute", "value", "votes")}}
 
 
 def objects_table(line: Timeline, panoptic: pa.Table, categories: pa.Table, handles: pa.Table) -> pa.Table:
@@ -177,4 +177,4 @@ def _keys(table: pa.Table) -> Ints:
 
 def _at(values: Ints, place: Ints) -> Ints:
     """Values at places, of which some may lie outside."""
-    return values[np.clip(place, 0, len(values) - 1)] if len(values) else np.zeros(len(place), np.int64)
+    return np.append(values, 0)[np.minimum(place, len(values))]

@@ -36,7 +36,9 @@ def segments_table(line: Timeline, people: People, runs: Runs, rules: LoadRules)
     grid = line.grid("actions")
     if grid is None or not len(runs.track):
         return INTERVALS["segments"].empty_table()
-    found = _find(grid, people, runs, rules)
+    known = _Known(grid, people, runs)
+    parts = (_find(_Cells(known, *block), known.facts, grid, rules) for block in known.blocks())
+    found = next(parts).joined([*parts])
     half = 0 if grid.step == 1 else HALF_STEP
     columns = {name: getattr(found, name) for name in ("track", "first", "last", "quiet_from", "closed")}
     columns |= {"start": found.first - half, "end": found.last + half}
@@ -59,7 +61,7 @@ class _Known:
 
     def __init__(self, grid: Grid, people: People, runs: Runs) -> None:
         boxes, labels = people.boxes, people.actions
-        self.grid, self.boxes, self.labels, self.runs, self.posed = grid, boxes, labels, runs, people.posed
+        self.grid, self.boxes, self.labels, self.runs, self.posed = grid, boxes, labels, runs, people.pose >= 0
         self.facts = distinct_of(paired(runs.track, runs.value))
         self.of_runs = np.searchsorted(self.facts, paired(runs.track, runs.value))
         on_grid = np.flatnonzero(grid.holds(boxes.frame))
@@ -118,13 +120,7 @@ class _Cells:
         self.inside = (true & clear) | gap
 
 
-def _find(grid: Grid, people: People, runs: Runs, rules: LoadRules) -> _Segments:
-    known = _Known(grid, people, runs)
-    first, *others = (_find_in(_Cells(known, *block), known.facts, grid, rules) for block in known.blocks())
-    return first.joined(others)
-
-
-def _find_in(cells: _Cells, facts: Ints, grid: Grid, rules: LoadRules) -> _Segments:
+def _find(cells: _Cells, facts: Ints, grid: Grid, rules: LoadRules) -> _Segments:
     key, step = cells.key, grid.step
     next_to = np.append(False, key[1:] == key[:-1] + 1)
     begins = np.flatnonzero(cells.inside & ~(next_to & np.append(False, cells.inside[:-1])))

@@ -20,17 +20,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, UNWRITTEN, Boxes, Facts, rows_of
+from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, UNWRITTEN, Boxes, Facts
 from jrdb_avr.loaders.intervals.persons import of_people
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import (
     Rows,
     ascending,
     begins,
+    group_rows,
     nullable,
     paired,
-    rank_values,
     ranked,
+    rows_of,
     texts,
     whole_numbers,
 )
@@ -144,8 +145,8 @@ def handles_tables(
 def _both_boxed(table: pa.Table, keys: Ints) -> Bools:
     """Rows whose two people have a 2D box in the frame; `keys` are those of the boxes, ascending."""
     frame = whole_numbers(table, "frame")
-    source, target = (rows_of(keys, paired(frame, whole_numbers(table, name))) for name in ("track", "partner"))
-    return np.asarray((source >= 0) & (target >= 0))
+    boxed = (rows_of(keys, paired(frame, whole_numbers(table, name))) >= 0 for name in ("track", "partner"))
+    return np.logical_and(*boxed)
 
 
 def _relation_runs(
@@ -155,21 +156,10 @@ def _relation_runs(
 
     Statements of one fact in one frame are merged: the easier code counts.
     """
-    fact, columns = _distinct(columns)
+    fact, row = group_rows(*columns)
     none = np.zeros(len(fact), np.int64)
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(whole_numbers(table, "frame"), none, fact, difficulty < HARD, difficulty)
     facts = facts.at(ascending(facts.value, facts.frame, facts.difficulty))
     runs = layer_runs(line, layer, facts.at(begins(facts.value, facts.frame)), rules)
-    return runs, tuple(column[runs.value] for column in columns)
-
-
-def _distinct(columns: tuple[Ints, ...]) -> tuple[Ints, tuple[Ints, ...]]:
-    """Numbers the distinct rows of columns; per number, the values of each column."""
-    code = np.zeros(len(columns[0]), np.int64)
-    for column in columns:
-        values, place = rank_values(column)
-        _, code = rank_values(code * max(len(values), 1) + place)
-    row = np.empty(int(code.max(initial=-1)) + 1, np.int64)
-    row[code] = np.arange(len(code))
-    return code, tuple(column[row] for column in columns)
+    return runs, tuple(column[row][runs.value] for column in columns)

@@ -131,19 +131,17 @@ def _leading(layers: dict[str, Ints]) -> str:
     return next((layer for layer in ("actions", "2d", "3d") if layer in layers), "")
 
 
-def sequence_table(line: Timeline, has_attributes: bool, visibility: str) -> pa.Table:
+def sequence_table(line: Timeline, visibility: str) -> pa.Table:
     """The one row of the interval table `sequence`."""
     row = {
-        "sequence": line.sequence,
         "fps": FPS,
         "frame_count": int(line.frames[-1]) + 1 if len(line.frames) else 0,
         "layers": list(line.layers),
         "action_step": line.action_step,
         "keyframes": line.keyframes.tolist(),
-        "has_attributes": has_attributes,
         "visibility": visibility,
     }
-    return pa.Table.from_pylist([row], INTERVALS["sequence"])
+    return line.table("sequence", {name: [value] for name, value in row.items()})
 
 
 def frames_table(line: Timeline) -> pa.Table:

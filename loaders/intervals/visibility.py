@@ -7,7 +7,6 @@ whole numbers of 1/256 pixel, so that no rounding decides. `docs/definitions.md`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -30,16 +29,7 @@ Source = Literal["attributes", "geometry", "nothing"]
 """Evidence for the classes of a sequence: degrees of occlusion, nearer boxes and group labels, or none of them."""
 
 
-@dataclass(frozen=True)
-class Views:
-    """Classes of the boxes of a sequence, with one element per box. A box that is in neither class is uncertain."""
-
-    source: Source
-    clear: Bools
-    covered: Bools
-
-
-def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> Views:
+def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> tuple[Source, Bools, Bools]:
     """Judge the boxes of one sequence.
 
     Args:
@@ -48,26 +38,30 @@ def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> Views
         rules: Thresholds.
 
     Returns:
-        The class of each row of `boxes`.
+        The evidence, the mask of the boxes in clear view, and the mask of the covered boxes. The other boxes are
+        uncertain.
     """
     frame, track = whole_numbers(boxes, "frame"), whole_numbers(boxes, "track")
     box = np.stack([boxes[name].to_numpy() for name in "xywh"], axis=1)
     usable = _has_legal_size(box, rules) & ~boxes["no_eval"].fill_null(False).to_numpy()
-    seen, hidden = (_has_occlusion(boxes, values) for values in (CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS))
+    seen, hidden = (
+        np.asarray(pc.is_in(boxes["occlusion"], pa.array(sorted(values), pa.string())).to_numpy())
+        for values in (CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS)
+    )
     nobody = np.zeros(len(frame), np.bool_)
     if rules.visibility == "any":
         attributes = bool(boxes["has_attributes"].to_numpy().any())
-        return Views("attributes", usable & seen, nobody) if attributes else Views("nothing", usable, nobody)
+        return ("attributes", usable & seen, nobody) if attributes else ("nothing", usable, nobody)
     if boxes["occlusion"].null_count < len(frame):
-        return Views("attributes", usable & seen, hidden)
+        return "attributes", usable & seen, hidden
     if not len(frame):
-        return Views("nothing", nobody, nobody)
+        return "nothing", nobody, nobody
     least, most = rules.covered_thousandths()
     covered, area = covered_areas(frame, box)
     drawn = area > 0
     uncovered = drawn & (1000 * covered < least * area)
     clear = usable & uncovered & _has_group(frame, track, groups)
-    return Views("geometry", clear, drawn & (1000 * covered >= most * area))
+    return "geometry", clear, drawn & (1000 * covered >= most * area)
 
 
 def covered_areas(frame: Ints, box: Floats) -> tuple[Ints, Ints]:
@@ -93,13 +87,11 @@ def covered_areas(frame: Ints, box: Floats) -> tuple[Ints, Ints]:
         high, low = np.maximum(top[a], top[b]), np.minimum(bottom[a], bottom[b])
         near = np.flatnonzero(nearer & (high < low))
         a, b, high, low = a[near], b[near], high[near], low[near]
-        parts = [np.empty((5, 0), np.int64)]
         # Because the panorama repeats every turn, a box can reach another one from either side.
-        for shift in (-_TURN, 0, _TURN):
-            start = np.maximum(left[a], left[b] + shift)
-            end = np.minimum(left[a] + width[a], left[b] + shift + width[b])
-            parts.append(np.stack([a, start, end, high, low])[:, start < end])
-        _add_unions(covered, np.hstack(parts))
+        other = left[b] + np.array([[-_TURN], [0], [_TURN]])
+        start, end = np.maximum(left[a], other), np.minimum(left[a] + width[a], other + width[b])
+        parts = np.stack([np.broadcast_to(part, start.shape) for part in (a, start, end, high, low)])
+        _add_unions(covered, parts[:, start < end])
     return covered, width * (bottom - top)
 
 
@@ -128,12 +120,6 @@ def _has_legal_size(box: Floats, rules: LoadRules) -> Bools:
     _, y, w, h = box.T
     sized = (w >= rules.clear_min_width) & (w <= rules.clear_max_width) & (h >= rules.clear_min_height)
     return np.asarray(sized & (y >= 0) & (y + h <= HEIGHT))
-
-
-def _has_occlusion(boxes: pa.Table, values: frozenset[str]) -> Bools:
-    """Return whether the occlusion of each box is one of the values."""
-    found = pc.is_in(boxes["occlusion"], pa.array(sorted(values), pa.string()))
-    return np.asarray(found.to_numpy())
 
 
 def _has_group(frame: Ints, track: Ints, groups: pa.Table) -> Bools:

@@ -64,9 +64,29 @@ def in_column(value: str, other: str = "", rows: Clause | None = None, near: str
     return Clause(f"coalesce({value} = {{v}}{alone}, false)", could)
 
 
+def in_range(least: str, most: str) -> Clause:
+    """Return the clause of a number that lies between two columns, which are null if the number is unknown."""
+    could = f"({least} IS NULL OR ({least} <= {{v}} AND {most} >= {{v}}))"
+    return Clause(f"coalesce({least} = {{v}} AND {most} = {{v}}, false)", could)
+
+
 def unless_listed(rows: Clause, listed: str) -> Clause:
     """A fact stored as rows: without a row it is false where `listed` holds, else unknown."""
     return Clause(rows.sure, f"({rows.could} OR NOT {listed})")
+
+
+def unless_labelled_near(fact: Clause, pattern: str) -> Clause:
+    """Return the clause of a condition that is unknown, not false, if a flickering label is near.
+
+    The label `v` flickers if it is one of `$flickering`. It is near if the person has it one keyframe before or after.
+
+    Args:
+        fact: Clause of the condition.
+        pattern: Pattern of a row `r` of the label `x.name`.
+    """
+    near = " OR ".join(f"(r.first <= {{t}} {step} AND r.last >= {{t}} {step})" for step in ("- 15", "+ 15"))
+    rows = f"EXISTS {{{{ MATCH {pattern} WHERE x.name = {{v}} AND ({near}) }}}}"
+    return Clause(fact.sure, f"({fact.could} OR (list_contains($flickering, {{v}}) AND {rows}))")
 
 
 def unless_both_listed(rows: Clause, listed: str) -> Clause:
@@ -101,7 +121,15 @@ def towards(angle: str) -> Clause:
 
 
 def to_anybody(edge: Clause, pattern: str) -> Clause:
-    """A condition: an edge of this kind leads to anybody who matches `pattern`, a template over `n` and `s`."""
+    """Return the clause of a condition that holds if an edge leads to anybody else who matches a pattern.
+
+    The condition is certain only if such a person is in clear view, or if the rules do not judge views (`$judged`).
+
+    Args:
+        edge: Clause of the edge.
+        pattern: Pattern of a person, a template over `n` and `s`.
+    """
     match = pattern.replace("{n}", "other").replace("{s}", "seen")
-    holds = (text.replace("{m}", "other").replace("{z}", "seen") for text in edge)
-    return Clause(*(f"EXISTS {{{{ MATCH {match} AND other.id <> {{n}}.id AND {text} }}}}" for text in holds))
+    texts = (text.replace("{m}", "other").replace("{z}", "seen") for text in edge)
+    sure, could = (f"EXISTS {{{{ MATCH {match} AND other.id <> {{n}}.id AND {text}" for text in texts)
+    return Clause(f"{sure} AND (seen.clear OR NOT $judged) }}}}", f"{could} }}}}")

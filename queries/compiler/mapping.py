@@ -13,11 +13,13 @@ from typing import Final
 from jrdb_avr.queries.compiler.clauses import (
     Clause,
     in_column,
+    in_range,
     in_rows,
     seen_with,
     to_anybody,
     towards,
     unless_both_listed,
+    unless_labelled_near,
     unless_listed,
     within,
 )
@@ -35,12 +37,14 @@ PersonId = int | str
 class SchemaMapping:
     """A namespace of the graph. The property `id` identifies its people.
 
-    pattern, there: a person `n` with a sighting `s`, and the condition for one at frame `t` of `scope`; who: the
-    person's number or name in its scope; conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`;
-    reads: folder of the statements that read answers; things: the things `n` of `scope`, None where there are none.
+    pattern, boxed: a person `n` with a sighting `s`, and the condition for one at frame `t` of `scope`; there: the
+    same condition for a person who counts, as a covered one does not; who: the person's number or name in its scope;
+    conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`; reads: folder of the
+    statements that read answers; things: the things `n` of `scope`, None where there are none.
     """
 
     pattern: str
+    boxed: str
     there: str
     who: str
     conditions: Mapping[str, Clause]
@@ -108,9 +112,10 @@ def edge_values(relation: str) -> dict[str, str | float]:
 
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
-_THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
+_BOXED: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
 
-_PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"}, may="MayPerform")
+_LABELLED: Final = "({n})-[r:Performs]->(x:Action)"
+_PERFORMS: Final = in_rows(_LABELLED, {"x.name": "v"}, may="MayPerform")
 _HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"}, may="MayHandle")
 _BESIDE: Final = in_rows("({n})-[r:Beside]->({m})", {"r.label": "v"})
 _GROUPED: Final = in_rows(
@@ -121,24 +126,25 @@ _GROUPED: Final = in_rows(
 _MEMBER: Final = (
     "EXISTS {{ MATCH ({n})-[r:MemberOf|MayBelong]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
 )
-_THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", _THERE.replace("{s}", "{z}"))
+_THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", _BOXED.replace("{s}", "{z}"))
 _SOCIAL: Final = unless_both_listed(
     in_rows("({n})-[r:Interacts]->({m})", {"r.label": "v"}, may="MayInteract"), "{s}.interactions_listed"
 )
 
 SCENE: Final = SchemaMapping(
     pattern=_PATTERN,
-    there=_THERE,
+    boxed=_BOXED,
+    there=f"{_BOXED} AND NOT {{s}}.covered",
     who="{n}.track",
     conditions={
         "gender": in_column("{n}.gender"),
         "age": in_column("{n}.age", near="list_contains({w}, {n}.age)"),
         # A closed gap of a pose leaves it possible beside the pose that is listed.
         "pose": in_column("{s}.pose", rows=_PERFORMS),
-        "action": unless_listed(_PERFORMS, "{s}.listed"),
+        "action": unless_labelled_near(unless_listed(_PERFORMS, "{s}.listed"), _LABELLED),
         "object": unless_listed(_HANDLES, "{s}.handles_listed"),
-        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_THERE}"),
-        "group_size": in_column("{s}.group_size"),
+        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_BOXED}"),
+        "group_size": in_range("{s}.group_size_min", "{s}.group_size_max"),
         "sector": towards("{s}.angle"),
         "distance": in_column("{s}.distance_word", "{s}.distance_word_other"),
     },

@@ -19,7 +19,7 @@ from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS
+from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
@@ -132,7 +132,8 @@ class SceneReader(Reader):
             "least": frames(rules.segment_min_s),
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
-            "in_view": rules.visibility == "clear",
+            "judged": rules.visibility == "clear",
+            "flickering": sorted(FLICKERING) if rules.visibility == "clear" else [""],
         }
 
     def find(self, plan: Plan) -> Find:
@@ -191,7 +192,7 @@ class SceneReader(Reader):
         does: dict[int, set[int]] = {i: set() for i in known}
         for text, members in by_text.items():
             for row in self.run(text, members):
-                (does if row["sure"] else could)[row["id"]].add(row["other"])
+                (does if row["clear"] and row["holds"] else could)[row["id"]].add(row["other"])
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
@@ -222,14 +223,15 @@ def compile_count(relation: str, mapping: SchemaMapping) -> str:
             f"WITH {', '.join(f'q.{name} AS {name}' for name in ('id', 'scope', 'who', 't1', 't2', *values))}",
             "UNWIND range(t1, t2) AS t",
             f"MATCH {mapping.pattern.format(**at)}",
-            f"WHERE {mapping.there.format(**at)} AND {mapping.who.format(**at)} = who",
+            f"WHERE {mapping.boxed.format(**at)} AND {mapping.who.format(**at)} = who",
             f"WITH {carried}, t, n, s",
             f"MATCH {mapping.pattern.format(**other)}",
             f"WHERE {mapping.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
-            f"WITH {carried}, t, n, s, m, z",
-            f"WITH id, m, {clause.sure.format(**at)} AS sure",
-            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, sure",
-            "ORDER BY id, other, sure",
+            f"WITH {carried}, t, n, s, m, z, s.clear AND z.clear OR NOT $judged AS clear",
+            # The engine cannot evaluate EXISTS together with columns.
+            f"WITH id, m, clear, {clause.sure.format(**at)} AS holds",
+            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, clear, holds",
+            "ORDER BY id, other, clear, holds",
         ]
     )
 

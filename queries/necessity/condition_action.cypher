@@ -1,8 +1,8 @@
 // Return the people in a frame who may perform an action: by a label, or if their list was not read. A label that
-// flickers also counts if it is written `near` frames earlier or later.
+// flickers also counts if it is written one second earlier or later.
 UNWIND $asked AS q
 WITH q.id AS id, q.at AS at, q.t AS t, q.v AS v,
-     CASE WHEN $in_view = true THEN q.near ELSE 0 END AS near
+     CASE WHEN list_contains($flickering, q.v) = true THEN 15 ELSE 0 END AS near
 MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at AND NOT s.covered
 OPTIONAL MATCH (n)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = v AND (r.first <= t AND r.last >= t OR label(r) = 'Performs'

@@ -290,7 +290,6 @@ class Oracle:
                 "layers": [name for name in LAYERS if self.found.frames.get(name)],
                 "action_step": step_of(leading),
                 "keyframes": self.keyframes,
-                "has_attributes": self.has_attributes,
                 "visibility": self._evidence(),
             }
         ]
