@@ -20,6 +20,7 @@ from loaded_stores import graphless_store
 from processes import run_program
 from question_files import question_files
 from random_worlds import lively_world
+from stored_layers import layer_rows
 from worlds import load_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
