@@ -5,18 +5,16 @@ import shutil
 from collections import Counter
 
 import msgspec
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from processes import run as run_command
 from question_files import keep_only, rewrite
 
-from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, check_replay, read_records
+from jrdb_avr.engine.validate.checks import check_replay, read_records
 from jrdb_avr.engine.validate.replay import compare_record
+from jrdb_avr.engine.validate.validation import CHECKS, REPLAY_CHECKS, Validation
 from jrdb_avr.queries.graph.file import check_fingerprint, compute_fingerprint, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules
 
@@ -115,7 +113,11 @@ NOTICED_BY_BOTH = {
         put("answer", lambda text: f'{{"choice":{json.loads(text)["choice"] % 4 + 1}}}'),
         "a",
     ),
-    "another span": ("span", put("answer", lambda text: text.replace('"start_frame":', '"start_frame":1')), "anchor match"),
+    "another span": (
+        "span",
+        put("answer", lambda text: text.replace('"start_frame":', '"start_frame":1')),
+        "anchor match",
+    ),
     "another binding": ("distance", put("bindings", lambda text: text.replace('"t1":', '"t1":1')), "bindings"),
     "another plan": ("action_search", moved_plan, ""),
     "nobody's condition": ("change", other_condition, "anchor match"),
@@ -260,4 +262,4 @@ RECORD = QuestionRecord(
     ],
 )
 def test_differences_from_the_stored_record_are_named(again, where):
-    assert [one.part for one in compare_record(RECORD, again)] == where
+    assert [line.split(": ")[1] for line in compare_record(RECORD, again)] == where
