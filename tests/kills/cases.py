@@ -56,7 +56,7 @@ def all_cases(base):
         Case("load", "empty", ("load", tiny, *STORE)),
         Case("load again", "answered", ("load", tiny, *STORE)),
         Case("rebuild", "answered", ("load", "--rebuild", *STORE)),
-        Case("generate", "loaded", ("generate", *STORE, "--candidates", "candidates.parquet")),
+        Case("generate", "loaded", ("generate", *STORE)),
         Case("generate again", "answered", ("generate", *STORE, "--seed", "1", "--rule", "max_per_person=1")),
         Case("evaluate", "generated", REACT, resumed=True),
         Case("evaluate agent", "generated", AGENT, resumed=True),

@@ -6,8 +6,9 @@ from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.explain import explain
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.perturb import MissingFactsError, make_program, prove
-from jrdb_avr.engine.validate.checks import Validation, read_records
+from jrdb_avr.engine.validate.checks import read_records
 from jrdb_avr.engine.validate.replay import read_plans
+from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import decode_answer
