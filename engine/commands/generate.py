@@ -63,7 +63,7 @@ def generate(
     """
     from jrdb_avr.engine.generate import run
     from jrdb_avr.engine.generate.diagnostics import fillings
-    from jrdb_avr.engine.validate.reviews import rejected
+    from jrdb_avr.engine.pages.reviews import rejected
     from jrdb_avr.schema.rules import Rules, override
 
     rules = override(Rules(), dict(overrides))

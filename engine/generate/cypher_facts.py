@@ -7,8 +7,8 @@ all noted facts as rows of its parameter `$asked`.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeVar
 
 from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
@@ -30,8 +30,15 @@ _BY_READS: Final = {"pose": "value", "seen": "seen", "start": "start"}
 """Kinds of facts that the compiler's reads return, with the names of their statements in `queries/reads/scene`."""
 
 
+T = TypeVar("T")
+
+
 class CypherFacts:
-    """Source of facts for `perturb` that asks the graph in rounds."""
+    """Source of facts for `perturb` that asks the graph in rounds.
+
+    Attributes:
+        asked: Keys of the facts that were asked for. Callers may empty this set.
+    """
 
     def __init__(self, graph: Graph, rules: LoadRules) -> None:
         """Make a source that knows nothing yet.
@@ -41,12 +48,14 @@ class CypherFacts:
             rules: Thresholds of sectors and of directions between people.
         """
         self._reader = SceneReader(graph, SCENE, rules)
+        self.asked: set[Key] = set()
         self._known: dict[Key, Any] = {}
         self._noted: set[Key] = set()
         self._keyframes: dict[str, list[int]] = {}
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key. Raises MissingFactsError if some are not known yet; `fill` looks them up."""
+        self.asked.update(keys)
         missing = [key for key in keys if key not in self._known]
         if missing:
             self._noted.update(missing)
@@ -63,6 +72,14 @@ class CypherFacts:
                 self._look_up(name, keys[first : first + AT_ONCE])
         self._noted.clear()
         return bool(by_statement)
+
+    def complete(self, function: Callable[[], T]) -> T:
+        """Call a function, and look up the facts that it lacks, until it returns a value. Return this value."""
+        while True:
+            try:
+                return function()
+            except MissingFactsError:
+                self.fill()
 
     def count(self, sequence: str, relation: str, who: int, first: int, last: int) -> int | None:
         """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
@@ -134,7 +151,10 @@ def statement_of(key: Key) -> str:
     kind = key[0]
     if kind == "match":
         return f"condition_{key[2].kind}"
-    return f"relation_{RELATIONS[key[2]].kind}" if kind == "follow" else str(kind)
+    if kind == "follow":
+        relation = RELATIONS[key[2]].kind
+        return f"relation_{relation}" if relation in ("group", "window") else "relation_pair"
+    return str(kind)
 
 
 def row_of(key: Key) -> dict[str, Any]:
@@ -157,7 +177,7 @@ def row_of(key: Key) -> dict[str, Any]:
         row["person"] = f"{scope}/{about[1]}"
         if relation.kind == "window":
             return row | {"v": float(relation.degrees), "side": 1 if relation.side == "left" else -1}
-        return row | {"v": relation.label}
+        return row | {"v": relation.label, "kind": relation.kind}
     return row
 
 

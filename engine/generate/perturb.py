@@ -274,11 +274,16 @@ def prove(program: Program, answer: Answer, keyframes: Sequence[int], rules: Rul
         NoAnswerError: If the program finds no single person.
         MissingFactsError: If facts are missing. All facts that can be asked for have been asked for.
     """
-    proofs = list(iterate_proofs(program, answer, keyframes, rules, source))
-    known = [proof for proof in proofs if proof is not None]
-    if len(known) < len(proofs):
+    return require_all(iterate_proofs(program, answer, keyframes, rules, source))
+
+
+def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
+    """Return all proofs. Raise MissingFactsError after the last proof if one of them lacks facts."""
+    proofs = list(proofs)
+    complete = [proof for proof in proofs if proof is not None]
+    if len(complete) < len(proofs):
         raise MissingFactsError
-    return known
+    return complete
 
 
 def iterate_proofs(

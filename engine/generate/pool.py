@@ -83,7 +83,8 @@ class Prover:
             return None
         template = proposal.template
         program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
-        proofs = self._try_proofs(program, read_answer(template.spec.mode, proposal.answer), template)
+        answer = read_answer(template.spec.mode, proposal.answer)
+        proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
         if not (lacking := failing(template.name, proofs, self._search.rules)):
             return proofs
         rule = lacking[0].split()[0]
@@ -108,13 +109,6 @@ class Prover:
 
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
-        while True:
-            try:
-                return self._prove(program, answer, template)
-            except MissingFactsError:
-                self._cypher.fill()
-
-    def _prove(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         rules, proofs, missing = self._search.rules, [], False
         for proof in iterate_proofs(program, answer, self._search.layer.facts.keyframes, rules, self):
             if proof is None:
