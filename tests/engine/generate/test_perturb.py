@@ -3,26 +3,18 @@
 from collections import Counter
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.explain import explain
 from jrdb_avr.engine.generate.facts import Facts
-from jrdb_avr.engine.generate.perturb import MissingFactsError, make_program, prove
+from jrdb_avr.engine.generate.perturb import MissingFactsError, prove
 from jrdb_avr.engine.validate.checks import read_records
 from jrdb_avr.engine.validate.replay import read_plans
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FORMS
 
 RULES = Rules()
 KINDS = ("anchor", "hop.stop", "hop.skip", "time.shift", "time.drop")
-
-
-def answer_of(record):
-    """The answer as programs give it: a choice's text, or a start with its direction."""
-    starts = record.answer_mode == "frame_viewpoint"
-    return decode_answer(record.answer_mode, record.answer) if starts else record.answer_text
 
 
 def in_order(proofs):
@@ -49,10 +41,8 @@ def prove_all(plans, keyframes, source, fill):
     while left:
         again = []
         for one in left:
-            program = make_program(one.record.sequence, one.plan, one.form)
             try:
-                answer = answer_of(one.record)
-                found = prove(program, answer, keyframes[one.record.sequence], RULES, source)
+                found = prove(one.program, one.answer, keyframes[one.record.sequence], RULES, source)
                 proofs[one.record.question_id] = found
             except MissingFactsError:
                 again.append(one)
@@ -80,25 +70,6 @@ def check_proofs(store):
                 assert in_order(proofs[record.question_id]) == in_order(record.proofs), (record.template, record.plan)
                 compared[record.template] += len(proofs[record.question_id])
     return compared
-
-
-def test_the_statements_of_a_question_can_be_pasted(sample_benchmark):
-    """Without parameters they return the rows of the proof; one question of each form."""
-    plans, _ = read_plans(list(read_records(sample_benchmark, Validation())))
-    names = set()
-    with Graph.open(sample_benchmark.graph_path, read_only=True) as graph:
-        for one in {plan.form.query: plan for plan in plans}.values():
-            program = make_program(one.record.sequence, one.plan, one.form)
-            keyframes = Facts(graph, one.record.sequence, RULES.load, with_faces=True).keyframes
-            proofs, statements = explain(graph, program, answer_of(one.record), keyframes, RULES)
-            assert in_order(proofs) == in_order(one.record.proofs)
-            names |= {statement.name for statement in statements}
-            assert not any("$" in statement.text for statement in statements)
-            # The described person stands in the rows of each of the conditions.
-            described = one.record.bindings["a"]
-            rows = [s.rows for s in statements if s.name.startswith("condition_") or s.name == "people_at"]
-            assert all(described in {row["who"] for row in some} for some in rows)
-    assert {"people_at", "seen", "pose", "start"} <= names
 
 
 def test_both_sources_give_the_stored_proofs_of_each_template(sample_benchmark):
