@@ -33,7 +33,7 @@ _WIDTH: Final = 80
 _JSON_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"')
 
 
-class Statement(NamedTuple):
+class ProofStatement(NamedTuple):
     """A statement that returns facts of one kind.
 
     Attributes:
@@ -73,13 +73,12 @@ class Explanation(NamedTuple):
     store: Path
     record: QuestionRecord
     proofs: list[tuple[Proof, list[int]]]
-    statements: list[Statement]
+    statements: list[ProofStatement]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row per proof, with its statements."""
         used = [[self.statements[statement_id - 1]._asdict() for statement_id in ids] for _, ids in self.proofs]
-        question = {"question_id": self.record.question_id}
-        proofs = (question | msgspec.structs.asdict(proof) for proof, _ in self.proofs)
+        proofs = ({"question_id": self.record.question_id} | msgspec.structs.asdict(proof) for proof, _ in self.proofs)
         return [proof | {"statements": statements} for proof, statements in zip(proofs, used, strict=True)]
 
     def tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
@@ -124,13 +123,13 @@ def explain(store: Store, question_id: str) -> Explanation:
     raise StoreError(f"the graph does not fit {question_id}: run 'jrdb-avr validate --replay --store {store.path}'")
 
 
-def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[Statement]]:
+def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[ProofStatement]]:
     """Return the proofs and the statements of an explanation."""
     source = CypherFacts(graph, rules.load)
     keyframes = source.keyframes(stored.record.sequence)
     complete = source.complete(lambda: require_all(iterate_stored_proofs(stored, source, keyframes, rules)))
     proofs: list[tuple[Proof, list[int]]] = []
-    statements: list[Statement] = []
+    statements: list[ProofStatement] = []
     ids: dict[Key, int] = {}
     source.asked.clear()
     # The second pass asks for the facts of one proof after another.
@@ -140,7 +139,9 @@ def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Pro
             keys = list(group)
             ids |= dict.fromkeys(keys, len(statements) + 1)
             text, params = source.statement(name, keys)
-            statements.append(Statement(len(statements) + 1, name, text, params, graph.query(text, params).to_pylist()))
+            statements.append(
+                ProofStatement(len(statements) + 1, name, text, params, graph.query(text, params).to_pylist())
+            )
         proofs.append((proof, sorted({ids[key] for key in source.asked})))
         source.asked.clear()
     return proofs, statements

@@ -45,9 +45,6 @@ _TOLERANCE: Final = 1e-9
 _SHORT: Final = 80
 """Maximum characters of a value in a message."""
 
-Advance = Callable[[int], None]
-"""Function that receives the number of questions that have just been finished."""
-
 
 class StoredPlan(NamedTuple):
     """A stored question with its plan.
@@ -152,7 +149,9 @@ def _find_form(name: str, plan: Plan) -> Template:
 # -- proofs -----------------------------------------------------------------------------------------------------------
 
 
-def replay(store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Advance = lambda count: None) -> list[str]:
+def replay(
+    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Callable[[int], None] = lambda count: None
+) -> list[str]:
     """Prove questions again by statements over the graph, each statement for all questions at a time.
 
     Args:
@@ -252,7 +251,7 @@ def _prove_crops(record: QuestionRecord, rules: Rules) -> Iterator[Proof]:
 
 
 def run_compiled(
-    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Advance = lambda count: None
+    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Callable[[int], None] = lambda count: None
 ) -> list[str]:
     """Run the plans of questions on the graph, each compiled to Cypher.
 
