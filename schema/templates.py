@@ -46,11 +46,11 @@ class Template:
     """A kind of question, or one of several forms of a kind. Its plan describes person a.
 
     spec: how the answer is read from the plan; read: names of the frames where it is read (see
-    `engine.generate.propose.Proposal`), without which they are the times of `spec`. decisive: the frames whose boxes of the
-    target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
-    decides. stated: names of the stated times, that of the description first; events: the other
-    times, with `{1}` and `{2}` for the question's actions. edges: source and target of each relation. single_view: whether one fixed view may answer the
-    question. form: name of a form, which is also that of its generator query; the forms of a template are judged
+    `engine.generate.propose.Proposal`), without which they are the times of `spec`. decisive: the frames whose boxes of
+    the target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
+    decides. stated: names of the stated times, that of the description first; events: the other times, with `{1}` and
+    `{2}` for the question's actions. edges: source and target of each relation. single_view: whether one fixed view may
+    answer the question. form: name of a form, which is also that of its generator query; the forms of a template are judged
     together. seeks: what a scene must hold for a candidate; the first form states it for all.
     """
 
