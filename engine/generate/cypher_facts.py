@@ -150,7 +150,7 @@ def statement_of(key: Key) -> str:
     """Return the name of the statement of a fact: a file in `queries/necessity`, or a read of the compiler."""
     kind = key[0]
     if kind == "match":
-        return f"condition_{key[2].kind}"
+        return "condition_word" if key[2].attribute in WORDS else f"condition_{key[2].kind}"
     if kind == "follow":
         relation = RELATIONS[key[2]].kind
         return f"relation_{relation}" if relation in ("group", "window") else "relation_pair"
@@ -186,7 +186,7 @@ def _condition_values(condition: Condition) -> dict[str, Any]:
         return {"v": ROBOT_SECTORS[str(condition.value)]}
     if condition.attribute in WORDS:
         possible = may_be_called(str(condition.value)) | {condition.value}
-        return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible)}
+        return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible), "kind": condition.attribute}
     if condition.object is not None:
         return {"v": condition.object, "w": condition.verb}
     return {"v": condition.value or condition.action or condition.interaction}

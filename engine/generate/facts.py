@@ -111,7 +111,7 @@ class Facts:
         self._read_labels({name: rows(name) for name in _LABELS})
         self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
 
-    def _read_labels(self, rows: Mapping[str, Iterable[dict[str, Any]]]) -> None:
+    def _read_labels(self, rows: Mapping[str, Iterable[Mapping[str, Any]]]) -> None:
         for row in rows["performs"]:
             flickers = self.judges_views and row["value"] in FLICKERING
             if row["value"] in ACTIONS and (row["now"] or flickers):
@@ -174,11 +174,10 @@ class Facts:
 
     def _match_interaction(self, label: str, frame: int) -> Fit:
         people, marks = self.people[frame], {}
-        for (who, name), partners in self._pairs[frame].items():
+        for (who, name), met in self._pairs[frame].items():
             if name == label:
-                # Nobody sees an interaction with a person who is not in clear view.
-                seen = {other for other in partners if people[other]["clear"] or not self.judges_views}
-                marks[who] = any(partners[other] for other in seen)
+                # A partner who is not in clear view may be out of sight.
+                marks[who] = any(met[other] and (people[other]["clear"] or not self.judges_views) for other in met)
         # A person without a list may interact with each other person.
         anybody = len(people) > 1 and self._without(frame, "interactions_listed")
         return _fit(marks, people.keys() if anybody else ())
@@ -210,7 +209,7 @@ class Facts:
         return Fit(could, certain)
 
     def _match_group_size(self, size: int, frame: int) -> Fit:
-        sizes = {who: (row["group_size_min"], row["group_size_max"]) for who, row in self.people[frame].items()}
+        sizes = {who: (row["size_min"], row["size_max"]) for who, row in self.people[frame].items()}
         could = {who for who, (least, most) in sizes.items() if least is None or least <= size <= most}
         return Fit(could, {who for who in could if sizes[who] == (size, size)})
 

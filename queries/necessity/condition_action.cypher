@@ -1,5 +1,4 @@
-// Return the people in a frame who may perform an action: by a label, or if their list was not read. A label that
-// flickers also counts if it is written one second earlier or later.
+// Return the people in a frame who may perform an action: by a label (one that flickers also a second away) or no list.
 UNWIND $asked AS q WITH q.id AS id, q.at AS at, q.t AS t, q.v AS v
 MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at AND NOT s.covered
 OPTIONAL MATCH (n)-[r:Performs|MayPerform]->(x:Action)
