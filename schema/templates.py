@@ -50,8 +50,8 @@ class Template:
     the target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
     decides. stated: names of the stated times, that of the description first; events: the other times, with `{1}` and
     `{2}` for the question's actions. edges: source and target of each relation. single_view: whether one fixed view may
-    answer the question. form: name of a form, which is also that of its generator query; the forms of a template are judged
-    together. seeks: what a scene must hold for a candidate; the first form states it for all.
+    answer the question. form: name of a form, which is also that of its generator query; the forms of a template are
+    judged together. seeks: what a scene must hold for a candidate; the first form states it for all.
     """
 
     name: str

@@ -86,11 +86,12 @@ def test_places_that_load_left_out_are_unknown(tmp_path, monkeypatch):
     """Too many places are left out as a whole. Then anybody may have each place."""
     monkeypatch.setattr(neighbors, "MAX_BESIDE", 1)
     name = "yard-2020-01-01_0"
-    store = load_world(tmp_path, lively_world(random.Random(3), name))
+    store = load_world(tmp_path, sociable_world(random.Random(3), name))
     with Graph.open(store.graph_path, read_only=True) as graph:
-        compared = check_facts(graph, [name], random.Random(5))
+        assert check_facts(graph, [name], random.Random(5))
         facts = Facts(graph, name, RULES, with_faces=True)
-    assert compared["relation_pair"]
-    for frame, people in facts.uncovered.items():
+    crowded = {frame: people for frame, people in facts.uncovered.items() if len(people) > 2}
+    assert crowded
+    for frame, people in crowded.items():
         for who in people:
             assert facts.follow(FIRST_LEFT, who, frame) == (people - {who}, set())

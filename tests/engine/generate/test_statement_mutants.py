@@ -31,7 +31,7 @@ FACTS = ("condition_", "relation_", "people_at", "onsets")
 
 def mutant_of(text):
     """The statement with the last operator of its first test changed: those before may only name the sequence."""
-    begin = text.index("WHERE")
+    begin = text.rindex("WHERE") if "phase" in text else text.index("WHERE")
     end = min(at for word in ("RETURN", "WITH", "OPTIONAL") if (at := text.find(word, begin)) > 0)
     found = list(OPERATOR.finditer(text, begin, end))[-1]
     return text[: found.start()] + SWAPS[found[0]] + text[found.end() :]
