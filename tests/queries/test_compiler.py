@@ -269,7 +269,7 @@ def bound_at_a_moment(world, plan):
             needed[edge["source"]].add(edge["at"])
             needed[edge["target"]].add(edge["at"])
         could = {
-            n: [t for t in world.told if all((at[k], t) in world.people for k in needed[n] or {"t0"})] for n in names
+            n: [t for t in world.told if all(t in world.counting(at[k]) for k in needed[n] or {"t0"})] for n in names
         }
         for tracks in itertools.product(*could.values()):
             who = dict(zip(names, tracks, strict=True))
