@@ -92,7 +92,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "group_size_min": (_I, "minimum of `group_size`; null if the group is unknown or the person is covered"),
     "group_size_max": (_I, "maximum of `group_size`; null if the group is unknown or the person is covered"),
     "located": (_B, "true if the person has a 3D box with lidar points at the frame"),
-    "heading": (_F, "direction that the person faces, radians counter-clockwise from straight ahead of the robot"),
+    "heading": (_F, "direction that the person faces, radians in [-pi, pi) counter-clockwise from ahead of the robot"),
     "occlusion": (_S, "degree of occlusion, as annotated"),
     "no_eval": (_B, "true if the annotators excluded the box from evaluation"),
     "sensor": (_S, "name of the camera, or kind of sensor"),

@@ -1,8 +1,7 @@
-"""The interval table `sightings`: everything known of a person in one frame, one row per 2D box.
+"""Interval table `sightings`, with one row per 2D box: the facts about a person in one frame.
 
-Sectors and distance words with their margins: which word is true, and which other it could be near an edge.
-
-All margins are inclusive.
+Sectors and distance words have margins. Near the edge of a sector, or near a bound between two distance words, a fact
+is unknown. All margins include their bounds.
 """
 
 from __future__ import annotations
@@ -23,46 +22,80 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
 
 def robot_sector(angle_deg: Floats, rules: LoadRules) -> Ints:
-    """Of panorama angles: index into ROBOT_SECTORS of the sector that is true, -1 where none is."""
+    """Find the sector of the robot for each angle.
+
+    Args:
+        angle_deg: Panorama angles in degrees.
+        rules: Thresholds.
+
+    Returns:
+        Index in `ROBOT_SECTORS` of the true sector, or -1 if no sector is true.
+    """
     off = angle_error(angle_deg[:, None], np.array(list(ROBOT_SECTORS.values())))
     return np.where(off.min(axis=1) <= rules.sector_true_deg + SLACK, off.argmin(axis=1), -1)
 
 
 def in_person_sector(bearing_deg: Floats, sector: PersonSector) -> tuple[Bools, Bools]:
-    """Of bearings off a person's heading, [-180, 180], left positive: whether the sector is true, and may be."""
+    """Check whether directions are in a sector of a person.
+
+    Args:
+        bearing_deg: Directions in degrees in [-180, 180], counter-clockwise from the direction that the person faces.
+        sector: Sector.
+
+    Returns:
+        Two masks: the directions for which the sector is true, and those for which it is true or unknown.
+    """
     size = np.abs(bearing_deg)
-    here = np.full(len(size), True)
+    on_side = np.full(len(size), True)
     if sector.side != "either":
         towards = bearing_deg if sector.side == "left" else -bearing_deg
-        # Straight ahead and straight behind lie on both sides.
-        here = (towards >= -SLACK) | (size >= 180.0 - SLACK)
+        # The directions straight ahead and straight behind are on both sides.
+        on_side = (towards >= -SLACK) | (size >= 180.0 - SLACK)
     within = [
-        here & (size >= low - SLACK) & (size <= high + SLACK)
+        on_side & (size >= low - SLACK) & (size <= high + SLACK)
         for low, high in ((sector.low, sector.high), (sector.least, sector.most))
     ]
     return within[0], within[1]
 
 
 def distance_word(metres: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
-    """Of distances: index into DISTANCE_WORDS, and of the other possible word near a bound (else -1)."""
+    """Find the word for each distance.
+
+    Args:
+        metres: Distances in metres.
+        rules: Thresholds.
+
+    Returns:
+        Index in `DISTANCE_WORDS` of the word, and the index of the second possible word near a bound, or -1.
+    """
     bounds = np.array(DISTANCE_BOUNDS_M)
     word = np.searchsorted(bounds, metres, "left")
-    away = np.abs(metres[:, None] - bounds)
-    near = away <= rules.distance_margin * bounds + SLACK
+    near = np.abs(metres[:, None] - bounds) <= rules.distance_margin * bounds + SLACK
     bound = near.argmax(axis=1)
-    other = np.where(word == bound, bound + 1, bound)
-    return word, np.where(near.any(axis=1), other, -1)
+    second = np.where(word == bound, bound + 1, bound)
+    return word, np.where(near.any(axis=1), second, -1)
 
 
 N = TypeVar("N", bound=np.generic)
 
 
 def sightings_table(line: Timeline, people: People, rules: LoadRules, views_listed: tuple[bool, bool]) -> pa.Table:
-    """Return all sightings of a sequence, by frame and track. `views_listed` is from `beside_table`."""
+    """Derive all sightings of a sequence, sorted by frame and track.
+
+    Args:
+        line: Frames of the sequence.
+        people: People of the sequence.
+        rules: Thresholds.
+        views_listed: Second result of `beside_table`.
+
+    Returns:
+        The table.
+    """
     boxes, located = people.boxes, people.located
-    member, place, face = (rows_of(other.keys, boxes.keys) for other in (people.groups, located, people.faces))
-    least, most, known = group_sizes(line, boxes, people.groups, member, rules)
-    words = (np.where(place >= 0, word, -1) for word in distance_word(_take(located.distance, place), rules))
+    member, solid, face = (rows_of(part.keys, boxes.keys) for part in (people.groups, located, people.faces))
+    least, most, sized = group_sizes(line, boxes, people.groups, member, rules)
+    codes = (np.where(solid >= 0, code, -1) for code in distance_word(_take(located.distance, solid), rules))
+    words = zip(("distance_word", "distance_word_other"), (texts(DISTANCE_WORDS, code) for code in codes), strict=True)
     metrics = {name: located.center[:, i] for i, name in enumerate(("cx", "cy", "cz"))}
     metrics |= {"distance": located.distance, "heading": located.heading}
     columns = {
@@ -76,15 +109,15 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
         "pose": texts(people.actions.names, np.where(boxes.covered, -1, people.pose)),
         "posed": people.pose >= 0,
         "cluster": nullable(_take(people.groups.value, member), member < 0, pa.int64()),
-        "group_size": nullable(least, ~known | (least < most), pa.int32()),
-        "group_size_min": nullable(least, ~known, pa.int32()),
-        "group_size_max": nullable(most, ~known, pa.int32()),
+        "group_size": nullable(least, ~sized | (least < most), pa.int32()),
+        "group_size_min": nullable(least, ~sized, pa.int32()),
+        "group_size_max": nullable(most, ~sized, pa.int32()),
         "sector": texts(tuple(ROBOT_SECTORS), robot_sector(boxes.angle, rules)),
-        "located": place >= 0,
-        **dict(zip(("distance_word", "distance_word_other"), (texts(DISTANCE_WORDS, w) for w in words), strict=True)),
-        **{name: nullable(_take(values, place), place < 0, pa.float64()) for name, values in metrics.items()},
-        "robot_view_listed": np.full(len(place), views_listed[0]),
-        "person_view_listed": (place >= 0) & views_listed[1],
+        "located": solid >= 0,
+        **dict(words),
+        **{name: nullable(_take(values, solid), solid < 0, pa.float64()) for name, values in metrics.items()},
+        "robot_view_listed": np.full(len(solid), views_listed[0]),
+        "person_view_listed": (solid >= 0) & views_listed[1],
     }
     return line.table("sightings", columns)
 
@@ -121,10 +154,10 @@ def group_sizes(
         np.bincount(key, weights=people).astype(np.int64)[key]
         for key, people in ((group, counted), (group, member), (frame, ~member & ~boxes.covered), (group, ~certain))
     )
-    known = member & np.isin(boxes.frame, line.frames_of("2d"))
-    if everyone and known.any():
-        known &= (doubts + hard == 0) & ~_may_lack_members(line, boxes, groups, cluster_row)
-    return 1 + counts - counted, members + doubts, known
+    sized = member & np.isin(boxes.frame, line.frames_of("2d"))
+    if everyone and sized.any():
+        sized &= (doubts + hard == 0) & ~_may_lack_members(line, boxes, groups, cluster_row)
+    return 1 + counts - counted, members + doubts, sized
 
 
 def _may_lack_members(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> Bools:

@@ -44,16 +44,16 @@ def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> tuple
     frame, track = whole_numbers(boxes, "frame"), whole_numbers(boxes, "track")
     box = np.stack([boxes[name].to_numpy() for name in "xywh"], axis=1)
     usable = _has_legal_size(box, rules) & ~boxes["no_eval"].fill_null(False).to_numpy()
-    seen, hidden = (
+    visible, hidden = (
         np.asarray(pc.is_in(boxes["occlusion"], pa.array(sorted(values), pa.string())).to_numpy())
         for values in (CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS)
     )
     nobody = np.zeros(len(frame), np.bool_)
     if rules.visibility == "any":
         attributes = bool(boxes["has_attributes"].to_numpy().any())
-        return ("attributes", usable & seen, nobody) if attributes else ("nothing", usable, nobody)
+        return ("attributes", usable & visible, nobody) if attributes else ("nothing", usable, nobody)
     if boxes["occlusion"].null_count < len(frame):
-        return "attributes", usable & seen, hidden
+        return "attributes", usable & visible, hidden
     if not len(frame):
         return "nothing", nobody, nobody
     least, most = rules.covered_thousandths()
@@ -88,8 +88,8 @@ def covered_areas(frame: Ints, box: Floats) -> tuple[Ints, Ints]:
         near = np.flatnonzero(nearer & (high < low))
         a, b, high, low = a[near], b[near], high[near], low[near]
         # Because the panorama repeats every turn, a box can reach another one from either side.
-        other = left[b] + np.array([[-_TURN], [0], [_TURN]])
-        start, end = np.maximum(left[a], other), np.minimum(left[a] + width[a], other + width[b])
+        begin = left[b] + np.array([[-_TURN], [0], [_TURN]])
+        start, end = np.maximum(left[a], begin), np.minimum(left[a] + width[a], begin + width[b])
         parts = np.stack([np.broadcast_to(part, start.shape) for part in (a, start, end, high, low)])
         _add_unions(covered, parts[:, start < end])
     return covered, width * (bottom - top)
@@ -131,9 +131,9 @@ def _has_group(frame: Ints, track: Ints, groups: pa.Table) -> Bools:
     labelled = distinct_of(np.sort(whole_numbers(groups, "frame")))
     if not len(labelled):
         return np.ones(len(frame), np.bool_)
-    place = np.searchsorted(labelled, frame)
-    before, after = labelled[np.maximum(place - 1, 0)], labelled[np.minimum(place, len(labelled) - 1)]
+    row = np.searchsorted(labelled, frame)
+    before, after = labelled[np.maximum(row - 1, 0)], labelled[np.minimum(row, len(labelled) - 1)]
     nearest = np.where(np.abs(frame - before) <= np.abs(after - frame), before, after)
     easy = groups.filter(pc.less(groups["difficulty"], 3))
-    told = np.isin(paired(nearest, track), paired(whole_numbers(easy, "frame"), whole_numbers(easy, "track")))
-    return np.asarray(told & (np.abs(nearest - frame) <= KEYFRAME_STEP))
+    certain = np.isin(paired(nearest, track), paired(whole_numbers(easy, "frame"), whole_numbers(easy, "track")))
+    return np.asarray(certain & (np.abs(nearest - frame) <= KEYFRAME_STEP))
