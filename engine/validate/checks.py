@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +22,7 @@ from jrdb_avr.engine.generate.distractors import CHOICE_COUNT
 from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
-from jrdb_avr.engine.validate.replay import Advance, compare_record, read_plans, replay, run_compiled
+from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.store import Store, read_table
@@ -131,7 +131,7 @@ def check_replay(
     store: Store,
     records: Sequence[QuestionRecord],
     rules: Rules,
-    advance: Advance = lambda count: None,
+    advance: Callable[[int], None] = lambda count: None,
 ) -> None:
     """Repeat all proofs by statements over the graph, and run all plans as Cypher.
 

@@ -9,7 +9,10 @@ import re
 import shlex
 import textwrap
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final, NamedTuple
+
+import msgspec
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Key
@@ -30,7 +33,7 @@ _WIDTH: Final = 80
 _JSON_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"')
 
 
-class Statement(NamedTuple):
+class ProofStatement(NamedTuple):
     """A statement that returns facts of one kind.
 
     Attributes:
@@ -47,48 +50,49 @@ class Statement(NamedTuple):
     params: dict[str, Any]
     rows: list[dict[str, Any]]
 
-    def to_text(self, store: Store) -> str:
+    def to_text(self, store: Path) -> str:
         """Return the comments of the statement, and the shell command that runs it on a store."""
         comments, lines = re.findall(r"(?m)^// *(.+)", self.cypher), re.findall(r"(?m)^(?!//).+", self.cypher)
-        parts = [f"jrdb-avr cypher --store {shlex.quote(str(store.path))}"]
+        parts = [f"jrdb-avr cypher --store {shlex.quote(str(store))}"]
         parts += [_fold(f"--param {shlex.quote(f'{name}={json.dumps(value)}')}") for name, value in self.params.items()]
         parts.append(shlex.quote("\n".join(map(_fold, lines))))
-        title = f"Statement {self.id}: {self.name}", _fold(" ".join(comments)), ""
-        return "\n".join([*title, " \\\n".join(parts)])
+        title = f"\nStatement {self.id}: {self.name}\n{_fold(' '.join(comments))}"
+        return f"{title}\n\n" + " \\\n".join(parts) + ("\n" if self.rows else "\n\n(no rows)")
 
 
 class Explanation(NamedTuple):
     """The proofs of a question, and the statements that return their facts.
 
     Attributes:
+        store: Folder of the store.
         record: Record of the question.
         proofs: Each proof with the ids of its statements.
         statements: Statements in the order of their ids. A fact that several proofs use is in one statement.
     """
 
+    store: Path
     record: QuestionRecord
     proofs: list[tuple[Proof, list[int]]]
-    statements: list[Statement]
+    statements: list[ProofStatement]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row per proof, with its statements."""
-        return [
-            {"question_id": self.record.question_id, "proof": f"{proof.kind} {proof.variant}", "outcome": proof.outcome}
-            | {"holds": proof.holds, "answer": proof.answer}
-            | {"statements": [self.statements[statement_id - 1]._asdict() for statement_id in ids]}
-            for proof, ids in self.proofs
-        ]
+        used = [[self.statements[statement_id - 1]._asdict() for statement_id in ids] for _, ids in self.proofs]
+        proofs = ({"question_id": self.record.question_id} | msgspec.structs.asdict(proof) for proof, _ in self.proofs)
+        return [proof | {"statements": statements} for proof, statements in zip(proofs, used, strict=True)]
 
-    def parts(self, store: Store) -> Iterator[str | list[dict[str, Any]]]:
-        """Yield the texts and the tables that a terminal shows."""
-        yield "\n".join([_fold(self.record.question), *self.record.choices, f"Answer: {self.record.answer_text}\n"])
-        for row, (_, ids) in zip(rows := self.rows(), self.proofs, strict=True):
-            row |= {"statements": " ".join(map(str, ids))}
-            del row["question_id"]
-        yield rows
+    def tables(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+        """Yield the tables that a terminal shows, each with the text above it: the proofs, then the statements."""
+        yield (
+            "\n".join([_fold(self.record.question), *self.record.choices, f"Answer: {self.record.answer_text}"]),
+            [
+                {"proof": f"{proof.kind} {proof.variant}", "outcome": proof.outcome, "holds": proof.holds}
+                | {"answer": proof.answer, "statements": " ".join(map(str, ids))}
+                for proof, ids in self.proofs
+            ],
+        )
         for statement in self.statements:
-            yield f"\n{statement.to_text(store)}\n"
-            yield statement.rows
+            yield statement.to_text(self.store), statement.rows
 
 
 def explain(store: Store, question_id: str) -> Explanation:
@@ -115,17 +119,17 @@ def explain(store: Store, question_id: str) -> Explanation:
         rules = next((r for r in choices if r is not None and rules_hash(r) == records[0].rules), None)
         if plans and rules is not None:
             with contextlib.suppress(NoAnswerError):
-                return Explanation(records[0], *_run(graph, plans[0], rules))
+                return Explanation(store.path, records[0], *_run(graph, plans[0], rules))
     raise StoreError(f"the graph does not fit {question_id}: run 'jrdb-avr validate --replay --store {store.path}'")
 
 
-def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[Statement]]:
+def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[ProofStatement]]:
     """Return the proofs and the statements of an explanation."""
     source = CypherFacts(graph, rules.load)
     keyframes = source.keyframes(stored.record.sequence)
     complete = source.complete(lambda: require_all(iterate_stored_proofs(stored, source, keyframes, rules)))
     proofs: list[tuple[Proof, list[int]]] = []
-    statements: list[Statement] = []
+    statements: list[ProofStatement] = []
     ids: dict[Key, int] = {}
     source.asked.clear()
     # The second pass asks for the facts of one proof after another.
@@ -135,7 +139,9 @@ def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Pro
             keys = list(group)
             ids |= dict.fromkeys(keys, len(statements) + 1)
             text, params = source.statement(name, keys)
-            statements.append(Statement(len(statements) + 1, name, text, params, graph.query(text, params).to_pylist()))
+            statements.append(
+                ProofStatement(len(statements) + 1, name, text, params, graph.query(text, params).to_pylist())
+            )
         proofs.append((proof, sorted({ids[key] for key in source.asked})))
         source.asked.clear()
     return proofs, statements

@@ -19,7 +19,7 @@ from jrdb_avr.engine.generate.perturb import (
     MissingFactsError,
     NoAnswerError,
     Program,
-    find_people,
+    find_tracks,
     make_program,
     prove_changes,
     prove_conditions,
@@ -44,9 +44,6 @@ _TOLERANCE: Final = 1e-9
 
 _SHORT: Final = 80
 """Maximum characters of a value in a message."""
-
-Advance = Callable[[int], None]
-"""Function that receives the number of questions that have just been finished."""
 
 
 class StoredPlan(NamedTuple):
@@ -152,7 +149,9 @@ def _find_form(name: str, plan: Plan) -> Template:
 # -- proofs -----------------------------------------------------------------------------------------------------------
 
 
-def replay(store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Advance = lambda count: None) -> list[str]:
+def replay(
+    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Callable[[int], None] = lambda count: None
+) -> list[str]:
     """Prove questions again by statements over the graph, each statement for all questions at a time.
 
     Args:
@@ -189,7 +188,7 @@ def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[s
     record, plan = stored.record, stored.plan
     try:
         proofs = require_all(iterate_stored_proofs(stored, source, source.keyframes(record.sequence), rules))
-        people = find_people(stored.program, source)
+        people = find_tracks(stored.program, source)
     except NoAnswerError as reason:
         return [f"{record.question_id}: anchor match: stored same, now {reason}"]
     stated = {name: time.frame for name, time in plan.times.items() if time.frame is not None}
@@ -217,7 +216,7 @@ def iterate_stored_proofs(
         MissingFactsError: If the facts that find the people are missing.
     """
     record, program = stored.record, stored.program
-    people = find_people(program, source)
+    people = find_tracks(program, source)
     yield Proof("anchor", "match", True, "same", record.answer_text)
     yield from prove_conditions(program, source)
     yield _prove_views_clear(record, source)
@@ -252,7 +251,7 @@ def _prove_crops(record: QuestionRecord, rules: Rules) -> Iterator[Proof]:
 
 
 def run_compiled(
-    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Advance = lambda count: None
+    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Callable[[int], None] = lambda count: None
 ) -> list[str]:
     """Run the plans of questions on the graph, each compiled to Cypher.
 
