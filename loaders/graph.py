@@ -31,16 +31,16 @@ from jrdb_avr.queries import workers as processes
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store, safe_sequence
 from jrdb_avr.schema.errors import StoreError
-from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS, STORAGE_VERSION, scene_ddl
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS, STORAGE_VERSION, scene_ddl
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.tables import INTERVALS
 
 STAGE: Final = "scene"
 """Folder inside the store for the staged rows. It is deleted after the graph is built."""
 
-NODES: Final = SCENE_NODES | KEYFRAME_NODES
+NODES: Final = SCENE_NODES | LAYER_NODES
 """Tables of nodes of the scene and of the keyframe layer."""
-RELS: Final = SCENE_RELS | KEYFRAME_RELS
+RELS: Final = SCENE_RELS | LAYER_RELS
 """Tables of edges of the scene and of the keyframe layer."""
 
 R = TypeVar("R")

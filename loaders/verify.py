@@ -22,7 +22,7 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.manifest import Manifest, refuse_public
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, StoreError
-from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS
 
 PARTS: Final = ("annotations", "intervals")
 """Folders of a store that a load writes."""
@@ -32,7 +32,7 @@ VERIFY_STEPS: Final = len(PARTS) + 1
 TIMEOUT_S: Final = 120.0
 """Maximum seconds to count the rows of a table. Without a limit, the engine may never finish on a damaged graph."""
 
-_BUILT: Final = frozenset((*SCENE_NODES, *SCENE_RELS, *KEYFRAME_NODES, *KEYFRAME_RELS))
+_BUILT: Final = frozenset((*SCENE_NODES, *SCENE_RELS, *LAYER_NODES, *LAYER_RELS))
 """Tables of the graph that no run writes into."""
 
 

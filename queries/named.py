@@ -1,10 +1,11 @@
 """Named queries: statements in files. A user runs a statement by the name of its file without the suffix.
 
-SQL queries are in `queries/results`, and Cypher queries are in `queries/explore`, `generators`, `necessity` and
-`search`. The first comment line of a file says what the query returns. A comment line `param NAME: TYPE` declares a
-parameter of the type text, integer or number. `param NAME: TYPE = VALUE` declares a parameter with a default. If a
-query has the parameter `frame`, the caller may give `seconds` instead. The number of seconds is the frame divided by
-15, as in the texts of questions.
+SQL queries are in `queries/results`, and Cypher queries are in `queries/explore`, `generators` and `search`. The first
+comment line of a file says what the query returns. A comment line `param NAME: TYPE` declares a parameter of the type
+text, integer or number. `param NAME: TYPE = VALUE` declares a parameter with a default. The parameter `sequence` of a
+Cypher query is a text without a declaration. `queries/store.py` gives the values of rules, such as `wait`. If a query
+has the parameter `frame`, the caller may give `seconds` instead. The number of seconds is the frame divided by 15, as
+in the texts of questions.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from typing import Any, Final
 
 import msgspec
 
-from jrdb_avr.queries.graph.parameters import unwrap_scalar
+from jrdb_avr.queries.graph.parameters import parameters, unwrap_scalar
 from jrdb_avr.schema.errors import QueryError, did_you_mean
 from jrdb_avr.schema.rules import FPS
 
-FOLDERS: Final = {"cypher": ("explore", "generators", "necessity", "search"), "sql": ("results",)}
+FOLDERS: Final = {"cypher": ("explore", "generators", "search"), "sql": ("results",)}
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _COMMENT = re.compile(r"^(?://|--)\s?(.*)$")
@@ -107,7 +108,7 @@ def named_queries(language: str) -> dict[str, NamedQuery]:
     """
     folders = [files("jrdb_avr.queries").joinpath(folder) for folder in FOLDERS[language]]
     entries = [entry for folder in folders for entry in folder.iterdir() if entry.name.endswith(f".{language}")]
-    queries = [_parse(entry.name.removesuffix(f".{language}"), entry.read_text("utf-8")) for entry in entries]
+    queries = [_parse(entry.name.removesuffix(f".{language}"), entry.read_text("utf-8"), language) for entry in entries]
     return {query.name: query for query in sorted(queries, key=lambda query: query.name)}
 
 
@@ -152,9 +153,10 @@ def parse_value(text: str) -> Any:
         return text
 
 
-def _parse(name: str, text: str) -> NamedQuery:
+def _parse(name: str, text: str, language: str) -> NamedQuery:
     lines = [match[1].strip() for line in text.splitlines() if (match := _COMMENT.match(line.strip()))]
     declared = [match for line in lines if (match := _PARAMETER.match(line))]
-    types = {match[1]: match[2] for match in declared}
+    types = {"sequence": "text"} if language == "cypher" and "sequence" in parameters(text) else {}
+    types |= {match[1]: match[2] for match in declared}
     defaults = {match[1]: parse_value(match[3].strip()) for match in declared if match[3] is not None}
     return NamedQuery(name, text, lines[0] if lines else "", types, defaults)

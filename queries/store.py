@@ -33,7 +33,7 @@ from jrdb_avr.queries.files import file_hash, write_atomic, write_bytes
 from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
-from jrdb_avr.queries.keyframes import STAMP, keyframe_values
+from jrdb_avr.queries.keyframes import STAMP, keyframe_values, queries_layer
 from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest, refuse_public
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
@@ -258,8 +258,8 @@ class Store(Displayed):
         if not self.graph_path.exists():
             self.manifest()  # If nothing is loaded, this error is more useful.
         self._check_sequence(values.get("sequence"))
-        if "low" in parameters(statement) and "sequence" in values:
-            values = self._keyframe_values(statement, dict(params))
+        if "sequence" in values and queries_layer(statement):
+            values = self._keyframe_values(statement, values)
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
 
     def _keyframe_values(self, statement: str, values: dict[str, Any]) -> dict[str, Any]:
@@ -283,7 +283,7 @@ class Store(Displayed):
             raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'")
         if unknown := sorted(values.keys() - parameters(statement) - {"sequence"}):
             raise QueryError(f"the statement has no parameter {unknown[0]}")
-        values = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules), layer["low"]) | values
+        values = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules)) | values
         return {name: values[name] for name in parameters(statement) if name in values}
 
     def _check_sequence(self, name: object) -> None:

@@ -9,7 +9,7 @@ from typing import Final
 
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import InputError, did_you_mean
-from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.tables import column, views
 
 _NESTED: Final = re.compile(r",\s*(?![^()]*\))")
@@ -41,7 +41,7 @@ def graph_tables() -> list[CatalogTable]:
     """Return the node tables and relationship tables of the scene, the keyframe layer and the beliefs of agents."""
     parts = {
         "scene": (SCENE_NODES, SCENE_RELS),
-        "keyframes": (KEYFRAME_NODES, KEYFRAME_RELS),
+        "keyframes": (LAYER_NODES, LAYER_RELS),
         "beliefs": (WORLD_NODES, WORLD_RELS),
     }
     tables = []

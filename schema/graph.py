@@ -68,41 +68,31 @@ SCENE_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
 }
 """Relationship tables by name: tables at the start (separated by a colon), table at the end, and columns."""
 
-KEYFRAME_NODES: Final[dict[str, str]] = {
-    "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, nowhere STRING, seen INT64, "
-    "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, pose STRING, distance DOUBLE, angle DOUBLE, open INT64",
-    "Condition": "id INT64 PRIMARY KEY, sequence STRING, frame INT64, kind STRING, words STRING",
-    "Description": "id INT64 PRIMARY KEY, sequence STRING, conditions STRING",
-    "Name": "id INT64 PRIMARY KEY, sequence STRING, size INT64, people INT64, general BOOLEAN, poseless BOOLEAN",
+LAYER_NODES: Final[dict[str, str]] = {
+    "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, seen INT64, earlier INT64, "
+    "later INT64, clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, pose STRING, distance DOUBLE, angle DOUBLE",
+    "Name": "id INT64 PRIMARY KEY, sequence STRING, conditions STRING, general BOOLEAN, poseless BOOLEAN",
     "Segment": "id INT64 PRIMARY KEY, sequence STRING, action STRING, first INT64, last INT64, start INT64, "
     "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
     "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, angle DOUBLE, held_from INT64, held_to INT64",
     "Absence": "id INT64 PRIMARY KEY, sequence STRING, leaves INT64, returns INT64, present_from INT64, "
     "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN",
-    "Encounter": "id INT64 PRIMARY KEY, sequence STRING, relation STRING, until INT64",
-    "Keyframes": "sequence STRING PRIMARY KEY, low INT64, high INT64, rules_hash STRING, rules STRING",
+    "Keyframes": "sequence STRING PRIMARY KEY, rules_hash STRING, rules STRING",
 }
+"""Node tables of the keyframe layer. `seen` is 1 for a clear view, 0 for an absence, and null if neither is certain.
 
-KEYFRAME_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
+`earlier` and `later` are `seen` of the same person when the proof time.shift moves the time.
+"""
+
+LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "At": ("Person", "Moment", ()),
+    "Describes": ("Name", "Moment", ()),
+    "Leads": ("Moment", "Moment", ("relation STRING",)),
     "Acts": ("Person", "Segment", ()),
     "Leaves": ("Person", "Absence", ()),
-    "Shift": ("Moment", "Moment", ("by INT64",)),
-    "Fact": ("Moment", "Moment", ("relation STRING", "certain BOOLEAN", "unread BOOLEAN", "unknown INT64")),
-    "Satisfies": ("Moment", "Condition", ("certain BOOLEAN",)),
-    "Uses": ("Name", "Condition", ("place INT64",)),
-    "Of": ("Name", "Description", ()),
-    "Moved": ("Name", "Moment", ("by INT64",)),
-    "Fits": ("Description", "Moment", ()),
-    "Begins": ("Moment", "Encounter", ()),
-    "Meets": ("Encounter", "Person", ("met INT64", "clear_from INT64", "maybe INT64", "image BOOLEAN")),
-    "Step": ("Moment", "Moment", ("relation STRING", "bit INT64")),
-    "Leads": ("Moment", "Moment", ("relation STRING", "bit INT64")),
-    "Describes": ("Name", "Moment", ("anchor BOOLEAN",)),
-    "Joined": ("Moment", "Moment", ("a INT64", "c INT64", "r3 STRING", "r4 STRING")),
 }
 
-STORAGE_VERSION: Final = 10
+STORAGE_VERSION: Final = 11
 """Version of the tables of the graph. A graph with another version must be built again."""
 
 

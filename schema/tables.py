@@ -342,7 +342,7 @@ _QUESTIONS: Final = {
         "sequence track frame x y w h",
     ),
     "rejected": (
-        "Number of refused candidates by sequence, template and rule, with up to 100 examples of each.",
+        "Number of refused candidates by sequence, template and rule, with up to 100 examples of tried ones.",
         "kind sequence family template rule candidates target_track? plan? detail?",
     ),
     "reviews": ("Decisions of reviewers to accept or reject a question.", "question_id reviewer decision reason"),
@@ -364,9 +364,6 @@ _RUNS: Final = {
     "scores": ("Scores of each question.", "run_id question_id answer_score evidence_score combined_score invalid"),
 }
 RUNS: Final = _schemas("", _RUNS)
-
-CANDIDATES: Final = _schema("candidates", "sequence family template target_track plan answer")
-"""Schema of the file that `generate --candidates` writes. `answer` is the text of a choice, or JSON in other modes."""
 
 PRIVATE: Final = ("answers", "evidence", "rejected", "reviews")
 """Tables of `questions/` with answers. The process that talks to a model never opens them."""

@@ -1,7 +1,7 @@
 """The question templates: one row each, with plan, layers, proofs and words.
 
-To add a template, add a row here, its search in `queries/generators` or `engine.generate`, and the queries of its time
-proofs in `queries/necessity`. `docs/architecture.md` has the whole list, under "Add".
+To add a template, add a row here and its search, a file of `queries/generators`. `docs/architecture.md` has the whole
+list, under "Add".
 
 In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people along a path are called
 A, B, C and D, and `{says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`), `{Says1}`
@@ -45,14 +45,13 @@ class Slots:
 class Template:
     """A kind of question, or one of several forms of a kind. Its plan describes person a.
 
-    spec: how the answer is read from the plan; read: columns of the candidates' frames where it is read (see
-    `engine.generate.candidates`), without which they are the times of `spec`. decisive: the frames whose boxes of the
-    target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
-    decides. stated: names of the stated times, that of the description first; events: the other
-    times, with `{1}` and `{2}` for the question's actions. edges: source and target of each relation. time_queries:
-    prefix of the queries `_shift` and `_drop` of the time proofs. single_view: whether one fixed view may answer the
-    question. form: name of a form, which is also that of its generator query; the forms of a template are judged
-    together. seeks: what a scene must hold for a candidate; the first form states it for all.
+    spec: how the answer is read from the plan; read: names of the frames where it is read (see
+    `engine.generate.propose.Proposal`), without which they are the times of `spec`. decisive: the frames whose boxes of
+    the target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
+    decides. stated: names of the stated times, that of the description first; events: the other times, with `{1}` and
+    `{2}` for the question's actions. edges: source and target of each relation. single_view: whether one fixed view may
+    answer the question. form: name of a form, which is also that of its generator query; the forms of a template are
+    judged together. seeks: what a scene must hold for a candidate; the first form states it for all.
     """
 
     name: str
@@ -64,7 +63,6 @@ class Template:
     edges: tuple[tuple[str, str], ...] = ()
     layers: tuple[str, ...] = ("2d", "actions")
     time_proof: TimeProof = "construction"
-    time_queries: str = ""
     single_view: bool = True
     read: tuple[str, ...] = ()
     decisive: tuple[str, ...] = ()
@@ -74,7 +72,6 @@ class Template:
     def __post_init__(self) -> None:
         object.__setattr__(self, "read", self.read or self.spec.times)
         object.__setattr__(self, "decisive", self.decisive or self.read)
-        object.__setattr__(self, "time_queries", self.time_queries or self.name)
 
     @property
     def query(self) -> str:
@@ -236,7 +233,6 @@ _ROWS: Final = (
         ),
         stated=("t0", "t1"),
         time_proof="times",
-        time_queries="pose",
         seeks="the known pose of somebody described is another one three seconds or more later",
     ),
     Template(
@@ -272,7 +268,6 @@ _ROWS: Final = (
         stated=("t0", "t1"),
         decisive=("t1",),
         time_proof="times",
-        time_queries="distance",
         seeks="somebody described comes nearer, goes farther, stays or leaves, measured by lidar",
     ),
     Template(
@@ -350,7 +345,6 @@ _ROWS: Final = (
         stated=("t0", "t1"),
         edges=_TWO_HOPS,
         time_proof="times",
-        time_queries="pose",
         seeks="two certain relations lead to somebody whose known pose is another one ten seconds later",
     ),
     Template(

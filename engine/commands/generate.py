@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FILE, FOLDER, executor_option, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import FOLDER, executor_option, form_option, pairs_option, store_option
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar, warnings_as_notes
 
 if TYPE_CHECKING:
@@ -43,7 +43,6 @@ _blind_option = click.option(
 )
 @executor_option
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed that breaks ties between questions.")
-@click.option("--candidates", type=FILE, help="Parquet file to write, with all proven candidates before selection.")
 @click.option("--require-occlusion", is_flag=True, help="Skip sequences that have no occlusion labels.")
 @click.option("--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see 'inspect').")
 @pairs_option("--rule", "overrides", "Change a rule (see 'rules list'). May be repeated.")
@@ -83,9 +82,9 @@ def generate(
             print_rows(families, title="Questions: aim, reached number, and templates that fill in for others")
         _print_table(made.blind, "Answering without looking: shares of right answers")
     for fault in made.faults[:10]:
-        note(f"fault: the second program derives another result: {fault}")
+        note(f"fault: another program gives another result: {fault}")
     if made.faults:
-        note(f"{len(made.faults)} candidates were refused by the second program: this is a fault of the software")
+        note(f"{len(made.faults)} candidates were not confirmed by another program: this is a fault of the software")
         sys.exit(1)
 
 

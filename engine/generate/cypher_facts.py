@@ -151,7 +151,10 @@ def statement_of(key: Key) -> str:
     kind = key[0]
     if kind == "match":
         return f"condition_{key[2].kind}"
-    return f"relation_{RELATIONS[key[2]].kind}" if kind == "follow" else str(kind)
+    if kind == "follow":
+        relation = RELATIONS[key[2]].kind
+        return f"relation_{relation}" if relation in ("group", "window") else "relation_pair"
+    return str(kind)
 
 
 def row_of(key: Key) -> dict[str, Any]:
@@ -174,7 +177,7 @@ def row_of(key: Key) -> dict[str, Any]:
         row["person"] = f"{scope}/{about[1]}"
         if relation.kind == "window":
             return row | {"v": float(relation.degrees), "side": 1 if relation.side == "left" else -1}
-        return row | {"v": relation.label}
+        return row | {"v": relation.label, "kind": relation.kind}
     return row
 
 

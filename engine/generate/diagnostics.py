@@ -6,41 +6,93 @@ Computed from the published tables alone, so that `generate` and, at any later t
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import FEW
-from jrdb_avr.engine.generate.candidates import MEANINGS, RULES
 from jrdb_avr.schema.templates import FAMILIES, forms_of
 
-REASONS: Final = {
-    **MEANINGS,
-    "rederive": "the second program disagrees, which is a defect of the software",
-    "choices": "fewer than three answers are certainly wrong",
+RULES: Final = {
+    "held_out": "a held-out question needs one of its people at the same time",
+    "stated": "the question's text states the answer",
+    "view.single": "answerable from a single view",
+    "count": "the people who are met between keyframes are not certain",
+    "anchor": "a condition of the description is not needed",
+    "hop.stop": "stopping one person early gives the same answer, or one not known to differ",
+    "hop.skip": "skipping a hop gives the same answer, or one not known to differ",
+    "time.shift": "three seconds earlier or later the answer is not known to differ",
+    "time.drop": "every other time gives the same answer",
     "near_duplicate": "another candidate about the same person and nearly the same moment stays",
     "max_per_person": "the person has the maximum number of candidates of this template and answer",
+}
+"""Rules of the search with the reason why each refuses a candidate, in the order in which they are tried.
+
+The last two drop a candidate before the others are tried, so that nobody knows whether it can be proven."""
+
+REASONS: Final = RULES | {
+    "choices": "fewer than three answers are certainly wrong",
+    "unconfirmed": "another program gives another result, which is a defect of the software",
     "balance": "more would make one answer too common, pass a cap or the requested number, or resemble others",
 }
-"""Every rule that refuses a candidate, in the order in which they are tried, with why each refuses."""
+"""All rules with the reason why each refuses a candidate. The rules after those of the search refuse proven ones."""
 
 REFUSALS: Final = tuple(REASONS)
+
+EXAMPLES: Final = 100
+"""Maximum number of example rows per sequence, template and rule."""
 
 _NAMED: Final = 2
 """How many of the rules that refused most are named per template."""
 
+Example = tuple[int, str, str | None]
+"""Target, plan and detail of a refused candidate."""
 
-def refusal_row(
-    line: Mapping[str, Any], rule: str, detail: str | None = None, count: int | None = None
-) -> dict[str, Any]:
-    """A row of `rejected`: how many candidates of `line`'s sequence and template a rule refused or, without a count,
-    one of them as an example."""
-    example = {"kind": "example", "candidates": 1, "target_track": line.get("target_track"), "plan": line.get("plan")}
-    what = example if count is None else {"kind": "count", "candidates": count, "target_track": None, "plan": None}
-    where = {"sequence": line["sequence"], "family": FAMILIES[line["template"]], "template": line["template"]}
-    return {**what, **where, "rule": rule, "detail": detail}
+
+def refusal_rows(
+    sequence: str, template: str, rule: str, count: int, examples: Sequence[Example] = ()
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the table `rejected` for one rule.
+
+    Args:
+        sequence: Name of the sequence.
+        template: Name of the template.
+        rule: Name of the rule.
+        count: Number of candidates that the rule refused.
+        examples: Refused candidates, of which the first become examples.
+
+    Yields:
+        The row with the number, then the rows of examples.
+    """
+    row = {"sequence": sequence, "family": FAMILIES[template], "template": template, "rule": rule}
+    yield row | {"kind": "count", "candidates": count}
+    for target, plan, detail in examples[:EXAMPLES]:
+        yield row | {"kind": "example", "candidates": 1, "target_track": target, "plan": plan, "detail": detail}
+
+
+def dropped_rows(pool: pa.Table, chosen: pa.Table, faults: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the table `rejected` for the proven candidates that are not chosen.
+
+    Args:
+        pool: Proven candidates of all sequences, in the columns of `selection.POOL`.
+        chosen: Chosen candidates, with the column `key`. Excluded questions count as dropped by balance.
+        faults: Differences of the candidates that are not confirmed, by key.
+
+    Yields:
+        The rows.
+    """
+    groups: dict[tuple[str, str, str], list[Example]] = defaultdict(list)
+    left = pool.filter(pc.invert(pc.is_in(pool["key"], value_set=chosen["key"].combine_chunks())))
+    names = ["key", "sequence", "template", "target_track", "plan"]
+    for row in left.select(names).sort_by("key").to_pylist():
+        rule = "unconfirmed" if row["key"] in faults else "balance"
+        groups[row["sequence"], row["template"], rule].append(
+            (row["target_track"], row["plan"], faults.get(row["key"]))
+        )
+    for (sequence, template, rule), examples in groups.items():
+        yield from refusal_rows(sequence, template, rule, len(examples), examples)
 
 
 def tallies(rejected: pa.Table, questions: pa.Table) -> list[dict[str, Any]]:

@@ -14,18 +14,12 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
-import numpy as np
-
-from jrdb_avr.engine.generate.candidates import VALUES, Candidates, stated_poses
-from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.scene import NOBODY, Scene
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS, choice_text, overlapping
+from jrdb_avr.schema.labels import POSES, choice_text, overlapping
 
 CHOICE_COUNT: Final = 4
 
@@ -47,19 +41,6 @@ class Choices:
     texts: tuple[str, ...]
     true: int
     perturbations: tuple[str | None, ...]
-
-
-def make_choices(context: SearchContext, candidates: Candidates, row: int, key: str) -> tuple[Choices, ...]:
-    """The sets of four choices that a candidate may have; first those with most answers of perturbed programs."""
-    truth = VALUES[candidates.answer[row]]
-    sets: tuple[tuple[str, ...], ...] = (PRESENCE_ANSWERS if truth in PRESENCE_ANSWERS else DISTANCE_ANSWERS,)
-    if candidates.template.pose_answer:
-        (stated,) = stated_poses(context, candidates, slice(row, row + 1))
-        barred = {POSES[code] for code in np.flatnonzero(stated).tolist()}
-        frame = int(candidates.frames[candidates.template.decisive[-1]][row])
-        barred |= context.onsets.possible_poses(_target(context.scene, candidates, row), frame) - {truth}
-        sets = pose_sets(truth, frozenset(barred))
-    return arrange(sets, truth, key, _perturbed(context, candidates, row))
 
 
 def arrange(
@@ -98,100 +79,3 @@ def _ordered(texts: tuple[str, ...], truth: str, mistakes: Mapping[str, str], ra
     """A set of choices in an order that says nothing."""
     order = sorted(texts, key=ranks.__getitem__)
     return Choices(tuple(map(choice_text, order)), order.index(truth) + 1, tuple(map(mistakes.get, order)))
-
-
-def _target(scene: Scene, candidates: Candidates, row: int) -> int:
-    """Track of the target."""
-    return scene.track(int(candidates.people[candidates.template.target][row]))
-
-
-def _perturbed(context: SearchContext, candidates: Candidates, row: int) -> Iterator[tuple[str, str]]:
-    """(answer, perturbation) of every perturbed program that has an answer, the most telling first."""
-    scene, template, name = context.scene, candidates.template, int(candidates.name[row])
-    times = [int(frames[row]) for time, frames in sorted(candidates.frames.items()) if time.startswith("t")]
-    read = _READERS[template.spec.read]
-    answered = [result for result in candidates.perturbed if result.answer[row] != NOBODY]
-    for kind in ("hop.stop", "hop.skip"):
-        # The people nearest to the target on the path come first.
-        for result in reversed([result for result in answered if result.kind == kind]):
-            yield VALUES[result.answer[row]], f"{kind}({result.variant})"
-    if template.pose_answer and template.read != ("t0",):
-        own = _pose(context, _target(scene, candidates, row), times[:1])
-        if own is not None:
-            yield own, "pose at t0"
-    for result in answered:
-        if result.kind == "time.shift":
-            yield VALUES[result.answer[row]], f"time.shift {result.variant}"
-    if template.joins:
-        return
-    for condition, moments in context.descriptions.look_alikes(name):
-        for moment in moments:
-            end = _followed(context, candidates, row, moment)
-            answer = read(context, scene.track(end), times) if end is not None else None
-            if answer is not None:
-                yield answer, f"look-alike without {condition.words}"
-
-
-def _followed(context: SearchContext, candidates: Candidates, row: int, moment: int) -> int | None:
-    """Where a candidate's relations lead from somebody else's moment; None where that is not certain."""
-    path = [moment]
-    for name in candidates.template.relations:
-        reached = context.leads.get((path[-1], int(candidates.relations[name][row])))
-        if reached is None or reached in path:
-            return None
-        path.append(reached)
-    return path[-1]
-
-
-# -- what the templates' programs read of a person at t0, t1, ...; None where it is unknown ---------------------------
-
-
-def _pose(context: SearchContext, track: int, times: list[int]) -> str | None:
-    line = context.scene.box_of(track, times[-1])
-    pose = context.scene.poses[line] if line != NOBODY else NOBODY
-    return POSES[pose] if pose != NOBODY else None
-
-
-def _next_pose(context: SearchContext, track: int, times: list[int]) -> str | None:
-    """The pose at the first keyframe at which a person no longer has that of t0."""
-    held = _pose(context, track, times[:1])
-    if held is None:
-        return None
-    keyframes = context.scene.keyframes
-    later = keyframes[np.searchsorted(keyframes, times[0], side="right") :].tolist()
-    return next((pose for pose in (_pose(context, track, [one]) for one in later) if pose != held), None)
-
-
-def _presence(context: SearchContext, track: int, times: list[int]) -> str | None:
-    scene, seen = context.scene, []
-    for time in times[1:]:
-        line = scene.box_of(track, time)
-        clear = line != NOBODY and bool(scene.clear[line])
-        if not clear and not scene.absent_at(track, time):
-            return None
-        seen.append(clear)
-    return PRESENCE_ANSWERS[3 - 2 * seen[0] - seen[1]]
-
-
-def _distance_change(context: SearchContext, track: int, times: list[int]) -> str | None:
-    scene, rules = context.scene, context.rules
-    lines = [scene.box_of(track, time) for time in times]
-    before, after = (scene.distances.item(line) if line != NOBODY else math.nan for line in lines)
-    if math.isnan(before):
-        return None
-    if scene.absent_at(track, times[1]):
-        return DISTANCE_ANSWERS[3]
-    if lines[1] == NOBODY or not scene.clear[lines[1]]:
-        return None
-    nearer = before - after
-    if abs(nearer) >= rules.distance_changed_m:
-        return DISTANCE_ANSWERS[0 if nearer > 0 else 1]
-    return DISTANCE_ANSWERS[2] if abs(nearer) < rules.distance_same_m else None
-
-
-_READERS: Final[dict[str, Callable[[SearchContext, int, list[int]], str | None]]] = {
-    "action": _pose,
-    "next_action": _next_pose,
-    "presence": _presence,
-    "distance_change": _distance_change,
-}

@@ -44,7 +44,7 @@ class Fit(NamedTuple):
 Key = tuple[Any, ...]
 """Kind of a fact, sequence, and what the fact is about."""
 
-_LABELS: Final = ("performs", "handles", "interacts", "beside", "member")
+_LABELS: Final = ("performs", "handles", "pairs", "member")
 """Names of the statements in `queries/search` that return the labels of people at keyframes."""
 
 _WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
@@ -52,6 +52,9 @@ _WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": f
 
 _COLUMNS: Final = {"distance": "distance_word"}
 """Columns of sightings that have another name than the kind of condition."""
+
+_LISTS: Final = {"social": "interactions_listed", "first": "robot_view_listed", "person": "person_view_listed"}
+"""Columns of sightings that are true if the relations of a kind were read for the person."""
 
 _Marks = dict[int, bool]
 """People with a label by track, each with whether the label is certain."""
@@ -81,9 +84,10 @@ class Facts:
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
 
-        def rows(name: str, **values: int) -> list[dict[str, Any]]:
-            text = read_statement(f"search/{name}.cypher")
-            found: list[dict[str, Any]] = graph.query(text, {"sequence": sequence, **values}).to_pylist()
+        def rows(name: str) -> list[dict[str, Any]]:
+            found: list[dict[str, Any]] = graph.query(
+                read_statement(f"search/{name}.cypher"), {"sequence": sequence}
+            ).to_pylist()
             return found
 
         frames = rows("frames")
@@ -91,7 +95,7 @@ class Facts:
         self.keyframe_set = frozenset(self.keyframes)
         self._annotated = {row["frame"] for row in frames if row["annotated"]}
         self._boxes = set()
-        for row in rows("seen", phase=self.keyframes[0] % KEYFRAME_STEP) if self.keyframes else ():
+        for row in rows("seen"):
             row |= {name: row[name] if row[name] in words else None for name, words in _WORDS.items()}
             self.people[row["frame"]][row["who"]] = row
             self._boxes.add((row["who"], row["frame"]))
@@ -108,9 +112,10 @@ class Facts:
             if row["verb"] in VERBS:
                 category = row["value"] if row["value"] in OBJECTS else None
                 self._mark(self._labels, row, (row["verb"], category), row["who"])
-        for row in (*rows["interacts"], *rows["beside"]):
-            if row["other"] in self.people[row["frame"]]:
-                self._mark(self._pairs, row, (row["who"], row["value"]), row["other"])
+        for row in rows["pairs"]:
+            if row["value"] in QUESTION_RELATIONS:
+                for other in self.people[row["frame"]].keys() & set(row["others"]):
+                    self._mark(self._pairs, row, (row["who"], row["value"]), other)
         groups: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
         for row in rows["member"]:
             self._mark(groups, row, ("group", row["value"]), row["who"])
@@ -215,13 +220,11 @@ class Facts:
         if relation.kind == "window":
             return self._look_aside(relation, who, frame)
         marks = self._pairs[frame].get((who, relation.label), {})
-        if relation.kind == "first":
-            return _fit(marks, ())
         others = self.people[frame].keys() - {who}
         if relation.kind == "group":
             unread = self.people[frame].keys() - self._grouped.get(frame, set())
         else:
-            unread = self._without(frame, "interactions_listed" if relation.kind == "social" else "located")
+            unread = self._without(frame, _LISTS[relation.kind])
         return _fit(marks, others if who in unread else unread & others)
 
     def _look_aside(self, window: Relation, who: int, frame: int) -> Fit:

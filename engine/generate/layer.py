@@ -21,32 +21,13 @@ import pyarrow as pa
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.describe import conditions_json, describe, find_leads
 from jrdb_avr.engine.generate.facts import Facts
+from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import FrameViewpoint
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
-
-LAYER_NODES: Final[dict[str, str]] = {
-    "Moment": "id INT64 PRIMARY KEY, sequence STRING, track INT64, frame INT64, seen INT64, earlier INT64, "
-    "later INT64, clear BOOLEAN, image BOOLEAN, ahead BOOLEAN, pose STRING, distance DOUBLE, angle DOUBLE",
-    "Name": "id INT64 PRIMARY KEY, sequence STRING, conditions STRING, general BOOLEAN, poseless BOOLEAN",
-    "Segment": "id INT64 PRIMARY KEY, sequence STRING, action STRING, first INT64, last INT64, start INT64, "
-    "`end` INT64, quiet_from INT64, closed BOOLEAN, first_clear BOOLEAN, first_image BOOLEAN, first_ahead BOOLEAN, "
-    "last_clear BOOLEAN, last_image BOOLEAN, last_ahead BOOLEAN, angle DOUBLE, held_from INT64, held_to INT64",
-    "Absence": "id INT64 PRIMARY KEY, sequence STRING, leaves INT64, returns INT64, present_from INT64, "
-    "clear BOOLEAN, image BOOLEAN, ahead BOOLEAN",
-}
-"""Node tables with their columns. `seen` is 1 for a clear view, 0 for an absence and null if neither is certain.
-`earlier` and `later` are `seen` of the same person when the proof time.shift moves the time."""
-
-LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
-    "At": ("Person", "Moment", ()),
-    "Describes": ("Name", "Moment", ()),
-    "Leads": ("Moment", "Moment", ("relation STRING",)),
-    "Acts": ("Person", "Segment", ()),
-    "Leaves": ("Person", "Absence", ()),
-}
-"""Relationship tables: tables at the start and at the end, and columns."""
 
 _TYPES: Final = {"STRING": pa.string(), "INT64": pa.int64(), "BOOLEAN": pa.bool_(), "DOUBLE": pa.float64()}
 
@@ -112,6 +93,28 @@ class Layer:
             if mine and row["start"] > after >= row["quiet_from"]:
                 return FrameViewpoint(row["start"], row["angle"])
         return None
+
+
+def read_layer(store: Store, graph: Graph, sequence: str, rules: Rules, low: int = 0) -> Layer:
+    """Make the layer of a sequence of a store.
+
+    Args:
+        store: Store with the interval tables of the sequence.
+        graph: Graph with the scene of the sequence.
+        sequence: Name of the sequence.
+        rules: Rules of descriptions, and thresholds.
+        low: First id of a node.
+
+    Returns:
+        The layer.
+
+    Raises:
+        StoreError: If a table is missing or broken.
+    """
+    tables = {name: store.interval(name, sequence) for name in ("sequence", "frames", "sightings", "segments")}
+    (layers,) = tables["sequence"]["layers"].to_pylist()
+    facts = Facts(graph, sequence, rules.load, with_faces="pose" in layers)
+    return make_layer(facts, sequence, tables | {"actions": store.facts("actions", sequence)}, rules, low)
 
 
 def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rules: Rules, low: int = 0) -> Layer:

@@ -1,25 +1,15 @@
 """Near-duplicates and caps: which questions may stand beside each other.
 
-`thin_out` looks at one template in one sequence and drops what no selection can use; `Taken` keeps account of what is
-chosen in all. Both depend on the rows alone, never on their order.
+`Taken` keeps account of the questions that are chosen. It depends on the rows alone, never on their order.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.compute as pc
+from typing import NamedTuple
 
 from jrdb_avr.schema.rules import Rules, frames
-
-KEPT: Final = ""
-"""Verdict of `thin_out` on a row that stays."""
-
 
 Person = tuple[str, int]
 """Sequence and track."""
@@ -28,35 +18,6 @@ Person = tuple[str, int]
 def near_frames(template: str, rules: Rules) -> int:
     """Frames within which two questions of a template read the same."""
     return frames(rules.near_presence_s if template == "presence" else rules.near_duplicate_s)
-
-
-def thin_out(table: pa.Table, rules: Rules) -> npt.NDArray[np.str_]:
-    """Per row of one template in one sequence: KEPT, or the rule that drops it.
-
-    near_duplicate: every frame where the answer is read lies near those of a row of the same target and answer that
-    stays, with a smaller key; max_per_person: as many as that of the target and answer stay already.
-    """
-    if not len(table):
-        return np.full(0, KEPT)
-    near = near_frames(table["template"][0].as_py(), rules)
-    answer = table["answer"].combine_chunks().dictionary_encode().indices
-    order = pc.sort_indices(
-        table.append_column("code", answer),
-        sort_keys=[(name, "ascending") for name in ("target_track", "code", "key")],
-    ).to_numpy()
-    groups = np.stack([table["target_track"].to_numpy(), answer.to_numpy()])[:, order]
-    read = pc.list_flatten(table["read_frames"]).to_numpy().reshape(len(table), -1)
-    verdicts = np.full(len(table), "max_per_person")
-    for rows in np.split(order, np.flatnonzero(np.diff(groups).any(axis=0)) + 1):
-        alive = rows
-        for _ in range(rules.max_per_person):
-            if not len(alive):
-                break
-            close = np.all(np.abs(read[alive] - read[alive[0]]) <= near, axis=1)
-            verdicts[alive[close]] = "near_duplicate"
-            verdicts[alive[0]] = KEPT
-            alive = alive[~close]
-    return verdicts
 
 
 class Subject(NamedTuple):

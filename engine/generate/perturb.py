@@ -15,7 +15,7 @@ import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.facts import Fit, Key
-from jrdb_avr.schema.answer_modes import same_answer
+from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Condition, Edge, Plan
@@ -33,6 +33,17 @@ _WORST: Final = ("empty", "ambiguous", "unknown")
 """Outcomes of a program without an answer. If several branches fail, the first of these is the program's outcome."""
 
 Answer = str | FrameViewpoint
+
+
+def read_answer(mode: str, text: str) -> Answer:
+    """Return an answer as programs give it: the text of a choice, or a start with its direction.
+
+    Args:
+        mode: Answer mode of the question.
+        text: Text of a choice, or the stored JSON of another answer.
+    """
+    answer = decode_answer(mode, text) if mode == "frame_viewpoint" else text
+    return cast(Answer, answer)
 
 
 class NoAnswerError(Exception):

@@ -6,9 +6,9 @@ Whatever reads the same as a proposal that stays is dropped without a proof.
 from __future__ import annotations
 
 import hashlib
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from typing import Any, cast
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -21,15 +21,13 @@ from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.perturb import (
     Answer,
     MissingFactsError,
-    NoAnswerError,
     Program,
     iterate_proofs,
     make_program,
+    read_answer,
 )
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
-from jrdb_avr.schema.answer_modes import decode_answer
-from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import Template
@@ -38,8 +36,27 @@ from jrdb_avr.schema.wording.text import stated_actions
 Proven = tuple[Proposal, list[Proof]]
 
 
+class Refused(NamedTuple):
+    """A proposal that was tried and refused.
+
+    Attributes:
+        proposal: Proposal.
+        rule: Rule that refuses the proposal, a key of `diagnostics.REASONS`.
+        detail: Outcomes of the proofs of this rule, or other details of the reason.
+    """
+
+    proposal: Proposal
+    rule: str
+    detail: str | None = None
+
+
 class Prover:
-    """Proves proposals of one sequence over its sets of facts."""
+    """Proves proposals of one template in one sequence over its sets of facts.
+
+    Attributes:
+        refused: Proposals that were tried and refused.
+        untried: Number of proposals that were dropped before they were tried, by rule.
+    """
 
     def __init__(self, search: Search, cypher: CypherFacts, held_out: Sequence[Extent] = ()) -> None:
         """Make a prover.
@@ -50,6 +67,8 @@ class Prover:
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
         self._search, self._cypher, self._held_out = search, cypher, held_out
+        self.refused: list[Refused] = []
+        self.untried: Counter[str] = Counter()
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
@@ -58,34 +77,38 @@ class Prover:
         return self._cypher.ask(keys) if keys[0][0] == "onsets" else self._search.layer.facts.ask(keys)
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
-        """Return the proofs of a proposal about conditions, hops and times, or None if one of them does not hold."""
+        """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
+        if rule := self._excluding_rule(proposal):
+            self.refused.append(Refused(proposal, rule))
+            return None
         template = proposal.template
-        if any(_touches(proposal, extent) for extent in self._held_out):
-            return None
-        if template.pose_answer and proposal.answer in stated_actions(proposal.plan):
-            return None
-        if not template.single_view and self._fits_one_view(proposal):
-            return None
-        if template.counts:
-            stretch = proposal.frames["t1"], proposal.frames["t2"]
-            if self._cypher.count(proposal.sequence, proposal.relations[0], proposal.target, *stretch) != len(
-                proposal.counted
-            ):
-                return None
         program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
-        answer: Answer = proposal.answer
-        if template.spec.mode == "frame_viewpoint":
-            answer = cast(FrameViewpoint, decode_answer(template.spec.mode, proposal.answer))
-        while True:
-            try:
-                return self._prove(program, answer, template)
-            except NoAnswerError:
-                return None
-            except MissingFactsError:
-                self._cypher.fill()
+        answer = read_answer(template.spec.mode, proposal.answer)
+        proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
+        if not (lacking := failing(template.name, proofs, self._search.rules)):
+            return proofs
+        rule = lacking[0].split()[0]
+        detail = ", ".join(f"{proof.variant}: {proof.outcome}" for proof in proofs if proof.kind == rule)
+        self.refused.append(Refused(proposal, rule, detail))
+        return None
 
-    def _prove(self, program: Program, answer: Answer, template: Template) -> list[Proof] | None:
-        """Return the proofs if they hold. Stop at the first that fails, unless another one of its kind is enough."""
+    def _excluding_rule(self, proposal: Proposal) -> str | None:
+        """Return the rule that refuses a proposal before its proofs are tried."""
+        template, frames = proposal.template, proposal.frames
+        if any(_touches(proposal, extent) for extent in self._held_out):
+            return "held_out"
+        if template.pose_answer and proposal.answer in stated_actions(proposal.plan):
+            return "stated"
+        if not template.single_view and self._fits_one_view(proposal):
+            return "view.single"
+        if template.counts:
+            stretch = proposal.relations[0], proposal.target, frames["t1"], frames["t2"]
+            if self._cypher.count(proposal.sequence, *stretch) != len(proposal.counted):
+                return "count"
+        return None
+
+    def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
+        """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
         rules, proofs, missing = self._search.rules, [], False
         for proof in iterate_proofs(program, answer, self._search.layer.facts.keyframes, rules, self):
             if proof is None:
@@ -94,10 +117,10 @@ class Prover:
             proofs.append(proof)
             alternative = proof.kind == "time.shift" or (proof.kind == "hop.stop" and template.joins)
             if not alternative and failing(template.name, [proof], rules):
-                return None
+                return proofs
         if missing:
             raise MissingFactsError
-        return None if failing(template.name, proofs, rules) else proofs
+        return proofs
 
     def _fits_one_view(self, proposal: Proposal) -> bool:
         """Return whether one view shows everybody at t0, and the target when the answer is read."""
@@ -132,15 +155,16 @@ def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list
     return kept
 
 
-def _thin_out(members: Iterable[Proposal], near: int, rules: Rules, prover: Prover) -> list[Proven]:
+def _thin_out(members: Sequence[Proposal], near: int, rules: Rules, prover: Prover) -> list[Proven]:
     """Prove proposals of one target and answer in their order; drop those that read the same as one that stays."""
     kept: list[Proven] = []
-    for proposal in members:
+    for number, proposal in enumerate(members):
         if len(kept) == rules.max_per_person:
+            prover.untried["max_per_person"] += len(members) - number
             break
         if any(_is_near(proposal.read, other.read, near) for other, _ in kept):
-            continue
-        if (proofs := prover.prove(proposal)) is not None:
+            prover.untried["near_duplicate"] += 1
+        elif (proofs := prover.prove(proposal)) is not None:
             kept.append((proposal, proofs))
     return kept
 
@@ -157,10 +181,12 @@ def _fill_presence(search: Search, template: Template, prover: Prover) -> list[P
     near, kept = near_frames(template.name, search.rules), []
     for _, members in sorted(groups.items()):
         stay: list[Proven] = []
-        for _, times, rows in sorted(members, key=lambda one: one[0]):
+        for number, (_, times, rows) in enumerate(sorted(members, key=lambda one: one[0])):
             if len(stay) == search.rules.max_per_person:
+                prover.untried["max_per_person"] += len(members) - number
                 break
             if any(_is_near(times, other.read, near) for other, _ in stay):
+                prover.untried["near_duplicate"] += 1
                 continue
             rows.sort(key=lambda row: _hash(search.sequence, row["name"], *times))
             for row in rows:

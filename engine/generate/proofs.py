@@ -1,49 +1,16 @@
-"""Make the proofs of a question, list those that its template and plan require, and check that they hold."""
+"""The proofs that the template and the plan of a question require, and those of them that do not hold."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Final
 
-import numpy as np
-
-from jrdb_avr.engine.generate import views
-from jrdb_avr.engine.generate.candidates import OUTCOMES, PROVING, VALUES, Candidates
-from jrdb_avr.engine.generate.context import SearchContext
-from jrdb_avr.engine.generate.scene import NOBODY
+from jrdb_avr.engine.generate.perturb import BY_CONSTRUCTION
 from jrdb_avr.schema.plan import Plan
-from jrdb_avr.schema.questions import NeededBox, Proof
+from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import FPS, Rules, frames
 from jrdb_avr.schema.templates import forms_of
-
-
-def stored_proofs(
-    context: SearchContext, candidates: Candidates, row: int, own: str, needed: Sequence[NeededBox]
-) -> list[Proof]:
-    """The proofs of one candidate that all set-wise rules passed; `own` is its answer's text."""
-    name = int(candidates.name[row])
-    found = [Proof("anchor", "match", True, "same", own)]
-    for condition, left in zip(context.descriptions.of(name), context.descriptions.left[name], strict=False):
-        found.append(Proof("anchor", f"without {condition.words}", int(left) >= 2, "ambiguous"))
-    found.append(Proof("evidence", "clear views", True, "same", own))
-    for result in candidates.perturbed:
-        outcome, answer = result.outcome.item(row), result.answer.item(row)
-        text = VALUES[answer] if answer != NOBODY else None
-        found.append(Proof(result.kind, result.variant, bool(outcome in PROVING), OUTCOMES[outcome], text))
-    if candidates.template.time_proof == "construction":
-        # The answer is the time itself: at another time another answer would be right.
-        found += [Proof(kind, BY_CONSTRUCTION, None, "not_run") for kind in ("time.shift", "time.drop")]
-    # A method that sees only the forward view, without the decisive boxes, has nothing to answer from.
-    found.append(Proof("view.ahead", "180", True, "empty"))
-    x, w = np.array([box.x for box in needed]), np.array([box.w for box in needed])
-    single = views.single_view(x, w, context.rules.visible_share)
-    found.append(Proof("view.single", "any angle", not single, "same" if single else "empty", own if single else None))
-    return found
-
-
-BY_CONSTRUCTION: Final = "by construction"
-"""Variant of the proofs about time that are not run."""
 
 ALWAYS: Final = (
     ("anchor", "match"),

@@ -99,8 +99,8 @@ class Search:
 
     def rows(self, name: str) -> list[dict[str, Any]]:
         """Run a generator and return its rows."""
-        text = read_statement(f"proposals/{name}.cypher")
-        values = {**keyframe_values(self.rules, 0), "sequence": self.sequence}
+        text = read_statement(f"generators/{name}.cypher")
+        values = {**keyframe_values(self.rules), "sequence": self.sequence}
         rows: list[dict[str, Any]] = self.graph.query(text, {key: values[key] for key in parameters(text)}).to_pylist()
         return rows
 

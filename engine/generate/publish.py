@@ -1,11 +1,8 @@
 """Publish the tables: selected candidates as questions, with their private tables.
 
 All tables of one generation carry the same mark, a hash of the questions and answers, in their Parquet metadata. They
-are written to temporary files first and then moved in one after the other, the questions last: after a crash in
+are written to temporary files first. Then they are moved in one after the other, the questions last. After a crash in
 between, the marks differ, so that the tables do not belong together, and generating again completes them.
-
-The tables are in the order of the question ids, in which sequences lie mixed. So the questions are first appended to
-scratch files, one sequence after the other, and then read back in that order, a row group at a time.
 """
 
 from __future__ import annotations
@@ -13,15 +10,15 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.engine.generate.selection import with_choices
 from jrdb_avr.queries.store import Store, write_groups
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
@@ -30,124 +27,92 @@ PUBLISHED: Final = ("evidence", "answers", "rejected", "sequences", "questions")
 """The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
 
 QUESTION_GROUP: Final = 1 << 12
-"""How many questions one row group of a table holds: each takes some kilobytes with its proofs."""
-
-
-class _Records:
-    """Records in a scratch file, numbered as they are added; memory holds where each one ends."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("w+b")
-        self._ends = array("q", [0])
-
-    def add(self, record: bytes) -> None:
-        self._file.write(record)
-        self._ends.append(self._ends[-1] + len(record))
-
-    def __getitem__(self, number: int) -> bytes:
-        self._file.seek(self._ends[number])
-        return self._file.read(self._ends[number + 1] - self._ends[number])
-
-    def close(self) -> None:
-        self._file.close()
+"""Number of questions in a row group of a table. Each takes some kilobytes with its proofs."""
 
 
 class Chosen:
-    """The chosen questions of a generation with all that is published of them, in scratch files of a folder."""
+    """The chosen questions of a generation, in the order of their ids. Their rows are made when they are read."""
 
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True)
-        self._records = {name: _Records(folder / f"{name}.records") for name in ("questions", "answers")}
-        self._ids: list[str] = []
-        self._numbers: dict[str, list[int]] = {}
-        self._targets: dict[str, set[int]] = {}
+    def __init__(self, pool: pa.Table, chosen: pa.Table) -> None:
+        """Order the questions.
 
-    def add(self, sequence: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Add the questions of one sequence."""
-        for row in rows:
-            self._targets.setdefault(sequence, set()).add(row["target_track"])
-            for name in ("questions", "answers"):
-                own = {column: row[column] for column in QUESTIONS[name].names}
-                self._records[name].add(msgspec.json.encode(own, order="sorted"))
-            self._numbers.setdefault(row["template"], []).append(len(self._ids))
-            self._ids.append(row["question_id"])
-
-    def digest(self) -> str:
-        """A hash of all questions and answers, which marks their generation."""
-        found, order = hashlib.sha256(), self._order(range(len(self._ids)))
-        for name in ("questions", "answers"):
-            found.update(b"[")
-            for place, number in enumerate(order):
-                found.update(b"," * (place > 0) + self._records[name][number])
-            found.update(b"]")
-        return found.hexdigest()
+        Args:
+            pool: Candidates in the columns of `selection.POOL`.
+            chosen: Chosen candidates with the columns `row` (of the pool), `set`, `template`, `sequence` and
+                `target_track`.
+        """
+        self._pool = pool
+        slices = (chosen.slice(first, QUESTION_GROUP) for first in range(0, len(chosen), QUESTION_GROUP))
+        ids = [row["question_id"] for part in slices for row in with_choices(pool, part)]
+        self._chosen = chosen.append_column("question_id", pa.array(ids, pa.string())).sort_by("question_id")
 
     def tables(self, name: str) -> Iterator[pa.Table]:
-        """The row groups of `questions` or `answers`."""
-        order = self._order(range(len(self._ids)))
-        for start in range(0, len(order), QUESTION_GROUP):
-            yield self._table(name, order[start : start + QUESTION_GROUP])
+        """Yield the row groups of the table `questions` or `answers`."""
+        for first in range(0, len(self._chosen), QUESTION_GROUP):
+            yield self._table(name, self._chosen.slice(first, QUESTION_GROUP))
 
-    def by_template(self, answers: Sequence[str]) -> Iterator[tuple[pa.Table, pa.Table]]:
-        """The questions of each template, by its name, and these columns of their answers."""
-        for _, numbers in sorted(self._numbers.items()):
-            order = self._order(numbers)
-            yield self._table("questions", order), self._table("answers", order, answers)
+    def digest(self) -> str:
+        """Return a hash of all questions and answers, which marks their generation."""
+        digest = hashlib.sha256()
+        for name in ("questions", "answers"):
+            rows = (row for group in self.tables(name) for row in group.to_pylist())
+            digest.update(b"[")
+            for place, row in enumerate(rows):
+                digest.update(b"," * (place > 0) + msgspec.json.encode(row, order="sorted"))
+            digest.update(b"]")
+        return digest.hexdigest()
+
+    def by_template(self, columns: Sequence[str]) -> Iterator[tuple[pa.Table, pa.Table]]:
+        """Yield the questions of each template in the order of the names, with these columns of their answers."""
+        for template in sorted(set(self._chosen["template"].to_pylist())):
+            rows = self._chosen.filter(pc.equal(self._chosen["template"], template))
+            yield self._table("questions", rows), self._table("answers", rows).select(columns)
 
     def evidence(self, store: Store) -> Iterator[pa.Table]:
-        """The evidence as a row group per sequence: every box of the questions' targets, by track and frame."""
+        """Yield the evidence as a row group per sequence: every box of the questions' targets, by track and frame."""
         names = QUESTIONS["evidence"].names
-        for sequence, tracks in sorted(self._targets.items()):
+        for sequence in sorted(set(self._chosen["sequence"].to_pylist())):
             sightings = store.interval("sightings", sequence, names)
-            targets = pa.array(sorted(tracks), sightings.schema.field("track").type)
+            rows = self._chosen.filter(pc.equal(self._chosen["sequence"], sequence))
+            targets = rows["target_track"].combine_chunks().cast(sightings.schema.field("track").type)
             boxes = sightings.filter(pc.is_in(sightings["track"], value_set=targets))
             yield boxes.sort_by([("track", "ascending"), ("frame", "ascending")]).cast(QUESTIONS["evidence"])
 
-    def close(self) -> None:
-        for records in self._records.values():
-            records.close()
-
-    def _order(self, numbers: Sequence[int]) -> list[int]:
-        return sorted(numbers, key=self._ids.__getitem__)
-
-    def _table(self, name: str, numbers: Sequence[int], columns: Sequence[str] | None = None) -> pa.Table:
-        schema = pa.schema([field for field in QUESTIONS[name] if columns is None or field.name in columns])
-        found = (msgspec.json.decode(self._records[name][number]) for number in numbers)
-        return pa.Table.from_pylist([{column: row[column] for column in schema.names} for row in found], schema=schema)
+    def _table(self, name: str, chosen: pa.Table) -> pa.Table:
+        schema = QUESTIONS[name]
+        rows = with_choices(self._pool, chosen)
+        return pa.Table.from_pylist([{column: row[column] for column in schema.names} for row in rows], schema=schema)
 
 
 def publish(
-    store: Store,
-    scratch: Path,
-    questions: Iterable[tuple[str, Sequence[Mapping[str, Any]]]],
-    tables: Mapping[str, Iterable[pa.Table]],
-    training: Mapping[str, str] | None = None,
-) -> Chosen:
-    """Write the tables of a generation so that they are all there, or known to be incomplete. Under the writer lock.
+    store: Store, chosen: Chosen, tables: Mapping[str, pa.Table], training: Mapping[str, str] | None = None
+) -> None:
+    """Write the tables of a generation so that they are complete, or known to be incomplete. Under the writer lock.
 
-    `questions` are the rows of both tables, each sequence with its own; `tables` the row groups of all other tables but
-    the evidence, which follows from them. `training`: the metadata of a training set, which stand in place of the
-    canary. `scratch` is a folder for the questions, which stay readable until they are closed.
+    Args:
+        store: Store.
+        chosen: Chosen questions.
+        tables: All other tables by name, but for the evidence, which follows from the questions.
+        training: Metadata of a training set in place of the canary.
+
+    Raises:
+        StoreError: If a file cannot be written.
     """
     folder = store.question_path("questions").parent
     pending = folder / ".pending"
     try:
-        # Files of a killed run.
+        # A killed run may have left files.
         shutil.rmtree(pending, ignore_errors=True)
-        chosen = Chosen(scratch)
-        for sequence, rows in questions:
-            chosen.add(sequence, rows)
         metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: chosen.digest()}
-        written = {name: chosen.tables(name) for name in ("questions", "answers")} | dict(tables)
-        written["evidence"] = chosen.evidence(store)
-        for name, groups in written.items():
-            write_groups(pending / f"{name}.parquet", groups, QUESTIONS[name], metadata)
+        groups: dict[str, Iterable[pa.Table]] = {name: chosen.tables(name) for name in ("questions", "answers")}
+        groups |= {name: [table] for name, table in tables.items()} | {"evidence": chosen.evidence(store)}
+        for name, parts in groups.items():
+            write_groups(pending / f"{name}.parquet", parts, QUESTIONS[name], metadata)
         _move_in(pending, folder)
     except OSError as error:
         raise StoreError(f"cannot write {folder}: {error.strerror}; free some space and generate again") from None
     finally:
         shutil.rmtree(pending, ignore_errors=True)
-    return chosen
 
 
 def _move_in(pending: Path, folder: Path) -> None:

@@ -2,57 +2,50 @@
 
 from __future__ import annotations
 
-import contextlib
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.blind import Guesser, blind_check, question_texts
+from jrdb_avr.engine.generate.blind import blind_check, question_texts
 from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, Fault, find_faults
-from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
-from jrdb_avr.engine.generate.found import (
-    Found,
-    Refusals,
-    chosen_columns,
-    chosen_rows,
-    heads,
-    scratch_folder,
-    search_into,
-    slim_pool,
-)
-from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
-from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
+from jrdb_avr.engine.generate.cypher_facts import CypherFacts
+from jrdb_avr.engine.generate.diagnostics import EXAMPLES, dropped_rows, refusal_rows, shortfalls, tallies
+from jrdb_avr.engine.generate.held_out import Extent, HeldOut, read_held_out
 from jrdb_avr.engine.generate.learned import learned_guesser
-from jrdb_avr.engine.generate.publish import publish
-from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
-from jrdb_avr.engine.generate.sequence import SequenceJob
+from jrdb_avr.engine.generate.pool import Prover, Refused, fill_pool
+from jrdb_avr.engine.generate.propose import Search
+from jrdb_avr.engine.generate.publish import Chosen, publish
+from jrdb_avr.engine.generate.question import make_row
+from jrdb_avr.engine.generate.selection import POOL, TRAIN, Selection, select, with_choices
+from jrdb_avr.engine.generate.stored_layer import LayerJob, ensure_layer
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
-from jrdb_avr.queries.files import file_hash, write_atomic
-from jrdb_avr.queries.graph.handle import hold_graph
+from jrdb_avr.queries.files import file_hash
+from jrdb_avr.queries.graph.handle import hold_graph, open_worker_graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.workers import Executor, map_sequences
+from jrdb_avr.queries.workers import Executor, map_sequences, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
+from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
-from jrdb_avr.schema.tables import CANDIDATES, QUESTIONS
+from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.schema.templates import FORMS
+
+SELECTED_BY: Final = [
+    *("sequence", "family", "template", "target_track", "key", "form"),
+    *("answer_text", "stated", "times", "read_frames", "event", "sets"),
+]
+"""Columns of the pool that selection reads."""
+
 
 Advance = Callable[[int], None]
-
-REFUSALS_AT_ONCE: Final = 1 << 16
-"""Rows of `rejected` in a row group: half a kilobyte each."""
-
-HEADS_AT_ONCE: Final = 1 << 10
-"""Rows of `sequences` in a row group: with the numbers of their frames they take some kilobytes each."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,7 +94,6 @@ def generate(
     workers: Executor = 2,
     n: int | None = None,
     disjoint_from: str | Path | None = None,
-    candidates: Path | None = None,
     excluded: frozenset[str] = frozenset(),
     require_occlusion: bool = False,
     learned: bool = False,
@@ -121,7 +113,6 @@ def generate(
         workers: Number of processes, or a Ray cluster.
         n: Maximum number of questions of a training set; None for all.
         disjoint_from: A store. No question of the training set needs a person of its questions at the same time.
-        candidates: Parquet file to write with all proven candidates, before selection.
         excluded: Ids of questions to leave out. Other candidates take their places.
         require_occlusion: Whether to skip sequences without occlusion attributes.
         learned: Whether the blind check includes the guesser that learns from texts.
@@ -140,35 +131,48 @@ def generate(
     rules = training_rules(rules) if profile == TRAIN else rules
     guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
-    # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
-    with store.writing("generate"), scratch_folder(store) as scratch:
+    # The manifest is checked first, so that a wrong store is refused before it is locked and thereby made.
+    with store.writing("generate"):
         manifest = check_load_rules(store, rules)
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
-        parts = [scratch / f"{sequence}.parquet" if candidates else None for sequence in sequences]
         lows = ensure_layer(store, rules, workers, progress)
-        jobs = [
-            SequenceJob(store.path, name, lows[name], rules, part, tuple(held_out.extents.get(name, ())))
-            for name, part in zip(sequences, parts, strict=True)
-        ]
-        advance = step_counter(progress, "searching", len(sequences))
+        jobs = {
+            name: SearchJob(store.path, name, lows[name], rules, tuple(held_out.extents.get(name, ())))
+            for name in sequences
+        }
         with hold_graph(store.graph_path, workers):
-            found = _search(scratch, jobs, workers, advance)
-        if candidates is not None:
-            _gather([part for part in parts if part], candidates)
-        pool = slim_pool(scratch, sequences)
-        selection, faults = _select(
-            scratch,
-            pool,
-            lambda pool: select(pool, rules, profile, seed, n),
-            excluded,
-            partial(_confirm, store.path, rules, scratch, workers, progress),
-        )
-        refusals = Refusals(scratch, sequences, pool, selection, faults)
-        # The greatest part of what is in memory.
-        del pool
+            found = _search(list(jobs.values()), workers, step_counter(progress, "searching", len(jobs)))
+            pool = pa.concat_tables([one.pool for one in found])
+            slim = pool.select(SELECTED_BY).append_column("row", pa.array(range(len(pool)), pa.int64()))
+            selection, faults = _select(
+                pool,
+                slim,
+                lambda slim: select(slim, rules, profile, seed, n),
+                excluded,
+                partial(_confirm, jobs, pool, workers, progress),
+            )
+        rows = [row for one in found for row in one.refused]
+        rows += dropped_rows(pool, selection.table, {key: fault.difference for key, fault in faults.items()})
+        rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"])
+        order = ("kind", "sequence", "template", "rule", "plan")
+        tables = {
+            "rejected": rejected.sort_by([(name, "ascending") for name in order]),
+            "sequences": pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"]),
+        }
+        chosen = Chosen(pool, selection.table)
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
-        return _publish(store, scratch, found, selection, refusals, guesser, training)
+        publish(store, chosen, tables, training)
+    counts = tallies(rejected, selection.table)
+    lacking = Counter((name, layer) for one in found for name, layers in one.lacking.items() for layer in layers)
+    texts = chosen.by_template(["question_id", "answer"])
+    return Generation(
+        templates=tuple(counts),
+        shortfalls=tuple(shortfalls(counts, lacking, len(found), selection.report)),
+        selection=selection.report,
+        blind=tuple(row for some in texts for row in blind_check(question_texts(*some), guesser)),
+        faults=tuple(sorted(map(str, faults.values()))),
+    )
 
 
 def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
@@ -226,45 +230,119 @@ def check_intervals(store: Store, manifest: Manifest) -> None:
                 )
 
 
-def _search(folder: Path, jobs: Sequence[SequenceJob], workers: Executor, advance: Advance) -> list[Found]:
-    """Search every sequence into the folder; what each returns, in the order of the jobs."""
+# -- search -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SearchJob(LayerJob):
+    """A sequence to search.
+
+    Attributes:
+        held_out: Extents of held-out questions.
+    """
+
+    held_out: tuple[Extent, ...] = ()
+
+
+class Found(NamedTuple):
+    """Result of the search of one sequence.
+
+    Attributes:
+        head: Row of the table `sequences`.
+        pool: Proven candidates without near-duplicates, in the columns of `selection.POOL`.
+        refused: Rows of the table `rejected`.
+        lacking: Missing layers of each template that was not searched.
+    """
+
+    head: dict[str, Any]
+    pool: pa.Table
+    refused: list[dict[str, Any]]
+    lacking: dict[str, tuple[str, ...]]
+
+
+@without_collector()
+def search_sequence(job: SearchJob) -> Found:
+    """Find and prove the candidates of one sequence.
+
+    The result depends only on the tables and the graph of the sequence, the rules and the held-out questions. So
+    sequences can be shared among processes or machines.
+
+    Args:
+        job: Sequence.
+
+    Returns:
+        The candidates.
+
+    Raises:
+        StoreError: If a table or the graph is missing.
+    """
+    store = Store(job.store)
+    (head,) = store.interval("sequence", job.sequence).to_pylist()
+    frames = store.interval("frames", job.sequence).sort_by("frame")
+    frames = frames.filter(frames["image" if "images" in head["layers"] else "annotated"])["frame"].to_pylist()
+    own = {"sequence": job.sequence, "fps": head["fps"], "frame_count": head["frame_count"], "frames": frames}
+    rows: list[dict[str, Any]] = []
+    refused: list[dict[str, Any]] = []
+    lacking: dict[str, tuple[str, ...]] = {}
+    with open_worker_graph(store.graph_path) as graph:
+        search = Search(graph, job.sequence, job.layer(graph), job.rules)
+        cypher = CypherFacts(graph, job.rules.load)
+        for name, forms in FORMS.items():
+            missing = [tuple(layer for layer in form.layers if layer not in head["layers"]) for form in forms]
+            if least := min(missing, key=len):
+                lacking[name] = least
+                continue
+            allowed = [form for form, layers in zip(forms, missing, strict=True) if not layers]
+            prover = Prover(search, cypher, job.held_out)
+            for proposal, proofs in fill_pool(search, allowed, prover):
+                if row := make_row(search, proposal, proofs):
+                    rows.append(row)
+                else:
+                    prover.refused.append(Refused(proposal, "choices"))
+            refused += _refusals(job.sequence, name, prover)
+    return Found(own, pa.Table.from_pylist(rows, schema=POOL), refused, lacking)
+
+
+def _refusals(sequence: str, template: str, prover: Prover) -> list[dict[str, Any]]:
+    by_rule: dict[str, list[Refused]] = {}
+    for one in sorted(prover.refused, key=lambda one: one.proposal.key):
+        by_rule.setdefault(one.rule, []).append(one)
+    rows: list[dict[str, Any]] = []
+    for rule, some in by_rule.items():
+        examples = [(one.proposal.target, canonical(one.proposal.plan), one.detail) for one in some[:EXAMPLES]]
+        rows += refusal_rows(sequence, template, rule, len(some), examples)
+    for rule, count in prover.untried.items():
+        rows += refusal_rows(sequence, template, rule, count)
+    return rows
+
+
+def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Advance) -> list[Found]:
+    """Search every sequence; return the results in the order of the jobs."""
     results: dict[int, Found] = {}
-    for index, result in map_sequences(partial(search_into, folder), jobs, workers, lambda job: job.weight):
+    for index, result in map_sequences(search_sequence, jobs, workers, lambda job: job.weight):
         results[index] = result
         advance(1)
     return [results[index] for index in range(len(jobs))]
 
 
-def _gather(parts: Sequence[Path], place: Path) -> None:
-    """Join the sequences' candidate files, in order, into one."""
-
-    def write(temporary: Path) -> None:
-        with pq.ParquetWriter(temporary, CANDIDATES) as writer:
-            for part in parts:
-                with pq.ParquetFile(part) as file:
-                    for batch in file.iter_batches():
-                        writer.write_batch(batch)
-
-    write_atomic(place, write)
+# -- choice -----------------------------------------------------------------------------------------------------------
 
 
 def _select(
-    folder: Path,
     pool: pa.Table,
+    slim: pa.Table,
     choose: Callable[[pa.Table], Selection],
     excluded: frozenset[str],
     confirm: Callable[[pa.Table], Mapping[str, Fault]],
 ) -> tuple[Selection, dict[str, Fault]]:
-    """The selection, and the candidates that the second program refused, by key: these and excluded questions leave the
-    pool, and the choice is made anew."""
+    """Choose until all that is chosen is confirmed and not excluded. Return the choice, and the faults by key."""
     faults: dict[str, Fault] = {}
     confirmed: set[str] = set()
     while True:
-        selection = choose(pool)
+        selection = choose(slim)
         gone: set[str] = set()
         if excluded:
-            rows = chain.from_iterable(rows for _, rows in chosen_rows(folder, selection.table))
-            gone = {row["key"] for row in rows if row["question_id"] in excluded}
+            gone = {row["key"] for row in with_choices(pool, selection.table) if row["question_id"] in excluded}
         if not gone:
             added = _without(selection.table, confirmed)
             confirmed |= set(added["key"].to_pylist())
@@ -273,54 +351,26 @@ def _select(
             gone = set(found)
         if not gone:
             return selection, faults
-        pool = _without(pool, gone)
+        slim = _without(slim, gone)
 
 
 def _without(rows: pa.Table, keys: Set[str]) -> pa.Table:
-    """The rows of other keys."""
+    """Return the rows of other keys."""
     return rows.filter(pc.invert(pc.is_in(rows["key"], value_set=pa.array(sorted(keys), pa.string()))))
 
 
 def _confirm(
-    store: Path, rules: Rules, folder: Path, workers: Executor, progress: Progress | None, chosen: pa.Table
+    jobs: Mapping[str, SearchJob], pool: pa.Table, workers: Executor, progress: Progress | None, chosen: pa.Table
 ) -> dict[str, Fault]:
-    """The chosen candidates that the second program does not confirm, by key."""
-    parts = chosen_columns(folder, chosen, CONFIRMED)
-    jobs = [ConfirmJob(store, sequence, rules, rows) for sequence, rows in parts]
-    advance = step_counter(progress, "confirming", len(jobs))
+    """Return the chosen candidates that are not confirmed, by key."""
+    rows = pool.select(["sequence", *CONFIRMED]).take(chosen["row"])
+    confirm_jobs = []
+    for name in sorted(set(rows["sequence"].to_pylist())):
+        job, own = jobs[name], rows.filter(pc.equal(rows["sequence"], name))
+        confirm_jobs.append(ConfirmJob(job.store, name, job.low, job.rules, own.select(CONFIRMED)))
+    advance = step_counter(progress, "confirming", len(confirm_jobs))
     faults: dict[str, Fault] = {}
-    for _, found in map_sequences(find_faults, jobs, workers, lambda job: job.weight):
+    for _, found in map_sequences(find_faults, confirm_jobs, workers, lambda job: job.weight):
         faults |= found
         advance(1)
     return faults
-
-
-def _publish(
-    store: Store,
-    folder: Path,
-    found: Sequence[Found],
-    selection: Selection,
-    refusals: Refusals,
-    learned: Guesser | None,
-    training: Mapping[str, str] | None,
-) -> Generation:
-    sequences = [one.sequence for one in found]
-    tables = {"rejected": refusals.groups(REFUSALS_AT_ONCE), "sequences": heads(folder, sequences, HEADS_AT_ONCE)}
-    with contextlib.closing(
-        publish(store, folder / "chosen", chosen_rows(folder, selection.table), tables, training)
-    ) as chosen:
-        known = chosen.by_template(["question_id", "answer"])
-        blind = [row for texts in known for row in blind_check(question_texts(*texts), learned)]
-    counts = [
-        {"kind": "count", "template": name, "rule": rule, "candidates": count}
-        for (name, rule), count in refusals.totals.items()
-    ]
-    rows = tallies(pa.Table.from_pylist(counts, schema=QUESTIONS["rejected"]), selection.table)
-    lacking = Counter((name, layer) for one in found for name, layers in one.lacking.items() for layer in layers)
-    return Generation(
-        templates=tuple(rows),
-        shortfalls=tuple(shortfalls(rows, lacking, len(found), selection.report)),
-        selection=selection.report,
-        blind=tuple(blind),
-        faults=tuple(sorted(map(str, refusals.faults.values()))),
-    )

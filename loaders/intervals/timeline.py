@@ -146,7 +146,8 @@ def sequence_table(line: Timeline, has_attributes: bool) -> pa.Table:
 
 
 def frames_table(line: Timeline) -> pa.Table:
-    """The interval table `frames`: one row per frame of any layer."""
+    """The interval table `frames`: one row per frame of any layer, and per keyframe that no layer has."""
+    every = np.union1d(line.frames, line.keyframes)
     of = {"keyframe": line.keyframes, "annotated": line.frames_of("2d"), "image": line.frames_of("images")}
-    here = {name: np.isin(line.frames, frames) for name, frames in of.items()}
-    return line.table("frames", {"frame": line.frames, "seconds": line.seconds(line.frames), **here})
+    here = {name: np.isin(every, frames) for name, frames in of.items()}
+    return line.table("frames", {"frame": every, "seconds": line.seconds(every), **here})

@@ -24,7 +24,7 @@ from jrdb_avr.queries.graph.parameters import strip_literals
 from jrdb_avr.queries.graph.wrong_answers import QueryPlan
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import QueryError
-from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS, table_ddl
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS, table_ddl
 
 _BUFFER_BYTES: Final = 256 << 20
 """Hard limit of the engine's page cache."""
@@ -144,7 +144,7 @@ def make_world_tables(graph: Graph) -> Graph:
 # -- what statements may reach ----------------------------------------------------------------------------------------
 
 _LABELS: Final = frozenset(name.lower() for name in (*WORLD_NODES, *WORLD_RELS))
-_TABLES: Final = frozenset((*WORLD_NODES, *WORLD_RELS, *SCENE_NODES, *SCENE_RELS, *KEYFRAME_NODES, *KEYFRAME_RELS))
+_TABLES: Final = frozenset((*WORLD_NODES, *WORLD_RELS, *SCENE_NODES, *SCENE_RELS, *LAYER_NODES, *LAYER_RELS))
 _TOKEN: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|[^\s]")
 _COLON: Final = ":"
 _CLOSING: Final = {"(": ")", "[": "]", "{": "}"}

@@ -1,5 +1,4 @@
 // Pairs of people who have conversations, with the total time, longest first. Labels marked as hard do not count.
-// param sequence: text
 MATCH (a:Person)-[r:Interacts]->(b:Person)
 WHERE r.sequence = $sequence AND r.label = 'conversation' AND r.certain AND a.track < b.track
 RETURN a.track AS track, b.track AS partner, round(sum(r.last_s - r.first_s), 1) AS seconds, count(*) AS talks,

@@ -1,8 +1,5 @@
-// The description chosen for each person at each keyframe. The generators' queries refer to it by the column `name`.
-// param sequence: text
-MATCH (p:Description)<-[:Of]-(n:Name)-[d:Describes]->(m:Moment)
-WHERE p.id >= $low AND p.id < $high
-  AND n.id >= $low AND n.id < $high
-  AND m.id >= $low AND m.id < $high
-RETURN n.id - $low AS name, m.frame AS frame, m.track AS track, d.anchor AS anchor, p.conditions AS conditions
+// Return the descriptions of people at keyframes. The rows of generators name a description by its `name`.
+MATCH (n:Name)-[:Describes]->(m:Moment)
+WHERE n.sequence = $sequence
+RETURN n.id AS name, m.frame AS frame, m.track AS track, n.conditions AS conditions
 ORDER BY name

@@ -1,7 +1,6 @@
 // People who join or leave a group, in order of time.
 // Coming into view counts as joining, and going out of view counts as leaving.
 // A short gap between two labels of the same group does not count as a change.
-// param sequence: text
 MATCH (s:Sequence)
 WHERE s.sequence = $sequence
 WITH coalesce(s.action_step, 1) AS step

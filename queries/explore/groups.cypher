@@ -1,5 +1,4 @@
 // The groups at one frame, each with its certain members.
-// param sequence: text
 // param frame: integer
 MATCH (p:Person)-[m:MemberOf]->(g:SocialGroup)
 WHERE m.sequence = $sequence AND m.first <= $frame AND m.last >= $frame AND m.certain

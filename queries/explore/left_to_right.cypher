@@ -1,5 +1,4 @@
 // For each person at a keyframe: the first to the right in the robot's view, and the first to the right of that person.
-// param sequence: text
 // param frame: integer
 MATCH (a:Person)-[r:Beside]->(b:Person)
 WHERE r.sequence = $sequence AND r.label = 'first to the right of (robot view)' AND r.first <= $frame

@@ -1,5 +1,4 @@
 // People who look at the robot, with the total time, longest first. Labels marked as hard do not count.
-// param sequence: text
 MATCH (p:Person)-[r:Performs]->(a:Action)
 WHERE r.sequence = $sequence AND a.name = 'looking at robot' AND r.certain
 RETURN p.track AS track, count(*) AS times, min(r.first) AS first, max(r.last) AS last,

@@ -1,5 +1,4 @@
 // People near one person at a frame: their place as seen from that person, or first to a side in the robot's view.
-// param sequence: text
 // param track: integer
 // param frame: integer
 MATCH (a:Person)-[r:Beside]->(b:Person)

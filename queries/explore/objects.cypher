@@ -1,5 +1,4 @@
 // Number of things of each category, how many are certainly handled, and how many have only labels marked as hard.
-// param sequence: text
 MATCH (o:Object)
 WHERE o.sequence = $sequence
 OPTIONAL MATCH (:Person)-[r:Handles]->(o)

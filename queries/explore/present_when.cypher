@@ -1,5 +1,4 @@
 // Intervals with a box of one person (certain if in clear view), and without a box (certain if none within a second).
-// param sequence: text
 // param track: integer
 MATCH (p:Person)-[r:Present|:Absent]->(:Sequence)
 WHERE r.sequence = $sequence AND p.track = $track

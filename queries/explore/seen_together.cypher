@@ -1,5 +1,4 @@
 // Pairs of people, with the number of keyframes that show both in clear view, largest number first.
-// param sequence: text
 // param count: integer = 20
 MATCH (f:Frame)<-[one:SeenIn]-(a:Person)
 WHERE f.sequence = $sequence AND f.keyframe AND one.sequence = $sequence AND one.clear

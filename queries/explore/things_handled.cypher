@@ -1,5 +1,4 @@
 // Things that each person handles, with the verb and the total time. Labels marked as hard do not count.
-// param sequence: text
 MATCH (p:Person)-[r:Handles]->(o:Object)
 WHERE r.sequence = $sequence AND r.certain
 RETURN p.track AS track, r.verb AS verb, o.category AS category, o.track AS thing, min(r.first) AS first,

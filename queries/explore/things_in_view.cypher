@@ -1,5 +1,4 @@
 // Things with their boxes at one frame of the panoptic layer (one frame per second), clockwise from behind the robot.
-// param sequence: text
 // param frame: integer
 MATCH (o:Object)-[seen:SeenIn]->(:Frame)
 WHERE seen.sequence = $sequence AND seen.frame = $frame

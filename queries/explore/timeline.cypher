@@ -1,5 +1,4 @@
 // All labels of one person in order of time: actions, groups, partners of interactions, and handled things.
-// param sequence: text
 // param track: integer
 MATCH (p:Person)-[r:Performs|:MemberOf|:Interacts|:Handles]->(o:Action:SocialGroup:Person:Object)
 WHERE r.sequence = $sequence AND p.track = $track

@@ -1,5 +1,4 @@
 // All people at one frame, clockwise from behind the robot: gender, pose, direction, distance and size of the group.
-// param sequence: text
 // param frame: integer
 MATCH (p:Person)-[seen:SeenIn]->(:Frame)
 WHERE seen.sequence = $sequence AND seen.frame = $frame

@@ -1,17 +1,7 @@
-// presence: somebody is present (seen = 1) or absent (0) at t1 and at t2.
-// Nothing unknown is read. A candidate is such a pair with each description of the person that lies far enough before
-// it (`described`). There are a hundred times as many of those: they are counted and judged without being listed here.
-// ahead: whether the boxes to look at lie straight ahead, null where the person is absent at both, as the box at t0
-// then decides.
-// param sequence: text
-MATCH (m1:Moment)<-[e1:At]-(p:Person)-[e2:At]->(m2:Moment)
-WHERE m1.id >= $low AND m1.id < $high
-  AND m2.id >= $low AND m2.id < $high
-  AND m1.seen IS NOT NULL AND m2.seen IS NOT NULL AND m2.frame >= m1.frame + $wait
-HINT (((m1 JOIN e1) JOIN p) JOIN e2) JOIN m2
-RETURN m1.track AS a, m1.frame AS t1, m2.frame AS t2,
-       list_extract(['both times', 'only at the first time', 'only at the second time', 'neither time'],
-                    4 - 2 * m1.seen - m2.seen) AS answer,
-       m1.image AND m2.image AS image,
-       CASE WHEN m1.seen + m2.seen > 0 THEN (m1.seen = 0 OR m1.ahead) AND (m2.seen = 0 OR m2.ahead) END AS ahead
-ORDER BY a, t1, t2
+// presence: a person is present (1) or absent (0) at two times, and not so when both move by three seconds.
+MATCH (m1:Moment)<-[:At]-(p:Person)-[:At]->(m2:Moment)
+WHERE m1.sequence = $sequence AND m1.seen IS NOT NULL AND m2.seen IS NOT NULL AND m2.frame >= m1.frame + $wait
+  AND m1.image AND m2.image AND (m1.seen + m2.seen = 0 OR m1.seen = 1 AND NOT m1.ahead OR m2.seen = 1 AND NOT m2.ahead)
+  AND (m1.later <> m1.seen AND m2.later IS NOT NULL OR m2.later <> m2.seen AND m1.later IS NOT NULL
+       OR m1.earlier <> m1.seen AND m2.earlier IS NOT NULL OR m2.earlier <> m2.seen AND m1.earlier IS NOT NULL)
+RETURN m1.track AS a, m1.frame AS t1, m2.frame AS t2, m1.seen AS first, m2.seen AS second ORDER BY a, t1, t2

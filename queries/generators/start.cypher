@@ -1,15 +1,5 @@
-// start: somebody described at t0 later starts an action: the first stable segment of it after t0.
-// The action is false from t0 to the segment: it is quiet since t0 at the latest.
-// param sequence: text
-MATCH (n:Name)-[d:Describes]->(m0:Moment)<-[e0:At]-(p:Person)-[e1:Acts]->(s:Segment)
-WHERE n.id >= $low AND n.id < $high
-  AND m0.id >= $low AND m0.id < $high
-  AND s.id >= $low AND s.id < $high
-  AND n.general AND s.start >= m0.frame + $wait AND s.quiet_from <= m0.frame
-HINT (((((n JOIN d) JOIN m0) JOIN e0) JOIN p) JOIN e1) JOIN s
-RETURN n.id - $low AS name, m0.frame AS t0, m0.track AS a, s.id - $low AS segment,
-       d.anchor AS anchor,
-       m0.clear AND s.first_clear AS evidence,
-       m0.image AND s.first_image AS image,
-       s.first_ahead AS ahead
-ORDER BY a, t0, segment
+// start: a described person later starts an action, which the person has not done since.
+MATCH (n:Name)-[:Describes]->(m0:Moment)<-[:At]-(p:Person)-[:Acts]->(s:Segment)
+WHERE n.sequence = $sequence AND n.general AND s.start >= m0.frame + $wait AND s.quiet_from <= m0.frame AND m0.clear
+  AND s.first_clear AND m0.image AND s.first_image AND NOT s.first_ahead
+RETURN n.id AS name, s.id AS segment, m0.frame AS t0, m0.track AS a ORDER BY name, segment

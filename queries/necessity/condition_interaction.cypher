@@ -1,9 +1,10 @@
 // Return the people in a frame who may interact with somebody in it: by a label, or if one of both lists was not read.
 UNWIND $asked AS q WITH q.id AS id, q.at AS at, q.t AS t, q.v AS v
-MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at
-WITH id, t, v, n, s, f
-MATCH (m:Person)-[z:SeenIn]->(f) WHERE m.id <> n.id
-OPTIONAL MATCH (n)-[r:Interacts|MayInteract]->(m) WHERE r.label = v AND r.first <= t AND r.last >= t
-WITH id, n, s, z, count(r) AS labels, sum(CASE WHEN r.certain = true THEN 1 ELSE 0 END) AS sure
-WHERE labels > 0 OR NOT s.interactions_listed OR NOT z.interactions_listed
-RETURN id, n.track AS who, max(sure) > 0 AS certain ORDER BY id, who
+MATCH (:Person)-[z:SeenIn]->(f:Frame) WHERE f.id = at
+WITH id, at, t, v, count(*) AS people, min(z.interactions_listed) AS listed
+MATCH (n:Person)-[:SeenIn]->(f:Frame) WHERE f.id = at
+OPTIONAL MATCH (n)-[r:Interacts|MayInteract]->(:Person)-[:SeenIn]->(g:Frame)
+WHERE g.id = at AND r.label = v AND r.first <= t AND r.last >= t
+WITH id, n, people, listed, count(r) AS labels, coalesce(max(r.certain), false) AS certain
+WHERE labels > 0 OR people > 1 AND NOT listed
+RETURN id, n.track AS who, certain ORDER BY id, who

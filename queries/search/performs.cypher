@@ -1,6 +1,4 @@
 // Return who performs, or may perform, which action at each keyframe of a sequence.
-// param sequence: text
 MATCH (f:Frame), (p:Person)-[r:Performs|MayPerform]->(x:Action)
 WHERE f.sequence = $sequence AND f.keyframe AND r.sequence = $sequence AND r.first <= f.frame AND r.last >= f.frame
-RETURN DISTINCT f.frame AS frame, p.track AS who, coalesce(r.certain, false) AS certain, x.name AS value
-ORDER BY frame, who
+RETURN f.frame AS frame, p.track AS who, coalesce(r.certain, false) AS certain, x.name AS value ORDER BY frame, who

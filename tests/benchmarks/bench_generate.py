@@ -22,8 +22,8 @@ import msgspec
 import pyarrow.parquet as pq
 from bench_load import Clock, Memory, sample
 
-from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
 from jrdb_avr.engine.generate.run import generate
+from jrdb_avr.engine.generate.stored_layer import ensure_layer
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.loaders.load import load
 from jrdb_avr.loaders.root import find_root

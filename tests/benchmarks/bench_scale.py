@@ -60,7 +60,7 @@ def load(root, store, workers):
 
 
 def layer(store, workers):
-    from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
+    from jrdb_avr.engine.generate.stored_layer import ensure_layer
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules
 
@@ -100,8 +100,8 @@ def measure(folder, count, workers):
 def found_in(folder, workers):
     """The names of a small store's sequences, and a folder with what their searches found."""
     from jrdb_avr.engine.generate.found import search_into
-    from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
     from jrdb_avr.engine.generate.sequence import SequenceJob
+    from jrdb_avr.engine.generate.stored_layer import ensure_layer
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules
 

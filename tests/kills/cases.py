@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
-from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS
 
 COMMAND = (sys.executable, "-c", "from jrdb_avr.engine.cli import main; main()")
 STORE = ("--store", "store")
@@ -56,7 +56,7 @@ def all_cases(base):
         Case("load", "empty", ("load", tiny, *STORE)),
         Case("load again", "answered", ("load", tiny, *STORE)),
         Case("rebuild", "answered", ("load", "--rebuild", *STORE)),
-        Case("generate", "loaded", ("generate", *STORE, "--candidates", "candidates.parquet")),
+        Case("generate", "loaded", ("generate", *STORE)),
         Case("generate again", "answered", ("generate", *STORE, "--seed", "1", "--rule", "max_per_person=1")),
         Case("evaluate", "generated", REACT, resumed=True),
         Case("evaluate agent", "generated", AGENT, resumed=True),
@@ -285,10 +285,10 @@ def graph_content(path):
     digest = sha256()
     with Graph.open(path, read_only=True) as graph:
         there = graph.tables()
-        for name in sorted(there & (SCENE_NODES | KEYFRAME_NODES | WORLD_NODES).keys()):
+        for name in sorted(there & (SCENE_NODES | LAYER_NODES | WORLD_NODES).keys()):
             add(digest, name, graph.query(f"MATCH (n:`{name}`) RETURN n.*", ordered=False))
-        rels = SCENE_RELS | KEYFRAME_RELS | WORLD_RELS
-        keys = {name: columns.split()[0] for name, columns in (SCENE_NODES | KEYFRAME_NODES | WORLD_NODES).items()}
+        rels = SCENE_RELS | LAYER_RELS | WORLD_RELS
+        keys = {name: columns.split()[0] for name, columns in (SCENE_NODES | LAYER_NODES | WORLD_NODES).items()}
         for name in sorted(there & rels.keys()):
             starts, target, columns = rels[name]
             for start in starts.split(":"):

@@ -1,12 +1,12 @@
-"""The default sample holds something of everything: proven candidates of every template, in numbers."""
+"""The default sample holds something of everything: questions of every template that can be proven, in numbers."""
 
 from collections import Counter
 
-import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
 from jrdb_avr.engine.cli import group
+from jrdb_avr.queries.store import Store
 
 NAMES = {
     *("start", "span", "change", "presence", "distance", "gap", "consequence"),
@@ -22,10 +22,10 @@ def run(*arguments):
 
 @pytest.mark.slow
 def test_the_default_sample_yields_candidates_of_every_template(tmp_path):
-    root, store, found = tmp_path / "root", tmp_path / "store", tmp_path / "candidates.parquet"
+    root, store = tmp_path / "root", tmp_path / "store"
     run("sample", root, "--no-images")
     run("load", root, "--store", store)
-    run("generate", "--store", store, "--candidates", found)
-    count = Counter(pq.read_table(found, columns=["template"])["template"].to_pylist())
+    run("generate", "--store", store, "--profile", "train")
+    count = Counter(Store(store).questions("questions")["template"].to_pylist())
     assert {name: count[name] for name in sorted(NAMES) if count[name] < LEAST} == {}
     assert set(count) == NAMES

@@ -10,7 +10,7 @@ from processes import run
 from random_worlds import sociable_world
 from worlds import load_world
 
-from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
+from jrdb_avr.engine.generate.stored_layer import ensure_layer
 from jrdb_avr.loaders.verify import VERIFY_STEPS, checks_of
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import Graph

@@ -11,7 +11,6 @@ from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS, scene_ddl
 from jrdb_avr.schema.tables import (
     ABOUT,
     ANNOTATIONS,
-    CANDIDATES,
     COLUMNS,
     INTERVALS,
     PRIVATE,
@@ -21,7 +20,7 @@ from jrdb_avr.schema.tables import (
     views,
 )
 
-ALL = {**ANNOTATIONS, **{f"i_{k}": v for k, v in INTERVALS.items()}, **QUESTIONS, **RUNS, "candidates": CANDIDATES}
+ALL = {**ANNOTATIONS, **{f"i_{k}": v for k, v in INTERVALS.items()}, **QUESTIONS, **RUNS}
 
 # Word for word from the column contracts of the specification.
 CONTRACTS = {
@@ -35,7 +34,6 @@ CONTRACTS = {
     "steps": "run_id question_id step kind request response seconds",
     "world": "run_id question_id number step tool arguments accepted reason fact",
     "scores": "run_id question_id answer_score evidence_score combined_score invalid",
-    "candidates": "sequence family template target_track plan answer",
 }
 
 

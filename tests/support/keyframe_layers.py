@@ -1,117 +1,113 @@
-"""The keyframe layer of one sequence without a stored graph: in memory, made by the functions that fill the stored one.
+"""Generation over graphs in memory, for small stores without a stored graph.
 
-with searched(store, sequence, rules) as context: ...          # a SearchContext, whose statements run
-result = search(store, sequence, rules, candidates=None)       # what a worker of generation returns
-with layers_in_memory(): generate(store, rules, workers=1)      # of a store without a graph: faster where it is small
+with searched(store, sequence, rules) as search: ...            # a Search, whose statements run
+for one in proposals(search, template): make_prover(search).prove(one)
+result = search_one(store, sequence, rules)                     # what a worker of generation returns
+with layers_in_memory(): generate(store, rules, workers=1)
 """
 
 import contextlib
 
-import pyarrow as pa
+import msgspec
 import pytest
 
-from jrdb_avr.engine.generate import run
-from jrdb_avr.engine.generate.context import LayerJob, SearchContext
-from jrdb_avr.engine.generate.keyframe_graph import derived_tables
-from jrdb_avr.engine.generate.keyframes import keyframe_tables
-from jrdb_avr.engine.generate.scene import load_scene
-from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
+from jrdb_avr.engine.generate import confirm, run
+from jrdb_avr.engine.generate.cypher_facts import CypherFacts
+from jrdb_avr.engine.generate.layer import read_layer
+from jrdb_avr.engine.generate.perturb import make_program, prove, read_answer
+from jrdb_avr.engine.generate.pool import Prover
+from jrdb_avr.engine.generate.propose import Search, make_proposal, propose, propose_presence
+from jrdb_avr.engine.generate.run import SearchJob, search_sequence
+from jrdb_avr.engine.generate.stored_layer import layer_jobs
+from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.keyframes import SPAN
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.graph import KEYFRAME_NODES, KEYFRAME_RELS, SCENE_NODES, table_ddl
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, table_ddl
 from jrdb_avr.schema.panorama import CROP, Box, crop_left, to_crop
-
-WORLDS = 40
-"""Scenes in one graph: to make a graph takes as long as to fill it, and so does to copy into a large one."""
+from jrdb_avr.schema.templates import TEMPLATES
 
 
-class _SharedGraph:
-    """A graph in memory for several scenes, each in a range of ids of its own, as in a store."""
-
-    def __init__(self):
-        self.graph = Graph.memory(prepares=True)
-        self.scenes = 0
-        self.persons = set()
-        for statement in table_ddl({"Person": SCENE_NODES["Person"]} | KEYFRAME_NODES, KEYFRAME_RELS):
-            self.graph.execute(statement)
-
-    def add(self, scene, rules):
-        """The scene prepared for search, its rows in the graph."""
-        context = SearchContext(scene, rules, self.scenes * SPAN, self.graph)
-        self.scenes += 1
-        tracks = {f"{scene.sequence}/{track}": track for track in scene.tracks.tolist()}
-        new = sorted(tracks.keys() - self.persons)
-        self.persons |= tracks.keys()
-        columns = [column.split() for column in SCENE_NODES["Person"].split(", ")]
-        types = {"STRING": pa.string(), "INT64": pa.int64()}
-        known = {"id": new, "track": [tracks[person] for person in new]}
-        rows = [pa.array(known.get(name, [None] * len(new)), types[kind]) for name, kind, *_ in columns]
-        self._copy("Person", pa.table(rows, [name for name, *_ in columns]))
-        for tables in (keyframe_tables, lambda context: derived_tables(context).items()):
-            for name, rows in tables(context):
-                self._copy(name, rows)
-        return context
-
-    def _copy(self, name, rows):
-        if len(rows):
-            self.graph.copy(name, rows)
+def memory_graph(store, sequences):
+    """A graph with the scenes of some sequences and the tables of the keyframe layer."""
+    graph = Graph.memory(prepares=True)
+    build_scene(graph, store, sequences)
+    for statement in table_ddl(LAYER_NODES, LAYER_RELS):
+        graph.execute(statement)
+    return graph
 
 
-_shared = []
+def add_layer(graph, layer):
+    for name, rows in layer.tables():
+        graph.copy(name, rows)
 
 
 @contextlib.contextmanager
 def searched(store, sequence, rules):
-    """A sequence prepared for search, with its layer in memory."""
-    scene = load_scene(store, sequence)
-    # One in which a copy failed is of no use to others.
-    current = _shared.pop() if _shared and _shared[0].scenes < WORLDS else _SharedGraph()
-    context = current.add(scene, rules)
-    _shared[:] = [current]
-    yield context
+    """A sequence ready to be searched."""
+    graph = memory_graph(store, [sequence])
+    layer = read_layer(store, graph, sequence, rules)
+    add_layer(graph, layer)
+    yield Search(graph, sequence, layer, rules)
 
 
-def layer_rows(store):
-    """Every row of a stored layer, by table."""
-    with Graph.open(store.graph_path, read_only=True) as graph:
-        found = {name: graph.query(f"MATCH (n:{name}) RETURN n.*", ordered=False) for name in KEYFRAME_NODES}
-        for name, (source, target, columns) in KEYFRAME_RELS.items():
-            listed = "".join(f", r.{column.split()[0]}" for column in columns)
-            text = f"MATCH (a:{source})-[r:{name}]->(b:{target}) RETURN a.id, b.id{listed}"
-            found[name] = graph.query(text, ordered=False)
-    return {name: sorted(map(repr, rows.to_pylist())) for name, rows in found.items()}
+def make_prover(search, held_out=()):
+    return Prover(search, CypherFacts(search.graph, search.rules.load), held_out)
 
 
-def search(store, sequence, rules, candidates=None):
+def forms_in(store, sequence):
+    """The forms of templates whose layers the sequence has."""
+    (layers,) = store.interval("sequence", sequence)["layers"].to_pylist()
+    return [template for template in TEMPLATES.values() if set(template.layers) <= set(layers)]
+
+
+def proposals(search, template):
+    """Every proposal of a form of a template."""
+    if template.name != "presence":
+        yield from propose(search, template)
+        return
+    for _, _, _, rows in propose_presence(search, template):
+        for row in rows:
+            yield make_proposal(search, template, row)
+
+
+def all_proofs(search, one):
+    """The proofs of a proposal about conditions, hops and times, whether they hold or not."""
+    program = make_program(one.sequence, one.plan, one.template)
+    program = msgspec.structs.replace(program, conditions=one.conditions)
+    answer, cypher = read_answer(one.template.spec.mode, one.answer), CypherFacts(search.graph, search.rules.load)
+    source = Prover(search, cypher)
+    return cypher.complete(lambda: prove(program, answer, search.layer.facts.keyframes, search.rules, source))
+
+
+def search_one(store, sequence, rules):
     """What a worker of generation returns for a sequence."""
-    with layers_in_memory():
-        return search_sequence(SequenceJob(store.path, sequence, 0, rules, candidates))
+    with searched(store, sequence, rules) as search, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "Store", lambda path: store)
+        patch.setattr(run, "open_worker_graph", lambda path: contextlib.nullcontext(search.graph))
+        patch.setattr(SearchJob, "layer", lambda *_: search.layer)
+        return search_sequence(SearchJob(store.path, sequence, 0, rules))
 
 
 @contextlib.contextmanager
 def layers_in_memory():
-    """A context in which generation by one worker makes the layer of each sequence in memory while it is searched."""
+    """A context in which generation by one worker makes the graph of a store in memory."""
+    graphs = []
+
+    def ensure_layer(store, rules, *_):
+        names = sorted(store.manifest().sequences)
+        jobs = layer_jobs(store, rules)
+        graphs[:] = [memory_graph(store, names)]
+        for job in jobs:
+            add_layer(graphs[0], job.layer(graphs[0]))
+        return {job.sequence: job.low for job in jobs}
+
+    def shared(*_):
+        return contextlib.nullcontext(graphs[0])
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(LayerJob, "searching", lambda job: searched(Store(job.store), job.sequence, job.rules))
-        patch.setattr(run, "ensure_layer", lambda store, *_: dict.fromkeys(store.manifest().sequences, 0))
-        patch.setattr(run, "hold_graph", lambda *_: contextlib.nullcontext())
+        patch.setattr(run, "ensure_layer", ensure_layer)
+        for module, name in ((run, "open_worker_graph"), (confirm, "open_worker_graph"), (run, "hold_graph")):
+            patch.setattr(module, name, shared)
         yield
-
-
-def all_steps(context):
-    """Return where relations lead from visible people: frame, source, relation, outcome, target."""
-    text = """
-        MATCH (:Moment)-[s:Step]->(b:Moment) WHERE b.id >= $low AND b.id < $low + 4294967296
-        WITH DISTINCT s.relation AS relation, s.bit AS bit
-        MATCH (a:Moment) WHERE a.id >= $low AND a.id < $low + 4294967296 AND coalesce(a.seen, 1) = 1
-          AND a.track IS NOT NULL
-        OPTIONAL MATCH (a)-[k:Step]->(b:Moment) WHERE k.relation = relation
-        RETURN a.frame AS frame, a.track AS source, relation,
-               CASE WHEN b.track IS NOT NULL THEN 'defined' WHEN b.id IS NOT NULL THEN b.nowhere
-                    WHEN bitwise_and(a.open, bit) > 0 THEN 'unknown' ELSE 'empty' END AS outcome, b.track AS target
-        ORDER BY frame, source, relation"""
-    return context.graph.query(text, {"low": context.low})
 
 
 def visible_share(box: Box, angle_deg: float) -> float:

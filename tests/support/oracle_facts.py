@@ -248,7 +248,7 @@ class Oracle:
                 "annotated": f in self.known_2d,
                 "image": f in self.found.frames.get("images", ()),
             }
-            for f in self._all_frames()
+            for f in sorted({*self._all_frames(), *self.keyframes})
         ]
 
     def _persons(self, demographics):

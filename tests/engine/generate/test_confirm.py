@@ -2,6 +2,7 @@
 
 import random
 
+import msgspec
 import pytest
 from keyframe_layers import layers_in_memory
 from loaded_stores import graphless_store
@@ -42,14 +43,38 @@ def test_a_question_that_is_not_confirmed_makes_way(store, monkeypatch):
     assert fault.startswith(f"{NAME} {wrong}: ") and fault.endswith("rederived unknown")
     assert wrong not in after and after.keys() <= set(checked)
     assert len(checked) == len(set(checked))
-    refused = [row for row in store.questions("rejected").to_pylist() if row["rule"] == "rederive"]
+    refused = [row for row in store.questions("rejected").to_pylist() if row["rule"] == "unconfirmed"]
     assert [(row["kind"], row["candidates"], row["plan"]) for row in refused] == [
         ("count", 1, None),
         ("example", 1, wrong),
     ]
     assert refused[1]["detail"].endswith("rederived unknown")
     counts = {row["template"]: row for row in report.templates}
-    assert sum(row["rederive"] for row in counts.values()) == 1
+    assert sum(row["unconfirmed"] for row in counts.values()) == 1
     for row in counts.values():
-        kept = sum(row[rule] for rule in ("rederive", "choices", "near_duplicate", "max_per_person", "balance"))
+        kept = sum(row[rule] for rule in ("unconfirmed", "choices", "balance"))
         assert row["proven"] == kept + row["questions"]
+
+
+def test_a_question_whose_proofs_the_statements_do_not_give_makes_way(store, monkeypatch):
+    _, before = questions(store)
+    wrong, changed = min(before), []
+
+    def prove(program, answer, *rest, own=confirm.prove):
+        first, *others = own(program, answer, *rest)
+        if (program, answer) == changed[0]:
+            return [msgspec.structs.replace(first, outcome="same", holds=False), *others]
+        return [first, *others]
+
+    made = confirm._program
+    monkeypatch.setattr(confirm, "_program", lambda name, line: note(made(name, line), line["plan"] == wrong, changed))
+    monkeypatch.setattr(confirm, "prove", prove)
+    report, after = questions(store)
+    (fault,) = report.faults
+    assert fault.startswith(f"{NAME} {wrong}: proof anchor without ") and fault.endswith("by sets, same by statements")
+    assert wrong not in after
+
+
+def note(made, wanted, noted):
+    noted += [made] if wanted else []
+    return made

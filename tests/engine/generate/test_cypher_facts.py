@@ -10,8 +10,10 @@ from worlds import load_world
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.perturb import MissingFactsError
+from jrdb_avr.loaders.intervals import neighbors
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.relations import QUESTION_RELATIONS
+from jrdb_avr.schema.errors import AvrWarning
+from jrdb_avr.schema.relations import FIRST_LEFT, QUESTION_RELATIONS, RELATIONS
 from jrdb_avr.schema.rules import CONDITION_KINDS, Rules
 
 RULES = Rules()
@@ -41,7 +43,7 @@ def keys_of(facts, sequence, rng, most=300):
         for who in people:
             for relation in QUESTION_RELATIONS:
                 key = ("follow", sequence, relation, who, frame)
-                keys.setdefault(statement_of(key), []).append(key)
+                keys.setdefault(RELATIONS[relation].kind, []).append(key)
         for who in tracks:
             keys.setdefault("seen", []).append(("seen", sequence, who, frame))
             keys.setdefault("pose", []).append(("pose", sequence, who, frame))
@@ -70,10 +72,25 @@ def check_facts(graph, sequences, rng, with_faces=lambda sequence: True):
 def test_each_fact_by_statement_equals_that_of_the_sets(worlds):
     with Graph.open(worlds.graph_path, read_only=True) as graph:
         compared = check_facts(graph, sorted(worlds.manifest().sequences), random.Random(5))
-    relations = ("social", "group", "first", "person", "window")
+    relations = ("pair", "group", "window")
     assert compared.keys() == {
         *(f"condition_{kind}" for kind in CONDITION_KINDS),
         *(f"relation_{kind}" for kind in relations),
         *("people_at", "seen", "pose"),
     }
     assert min(compared.values()) > 5, compared
+
+
+def test_places_that_load_left_out_are_unknown(tmp_path, monkeypatch):
+    """Too many places are left out as a whole. Then anybody may have each place."""
+    monkeypatch.setattr(neighbors, "MAX_BESIDE", 1)
+    name = "yard-2020-01-01_0"
+    with pytest.warns(AvrWarning):
+        store = load_world(tmp_path, lively_world(random.Random(3), name))
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        compared = check_facts(graph, [name], random.Random(5))
+        facts = Facts(graph, name, RULES.load, with_faces=True)
+    assert compared["relation_first"] and compared["relation_person"]
+    for frame, people in facts.people.items():
+        for who in people:
+            assert facts.follow(FIRST_LEFT, who, frame) == (people.keys() - {who}, set())

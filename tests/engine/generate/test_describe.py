@@ -1,69 +1,53 @@
-"""Descriptions and leads by the facts are those of the set-wise search and of its graph."""
+"""Descriptions and leads are those of the oracle, which reads the label files."""
 
 import random
+from pathlib import Path
 
-import pytest
+import msgspec
+import numpy as np
+from environment import DEEP
 from keyframe_layers import searched
-from random_worlds import lively_world, random_world, sociable_world
-from worlds import load_world
+from loaded_stores import memory_store
+from oracle_candidates import NOWHERE, People
+from random_worlds import in_other_words, lively_world, random_world, sociable_world
 
 from jrdb_avr.engine.generate.describe import describe, find_leads
-from jrdb_avr.engine.generate.facts import Facts
-from jrdb_avr.engine.generate.relations import RELATIONS
-from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.wording.people import in_order
 
 RULES = Rules()
+SEQUENCE = "yard-2020-01-01_0"
+MAKERS = (random_world, lively_world, sociable_world, in_other_words(random_world))
 
 
-@pytest.fixture(scope="module")
-def worlds(tmp_path_factory):
-    rng, layers = random.Random(11), {}
-    for number in range(12):
-        make = (random_world, lively_world, sociable_world)[number % 3]
-        layers |= make(rng, f"yard-2020-01-01_{number}")
-    return load_world(tmp_path_factory.mktemp("describe"), layers)
-
-
-def check_descriptions(context, facts):
-    """Each person has the same descriptions for the same uses; return their number."""
-    scene, old = context.scene, context.descriptions
-    expected = {}
-    for name, moment in enumerate(old.moment.tolist()):
-        key = scene.track(moment), int(scene.frames(moment))
-        expected.setdefault(key, set()).add((old.of(name), bool(old.general[name]), bool(old.poseless[name])))
-    found = {}
-    for frame, people in facts.people.items():
-        for who in people:
-            for one in describe(facts, scene.sequence, who, frame, context.rules):
-                found.setdefault((who, frame), set()).add((one.conditions, one.general, one.poseless))
-    assert found == expected
-    return sum(map(len, found.values()))
-
-
-def check_leads(context, facts):
-    """Each relation leads to the same person; return the number of leads."""
-    scene = context.scene
-    expected = {
-        (int(scene.frames(source)), scene.track(source), RELATIONS[code]): scene.track(target)
-        for (source, code), target in context.leads.items()
-    }
-    found = {
-        (frame, who, relation): target
-        for frame, people in facts.people.items()
-        for who in people
-        for relation, target in find_leads(facts, who, frame).items()
-    }
-    assert found == expected
-    return len(found)
-
-
-def test_descriptions_and_leads_equal_those_of_the_set_wise_search(worlds):
+def compare(folder, seed):
+    """Compare one world; return the numbers of descriptions and of leads."""
+    store = memory_store(folder, MAKERS[seed % len(MAKERS)](random.Random(seed), SEQUENCE))
+    oracle = People(Path(folder) / "root", SEQUENCE)
     described = led = 0
-    with Graph.open(worlds.graph_path, read_only=True) as graph:
-        for sequence in sorted(worlds.manifest().sequences):
-            with searched(worlds, sequence, RULES) as context:
-                facts = Facts(graph, sequence, RULES.load, with_faces="pose" in context.scene.layers)
-                described += check_descriptions(context, facts)
-                led += check_leads(context, facts)
-    assert described > 200 and led > 300
+    with searched(store, SEQUENCE, RULES) as search:
+        facts = search.layer.facts
+        for frame, who in ((frame, who) for frame, people in facts.people.items() for who in people):
+            found = describe(facts, SEQUENCE, who, frame, RULES)
+            for poseless in (False, True):
+                expected = oracle.description(frame, who, poseless)
+                plain = None if expected is None else oracle.plain(expected)
+                own = [one for one in found if (one.poseless if poseless else one.general)]
+                assert [list(msgspec.to_builtins(in_order(one.conditions))) for one in own] == (
+                    [plain] if plain else []
+                )
+                described += len(own)
+            leads = find_leads(facts, who, frame)
+            for label in QUESTION_RELATIONS:
+                if RELATIONS[label].kind != "window":
+                    reached = oracle.step(frame, who, label)
+                    assert leads.get(label) == (None if reached in NOWHERE else reached), (frame, who, label)
+            led += len(leads)
+    return described, led
+
+
+def test_descriptions_and_leads_are_those_of_the_oracle(tmp_path):
+    described, led = np.sum([compare(tmp_path / str(seed), seed) for seed in range(16 if DEEP else 8)], axis=0)
+    assert described > 200
+    assert led > 100

@@ -2,8 +2,7 @@
 
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.candidates import RULES
-from jrdb_avr.engine.generate.diagnostics import REASONS, REFUSALS, fillings, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import REASONS, REFUSALS, RULES, fillings, shortfalls, tallies
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
@@ -32,12 +31,12 @@ def told(counts, questions, lacking=None, sequences=3, **selected):
 
 
 COUNTS = [
-    ("count", "two_hop", "evidence", 60),
-    ("count", "two_hop", "evidence", 40),
+    ("count", "two_hop", "anchor", 60),
+    ("count", "two_hop", "anchor", 40),
     ("count", "two_hop", "hop.stop", 70),
     ("count", "two_hop", "time.shift", 20),
     ("count", "two_hop", "balance", 5),
-    ("example", "two_hop", "anchor", 1),
+    ("example", "two_hop", "hop.skip", 1),
 ]
 
 
@@ -46,24 +45,24 @@ def test_candidates_are_what_was_refused_and_what_was_kept():
     assert row == {
         **{"family": "chain_2hop", "template": "two_hop", "candidates": 200, "proven": 10, "questions": 5},
         **dict.fromkeys(REFUSALS, 0),
-        **{"evidence": 100, "hop.stop": 70, "time.shift": 20, "balance": 5},
+        **{"anchor": 100, "hop.stop": 70, "time.shift": 20, "balance": 5},
     }
 
 
 def test_few_questions_are_explained_by_the_rules_that_refused_most():
     row = told(COUNTS, asked(two_hop=5))["two_hop"]
-    assert row["refused_most"] == "evidence 50 %, hop.stop 35 %"
+    assert row["refused_most"] == "anchor 50 %, hop.stop 35 %"
     assert row["why"] == (
         "5 questions of 200 candidates, 10 proven; "
-        f"evidence refused 50 %: {REASONS['evidence']}; hop.stop refused 35 %: {REASONS['hop.stop']}"
+        f"anchor refused 50 %: {REASONS['anchor']}; hop.stop refused 35 %: {REASONS['hop.stop']}"
     )
     # One question fewer than balance dropped: that is a reason too.
     assert told(COUNTS, asked(two_hop=4))["two_hop"]["why"].endswith(f"balance refused 3 %: {REASONS['balance']}")
 
 
 def test_shares_too_small_for_a_percent_are_not_called_none():
-    counts = [("count", "two_hop", "evidence", 980), ("count", "two_hop", "hop.stop", 4)]
-    assert told(counts, asked(two_hop=16))["two_hop"]["refused_most"] == "evidence 98 %, hop.stop <1 %"
+    counts = [("count", "two_hop", "anchor", 980), ("count", "two_hop", "hop.stop", 4)]
+    assert told(counts, asked(two_hop=16))["two_hop"]["refused_most"] == "anchor 98 %, hop.stop <1 %"
 
 
 def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
@@ -75,7 +74,7 @@ def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
 
 def test_the_answers_that_are_left_explain_what_balance_refused():
     row = told(COUNTS, asked(two_hop=40), aim=50, shortage="only sitting is left")["two_hop"]
-    assert row["why"].startswith("40 questions of 235 candidates, 45 proven; evidence refused 43 %")
+    assert row["why"].startswith("40 questions of 235 candidates, 45 proven; anchor refused 43 %")
     assert row["why"].endswith("; balance refused 2 %: only sitting is left")
 
 
@@ -88,13 +87,13 @@ def test_no_candidate_says_what_the_scenes_do_not_hold():
 def test_a_missing_layer_is_the_reason():
     row = told([], asked(), {("distance", "3d"): 3})["distance"]
     assert row["why"] == "skipped, the layer 3d is missing" and row["skipped"] == "the layer 3d is missing"
-    row = told([("count", "distance", "evidence", 4)], asked(distance=1), {("distance", "3d"): 2})["distance"]
+    row = told([("count", "distance", "anchor", 4)], asked(distance=1), {("distance", "3d"): 2})["distance"]
     assert row["skipped"] == "the layer 3d is missing in 2 of 3 sequences"
     assert row["why"].startswith("skipped, the layer 3d is missing in 2 of 3 sequences; 1 question of 5 candidates")
 
 
 def test_every_rule_and_template_has_its_words():
-    assert tuple(REASONS) == REFUSALS and REFUSALS[: len(RULES)] == RULES
+    assert tuple(REASONS) == REFUSALS and REFUSALS[: len(RULES)] == tuple(RULES)
     assert all(forms[0].seeks for forms in FORMS.values())
 
 

@@ -3,23 +3,23 @@
 import json
 
 import pytest
-from keyframe_layers import search
-from loaded_stores import graphless_store
+from keyframe_layers import search_one
+from loaded_stores import memory_store
 from random_worlds import SEQUENCE, build
 from worlds import person
 
-from jrdb_avr.engine.generate import sequence
+from jrdb_avr.engine.generate import run
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FORMS
 
 
 def kept(tmp_path, world, template):
     """The kept candidates of a template, by stated seconds."""
-    store = graphless_store(tmp_path, world)
+    store = memory_store(tmp_path, world)
     rules = Rules(max_per_person=1000, near_duplicate_s=0.0, near_presence_s=0.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sequence, "FORMS", {template: FORMS[template]})
-        found = search(store, SEQUENCE, rules)
+        patch.setattr(run, "FORMS", {template: FORMS[template]})
+        found = search_one(store, SEQUENCE, rules)
     return {tuple(t // 15 for t in row["times"]): row for row in found.pool.to_pylist()}
 
 

@@ -6,13 +6,14 @@ import random
 from collections import Counter
 
 import msgspec
-import pyarrow.parquet as pq
-from keyframe_layers import search
-from loaded_stores import graphless_store
+import pytest
+from keyframe_layers import make_prover, search_one, searched
+from loaded_stores import memory_store
 from worlds import member, person, person_3d
 
-from jrdb_avr.engine.generate.candidates import RULES as RULES_OF_CANDIDATES
-from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, find_faults
+from jrdb_avr.engine.generate import run
+from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
+from jrdb_avr.engine.generate.propose import propose
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.plan import parse_plan
@@ -70,21 +71,22 @@ def busy_world(rng):
     return {NAME: layers}
 
 
-def test_forms_are_judged_together(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
-    store = graphless_store(tmp_path, busy_world(random.Random(9)))
-    file = tmp_path / "candidates.parquet"
+@pytest.fixture
+def only_gaps(monkeypatch):
+    monkeypatch.setattr(run, "FORMS", {"gap": tuple(FORMS)})
+
+
+def counts_of(found):
+    return Counter({row["rule"]: row["candidates"] for row in found.refused if row["kind"] == "count"})
+
+
+def test_forms_are_judged_together(tmp_path, only_gaps):
+    store = memory_store(tmp_path, busy_world(random.Random(9)))
     rules = msgspec.structs.replace(RULES, max_per_person=2)
-    found = search(store, NAME, rules, file)
-    assert found.lacking == {} and not find_faults(ConfirmJob(store.path, NAME, rules, found.pool.select(CONFIRMED)))
-    counts = {what: count for (template, what), count in found.counts.items() if template == "gap"}
-    assert len(counts) == len(found.counts)
-    assert counts["candidates"] == counts["proven"] + sum(counts.get(rule, 0) for rule in RULES_OF_CANDIDATES)
+    found = search_one(store, NAME, rules)
+    assert found.lacking == {} and counts_of(found).keys() <= {*REASONS, "choices"}
     kept = found.pool.to_pylist()
-    assert counts["proven"] == len(kept) + counts["near_duplicate"] + counts["max_per_person"]
-    written = pq.read_table(file).to_pylist()
-    assert len(written) == counts["proven"] and {row["template"] for row in written} == {"gap"}
-    assert {parse_plan(row["plan"]).times["t1"].event for row in written} == {"start", "leaves", None}
+    assert {parse_plan(row["plan"]).times["t1"].event for row in kept} == {"start", "leaves", None}
     # The caps of a person over all answers are for the selection across sequences.
     alike = [(row["target_track"], row["answer"]) for row in kept]
     assert max(Counter(alike).values()) == 2
@@ -99,18 +101,26 @@ def test_forms_are_judged_together(tmp_path, monkeypatch):
         assert render("gap", parse_plan(row["plan"]), row["key"], True)
 
 
-def test_without_actions_absences_and_counts_are_asked_about(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
+def test_people_who_are_met_between_keyframes_are_counted(tmp_path):
+    """Labels at every frame: a person who is met for a moment only may make the number another one, or unknown."""
+    store = memory_store(tmp_path, busy_world(random.Random(10)))
+    with searched(store, NAME, RULES) as search:
+        prover = make_prover(search)
+        (form,) = (form for form in FORMS if form.counts)
+        proven = [prover.prove(one) is not None for one in propose(search, form)]
+    assert "count" in {refused.rule for refused in prover.refused} and any(proven)
+
+
+def test_without_actions_absences_and_counts_are_asked_about(tmp_path, only_gaps):
     world = busy_world(random.Random(9))
     for rows in world[NAME]["2d"].values():
         for row in rows:
             del row["action_label"]
-    found = search(graphless_store(tmp_path, world), NAME, RULES)
-    assert found.lacking == {} and found.counts["gap", "candidates"] > 0
+    found = search_one(memory_store(tmp_path, world), NAME, RULES)
+    assert found.lacking == {} and len(found.pool) + counts_of(found).total() > 0
 
 
-def test_without_boxes_there_is_nothing_to_ask(tmp_path, monkeypatch):
-    monkeypatch.setattr("jrdb_avr.engine.generate.sequence.FORMS", {"gap": tuple(FORMS)})
-    store = graphless_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
-    found = search(store, NAME, RULES)
-    assert found.lacking == {"gap": ("2d",)} and found.counts == {} and len(found.pool) == 0
+def test_without_boxes_there_is_nothing_to_ask(tmp_path, only_gaps):
+    store = memory_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
+    found = search_one(store, NAME, RULES)
+    assert found.lacking == {"gap": ("2d",)} and found.refused == [] and len(found.pool) == 0

@@ -6,26 +6,23 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import pytest
 from environment import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from keyframe_layers import searched
+from keyframe_layers import forms_in, make_prover, proposals, searched
 from loaded_stores import memory_store
 from oracle_candidates import proven
 from random_worlds import form, in_other_words, lively_world, random_world, sociable_world
 from worlds import person, person_3d
 
-from jrdb_avr.engine.generate.candidates import PASSED, to_table
-from jrdb_avr.engine.generate.search import find_candidates
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, write
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.rules import LoadRules, Rules
-from jrdb_avr.schema.templates import TEMPLATES
 
 SIMPLE = {"start", "span", "change", "presence", "distance"}
 CHAINED = {"consequence", "two_hop", "three_hop", "later_pose", "action_search", "fork_join", "gap"}
@@ -36,16 +33,15 @@ MAKERS += [in_other_words(make) for make in MAKERS]
 
 def candidates(store, sequence):
     """What the engine finds and proves."""
-    result = []
-    with searched(store, sequence, Rules()) as context:
-        for template in TEMPLATES.values():
-            if set(template.layers) <= context.scene.layers:
-                found = find_candidates(context, template)
-                rows = np.flatnonzero(found.rule == PASSED)
-                table = to_table(context, found, rows, keyed=False)
-                result += table.select(["template", "target_track", "plan", "answer"]).to_pylist()
-    assert len({row["plan"] for row in result}) == len(result)
-    return {tuple(row.values()) for row in result}
+    found = []
+    with searched(store, sequence, Rules()) as search:
+        prover = make_prover(search)
+        for template in forms_in(store, sequence):
+            for one in proposals(search, template):
+                if prover.prove(one) is not None:
+                    found.append((template.name, one.target, canonical(one.plan), one.answer))
+    assert len({plan for _, _, plan, _ in found}) == len(found)
+    return set(found)
 
 
 def rounded(found):

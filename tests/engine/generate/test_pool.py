@@ -1,144 +1,115 @@
-"""The pools of proven proposals are those of the set-wise search, row by row; of presence, a part of what it proves."""
+"""The pool of a template holds what single proofs allow: in the order of keys, without near-duplicates, up to a cap."""
 
 import random
 from collections import Counter
 
-import numpy as np
-import pyarrow as pa
+import msgspec
 import pytest
-from keyframe_layers import layers_in_memory, searched
+from environment import DEEP
+from keyframe_layers import forms_in, make_prover, proposals, searched
+from loaded_stores import memory_store
 from random_worlds import lively_world, random_world, sociable_world
-from worlds import load_world
 
-from jrdb_avr.engine.generate.candidates import PASSED, frame_lists, to_table
-from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.facts import Facts
-from jrdb_avr.engine.generate.held_out import Extent, refuse_held_out
-from jrdb_avr.engine.generate.layer import LAYER_NODES, LAYER_RELS, make_layer
-from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
-from jrdb_avr.engine.generate.pool import Prover, fill_pool
-from jrdb_avr.engine.generate.propose import Search
-from jrdb_avr.engine.generate.question import rows_of
-from jrdb_avr.engine.generate.search import find_candidates
-from jrdb_avr.engine.generate.selection import POOL
-from jrdb_avr.engine.generate.sequence import SequenceJob, search_sequence
-from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.graph import SCENE_NODES, table_ddl
-from jrdb_avr.schema.plan import canonical
+from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
+from jrdb_avr.engine.generate.held_out import Extent
+from jrdb_avr.engine.generate.near_duplicates import near_frames
+from jrdb_avr.engine.generate.pool import _is_near, fill_pool
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FORMS
 
-RULES = Rules()
+RULES = Rules(max_per_person=2)
+SEQUENCE = "yard-2020-01-01_0"
 
 
-@pytest.fixture(scope="module")
-def worlds(tmp_path_factory):
-    rng, layers = random.Random(31), {}
-    for number in range(9):
-        make = (random_world, lively_world, sociable_world)[number % 3]
-        layers |= make(rng, f"yard-2020-01-01_{number}")
-    return load_world(tmp_path_factory.mktemp("pool"), layers)
+@pytest.fixture(scope="module", params=range(9 if DEEP else 3))
+def search(request, tmp_path_factory):
+    make = (sociable_world, lively_world, random_world)[request.param % 3]
+    store = memory_store(tmp_path_factory.mktemp("pool"), make(random.Random(7 + request.param), SEQUENCE))
+    with searched(store, SEQUENCE, RULES) as search:
+        yield search, forms_in(store, SEQUENCE)
 
 
-def layer_graph(layer, sequence):
-    """A graph in memory with the layer of a sequence."""
-    graph = Graph.memory()
-    for statement in table_ddl({"Person": SCENE_NODES["Person"]} | LAYER_NODES, LAYER_RELS):
-        graph.execute(statement)
-    people = {row["from"] for name in ("At", "Acts", "Leaves") for row in layer.rows[name]}
-    for person in sorted(people):
-        graph.execute("CREATE (:Person {id: $id})", {"id": person})
-    for name, rows in layer.tables():
-        graph.copy(name, rows)
-    return graph
+def pools(search, allowed, held_out=()):
+    """{template: (prover, pool)}."""
+    for name, forms in FORMS.items():
+        if some := [form for form in forms if form in allowed]:
+            prover = make_prover(search, held_out)
+            yield name, some, prover, fill_pool(search, some, prover)
 
 
-def search_of(scene_graph, store, sequence, with_faces):
-    facts = Facts(scene_graph, sequence, RULES.load, with_faces=with_faces)
-    tables = {name: store.interval(name, sequence) for name in ("sequence", "frames", "sightings", "segments")}
-    tables["actions"] = store.facts("actions", sequence)
-    layer = make_layer(facts, sequence, tables, RULES)
-    return Search(layer_graph(layer, sequence), sequence, layer, RULES)
-
-
-def old_pool(context, forms, held_out=()):
-    """(plan, answer, target) of what the set-wise search proves, and of what of it stays."""
-    tables, reads = [], []
-    for form in forms:
-        candidates = refuse_held_out(context, find_candidates(context, form), held_out)
-        rows = np.flatnonzero(candidates.rule == PASSED)
-        tables.append(to_table(context, candidates, rows))
-        reads.append(frame_lists(candidates, form.read, rows))
-    proven, kept = set(), set()
-    whole = pa.concat_tables(tables)
-    read = pa.concat_arrays(
-        [array.combine_chunks() if isinstance(array, pa.ChunkedArray) else array for array in reads]
+def are_near(name, one, other):
+    near = near_frames(name, RULES)
+    return (one.target, one.answer) == (other.target, other.answer) and all(
+        abs(a - b) <= near for a, b in zip(one.read, other.read, strict=True)
     )
-    verdicts = thin_out(whole.append_column("read_frames", read).combine_chunks(), RULES)
-    for line, verdict in zip(whole.to_pylist(), verdicts, strict=True):
-        row = line["plan"], line["answer"], line["target_track"]
-        proven.add(row)
-        if verdict == KEPT:
-            kept.add(row)
-    return proven, kept
 
 
-def check_pools(store, sequence, graph, only=None):
-    """The pool of each template is the same; return the number of questions by template."""
-    compared = Counter()
-    with layers_in_memory():
-        result = search_sequence(SequenceJob(store.path, sequence, 0, RULES))
-    with searched(store, sequence, RULES) as context:
-        search = search_of(graph, store, sequence, "pose" in context.scene.layers)
-        prover = Prover(search, CypherFacts(graph, RULES.load))
-        for name, forms in FORMS.items():
-            allowed = [form for form in forms if context.scene.layers.issuperset(form.layers)]
-            if not allowed or (only and name not in only):
-                continue
-            proven, kept = old_pool(context, allowed)
-            pool = fill_pool(search, allowed, prover)
-            found = {(canonical(one.plan), one.answer, one.target) for one, _ in pool}
-            if name == "presence":
-                assert found <= proven
-                assert bool(found) == bool(kept)
-            else:
-                assert found == kept, (sequence, name, len(found - kept), len(kept - found))
-                rows = {row["key"]: row for row in result.pool.to_pylist() if row["template"] == name}
-                made = pa.Table.from_pylist(list(rows_of(search, pool)), schema=POOL).to_pylist()
-                assert {row["key"]: row for row in made} == rows
-            compared[name] += len(found)
-    return compared
+def choose_slowly(name, proven):
+    """The proven proposals that stay, one after the other by their keys."""
+    kept, counts = [], Counter()
+    for one in sorted(proven, key=lambda one: one.key):
+        group = one.target, one.answer
+        if counts[group] < RULES.max_per_person and not any(are_near(name, one, other) for other in kept):
+            kept.append(one)
+            counts[group] += 1
+    return {one.key for one in kept}
 
 
-def test_pools_of_random_worlds_are_those_of_the_set_wise_search(worlds):
-    compared = Counter()
-    with Graph.open(worlds.graph_path, read_only=True) as graph:
-        for sequence in sorted(worlds.manifest().sequences):
-            compared += check_pools(worlds, sequence, graph)
-    assert compared.total() > 50
+def test_the_pool_is_the_greedy_choice_among_the_proven(search):
+    search, allowed = search
+    total = 0
+    for name, forms, prover, pool in pools(search, allowed):
+        every = [one for form in forms for one in proposals(search, form)]
+        proven = [one for one in every if make_prover(search).prove(one) is not None]
+        keys = {one.key for one, _ in pool}
+        assert keys <= {one.key for one in proven}
+        if name == "presence":
+            # One description of many is enough, so other ones may stay.
+            places = [(one.target, one.read) for one, _ in pool]
+            assert len(set(places)) == len(places) and bool(pool) == bool(proven)
+            assert not any(are_near(name, one, other) for one, _ in pool for other, _ in pool if one is not other)
+        else:
+            assert keys == choose_slowly(name, proven)
+            tried = Counter(refused.rule for refused in prover.refused)
+            assert len(every) == len(pool) + tried.total() + prover.untried.total()
+            assert tried.keys() | prover.untried.keys() <= REASONS.keys()
+        total += len(pool)
+    assert total
 
 
-def test_pools_of_the_sample_are_those_of_the_set_wise_search(sample_benchmark):
-    compared = Counter()
-    with Graph.open(sample_benchmark.graph_path, read_only=True) as graph:
-        for sequence in sorted(sample_benchmark.manifest().sequences):
-            compared += check_pools(sample_benchmark, sequence, graph)
-    assert compared.keys() == FORMS.keys()
+def needed_of(one):
+    """Tracks and frames of a proposal: those of its plan, its answer and its boxes."""
+    names = (*one.template.stated, *one.template.read, *one.template.decisive)
+    frames = {one.frames[name] for name in names} | {frame for _, frame in one.counted}
+    return {*one.people.values(), *(who for who, _ in one.counted)}, min(frames), max(frames)
 
 
-def test_no_question_touches_a_held_out_one(sample_benchmark):
-    store = sample_benchmark
-    sequence = min(store.manifest().sequences)
-    with Graph.open(store.graph_path, read_only=True) as graph, searched(store, sequence, RULES) as context:
-        search = search_of(graph, store, sequence, "pose" in context.scene.layers)
-        tracks = context.scene.tracks.tolist()
-        held_out = (Extent(tuple(tracks[::3]), 100, 250), Extent(tuple(tracks[1::3]), 300, 330))
-        prover, changed = Prover(search, CypherFacts(graph, RULES.load), held_out), 0
-        for name, forms in FORMS.items():
-            if name == "presence":
-                continue
-            _, kept = old_pool(context, forms, held_out)
-            found = {(canonical(one.plan), one.answer, one.target) for one, _ in fill_pool(search, forms, prover)}
-            assert found == kept
-            changed += kept != old_pool(context, forms)[1]
-        assert changed > 3
+def test_no_question_touches_a_held_out_one(search):
+    search, allowed = search
+    tracks = sorted({who for people in search.layer.facts.people.values() for who in people})
+    held_out = (Extent(tuple(tracks[::3]), 60, 90), Extent(tuple(tracks[1::3]), 120, 135))
+    for name, _, prover, pool in pools(search, allowed, held_out):
+        for one, _ in pool:
+            people, first, last = needed_of(one)
+            assert not any(people & set(e.tracks) and first <= e.last and last >= e.first for e in held_out), name
+        for one, rule, _ in prover.refused:
+            people, first, last = needed_of(one)
+            touches = any(people & set(e.tracks) and first <= e.last and last >= e.first for e in held_out)
+            assert touches == (rule == "held_out")
+
+
+def test_both_shifts_in_time_may_be_required(search):
+    """Then a question whose answer stays the same at one of the two shifted times is refused."""
+    search, allowed = search
+    strict = msgspec.structs.replace(search.rules, time_shift="both")
+    for _, forms, _, pool in pools(search, [form for form in allowed if form.time_proof != "construction"]):
+        prover = make_prover(search.__class__(search.graph, search.sequence, search.layer, strict))
+        for one, proofs in pool:
+            same = any(proof.kind == "time.shift" and proof.outcome == "same" for proof in proofs)
+            assert (prover.prove(one) is None) == same, forms
+
+
+def test_of_presence_five_seconds_at_both_times_are_near():
+    near = near_frames("presence", Rules())
+    assert _is_near((75, 25), (0, 100), near) and not _is_near((0, 176), (0, 100), near)
+    assert near_frames("change", Rules()) < near

@@ -1,96 +1,13 @@
-"""What a perturbed program proves, and which proofs a question needs, by small cases."""
+"""Which proofs a question needs, by small cases."""
 
-import numpy as np
 import pytest
-from loaded_stores import memory_store
-from random_worlds import SEQUENCE, build
 
-from jrdb_avr.engine.generate.candidates import PASSED, RULES, Effect, PerturbationResult, first_refusing, proven_rules
-from jrdb_avr.engine.generate.conditions import find_conditions
 from jrdb_avr.engine.generate.proofs import expected, failing
-from jrdb_avr.engine.generate.relations import find_facts
-from jrdb_avr.engine.generate.scene import NO_MATCH, NOBODY, SEVERAL, UNDECIDED, load_scene
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES, Slots
-
-
-def result(kind, variant, *outcomes, any_of=False):
-    codes = np.array(outcomes, np.int8)
-    return PerturbationResult(kind, variant, codes, np.full(len(codes), NOBODY, np.int8), any_of)
-
-
-def test_only_another_answer_several_people_or_nobody_prove():
-    proves = result("hop.stop", "0", *Effect).proves()
-    assert dict(zip(Effect, proves.tolist(), strict=True)) == {
-        Effect.SAME: False,
-        Effect.DIFFERENT: True,
-        Effect.AMBIGUOUS: True,
-        Effect.EMPTY: True,
-        Effect.UNKNOWN: False,
-        Effect.OUTSIDE: False,
-    }
-
-
-def test_every_hop_must_prove_and_one_of_two_shifts():
-    same, other = Effect.SAME, Effect.DIFFERENT
-    found = proven_rules(
-        [
-            result("hop.skip", "1", other, same, other),
-            result("hop.skip", "2", other, other, same),
-            result("time.shift", "-3 s", other, same, same, any_of=True),
-            result("time.shift", "+3 s", same, same, other, any_of=True),
-        ],
-        Rules(),
-    )
-    assert {rule: holds.tolist() for rule, holds in found.items()} == {
-        "hop.skip": [True, False, False],
-        "time.shift": [True, False, True],
-    }
-
-
-def test_where_both_shifts_must_change_the_answer_neither_leaves_it_the_same():
-    same, other, unknown, outside = Effect.SAME, Effect.DIFFERENT, Effect.UNKNOWN, Effect.OUTSIDE
-    shifts = [
-        result("time.shift", "-3 s", other, other, other, unknown, any_of=True),
-        result("time.shift", "+3 s", same, other, outside, outside, any_of=True),
-    ]
-    assert proven_rules(shifts, Rules())["time.shift"].tolist() == [True, True, True, False]
-    assert proven_rules(shifts, Rules(time_shift="both"))["time.shift"].tolist() == [False, True, True, False]
-
-
-def test_a_shift_out_of_the_sequence_proves_nothing():
-    outcome, answer = np.array([Effect.EMPTY] * 2, np.int8), np.array([1, 1], np.int8)
-    shifted = PerturbationResult.of_shift(-45, outcome, answer, np.array([False, True]))
-    assert shifted.proves().tolist() == [True, False]
-    assert (shifted.variant, shifted.answer.tolist()) == ("-3 s", [1, NOBODY])
-
-
-def test_time_matters_where_two_times_have_two_answers_or_there_is_no_second_time():
-    dropped = PerturbationResult.of_drop(np.array([1, 2, 2]), np.array([1, 1, 2]))
-    assert dropped.proves().tolist() == [True, False, True]
-
-
-def test_the_first_rule_that_does_not_hold_refuses():
-    holds = {"anchor": [True, True, False], "view.ahead": [True, False, False], "time.drop": [True, False, False]}
-    rule = first_refusing({name: np.array(values) for name, values in holds.items()}, 3)
-    assert rule.tolist() == [PASSED, RULES.index("view.ahead"), RULES.index("anchor")]
-
-
-def test_a_condition_fits_one_person_where_it_is_false_of_everybody_else(tmp_path):
-    store = memory_store(tmp_path, build(["1 | sssst | column 400", "2 | tw?st | column 900"]))
-    scene = load_scene(store, SEQUENCE)
-    conditions = find_conditions(scene, find_facts(scene), Rules())
-    sitting = conditions.vocabulary.index(Condition(action="sitting", at="t0"))
-    keyframes = np.arange(5)
-    found = conditions.matches(keyframes, keyframes[:, None] * len(conditions.vocabulary) + sitting)
-    # Moments of the first person are numbered as the keyframes are.
-    assert found.tolist() == [0, 1, UNDECIDED, SEVERAL, NO_MATCH]
-
-
-# -- which proofs a question needs ------------------------------------------------------------------------------------
 
 
 def needed(form, relations):

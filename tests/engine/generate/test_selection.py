@@ -13,18 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
-from jrdb_avr.engine.generate.near_duplicates import KEPT, thin_out
 from jrdb_avr.engine.generate.selection import PROFILES, select
 from jrdb_avr.schema.plan import Condition, canonical
 from jrdb_avr.schema.rules import Rules, training_rules
-from jrdb_avr.schema.tables import CANDIDATES
+from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES, Slots
 
 RULES = Rules()
 
 SCHEMA = pa.schema(
     [
-        *CANDIDATES,
+        *(QUESTIONS["questions"].field(name) for name in ("sequence", "family", "template")),
+        *(QUESTIONS["answers"].field(name) for name in ("target_track", "plan", "answer")),
         ("key", pa.string()),
         ("form", pa.string()),
         ("event", pa.string()),
@@ -73,70 +73,6 @@ def table(rows):
 
 def names(result):
     return [row["carried"] for row in result.to_pylist()]
-
-
-# -- near-duplicates ----------------------------------------------------------------------------------------------
-
-
-def thinned(rows, rules):
-    """What stays of rows of any templates and sequences, as text by key, and how many rows each rule drops."""
-    kept, dropped = {}, Counter()
-    for place in {(row["sequence"], row["template"]) for row in rows}:
-        some = [row for row in rows if (row["sequence"], row["template"]) == place]
-        for row, verdict in zip(some, thin_out(table(some), rules).tolist(), strict=True):
-            if verdict == KEPT:
-                kept[row["key"]] = row
-            else:
-                dropped[verdict] += 1
-    return [row for _, row in sorted(kept.items())], dropped
-
-
-ROWS = st.lists(
-    st.tuples(
-        st.sampled_from(["a", "b"]),
-        st.sampled_from(["change", "span"]),
-        st.integers(0, 2),
-        st.tuples(st.integers(0, 150), st.integers(0, 150)),
-        st.sampled_from("xy"),
-    ),
-    max_size=60,
-)
-
-
-@given(ROWS, st.integers(1, 12), st.sampled_from([0.0, 1.0, 2.0, 2.5]))
-@settings(deadline=None)
-def test_near_duplicates_are_the_greedy_choice(drawn, cap, seconds):
-    rules = Rules(max_per_person=cap, near_duplicate_s=seconds)
-    rows = []
-    for i, (sequence, template, track, read, answer) in enumerate(drawn):
-        read = read if template == "span" else read[:1]
-        rows.append(candidate(i, template, answer, sequence=sequence, track=track, read=read))
-    kept = []
-    limit = round(seconds * 15)
-    for row in sorted(rows, key=lambda row: row["key"]):
-        same = [k for k in kept if all(k[c] == row[c] for c in ("sequence", "template", "target_track", "answer"))]
-        if any(
-            all(abs(x - y) <= limit for x, y in zip(k["read_frames"], row["read_frames"], strict=True)) for k in same
-        ):
-            continue
-        if len(same) < cap:
-            kept.append(row)
-    result, dropped = thinned(rows, rules)
-    assert result == kept
-    assert len(result) + sum(dropped.values()) == len(rows)
-    random.Random(1).shuffle(rows)
-    assert thinned(rows, rules) == (result, dropped)
-
-
-def test_of_presence_five_seconds_at_both_times_are_near():
-    times = {"first": (0, 100), "near at both": (75, 25), "a frame more at one": (0, 176)}
-    rows = [
-        candidate(i, "presence", "x", track=1, read=read, key=f"{i:064}") | {"carried": name}
-        for i, (name, read) in enumerate(times.items())
-    ]
-    result, dropped = thinned(rows, RULES)
-    assert [row["carried"] for row in result] == ["first", "a frame more at one"]
-    assert dropped == {"near_duplicate": 1}
 
 
 CROWD = st.lists(
@@ -231,7 +167,6 @@ def test_a_start_and_a_span_of_one_segment_are_not_both_chosen():
 
 
 def test_no_rows():
-    assert len(thin_out(table([]), RULES)) == 0
     report = select(table([]), RULES, "all", 0).report
     assert len({row["template"] for row in report}) == len(report) == 12
     assert {(row["candidates"], row["aim"], row["kept"]) for row in report} == {(0, None, 0)}

@@ -5,15 +5,16 @@ import re
 from pathlib import Path
 
 import pytest
+from keyframe_layers import make_prover
 from random_worlds import lively_world, random_world, sociable_world
 from test_cypher_facts import check_facts
-from test_pool import search_of
 from worlds import load_world
 
 import jrdb_avr
 from jrdb_avr.engine.generate import cypher_facts, facts, propose
-from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.pool import Prover, fill_pool
+from jrdb_avr.engine.generate.pool import fill_pool
+from jrdb_avr.engine.generate.propose import Search
+from jrdb_avr.engine.generate.stored_layer import layer_jobs
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.errors import QueryError
@@ -25,7 +26,6 @@ QUERIES = Path(jrdb_avr.__file__).parent / "queries"
 SWAPS = {">=": "<", "<=": ">", "<>": "=", " = ": " <> ", " < ": " > ", " > ": " < "}
 OPERATOR = re.compile("|".join(map(re.escape, SWAPS)))
 FACTS = ("condition_", "relation_", "people_at", "onsets")
-LABELS = ("seen", "frames", "performs", "handles", "interacts", "beside", "member")
 
 
 def mutant_of(text):
@@ -59,31 +59,31 @@ def names(folder, *prefixes):
 @pytest.mark.parametrize(
     "path",
     [*(f"necessity/{name}.cypher" for name in names("necessity", *FACTS[:3]))]
-    + [f"search/{name}.cypher" for name in LABELS],
+    + [f"search/{name}.cypher" for name in names("search", "")],
 )
 def test_a_changed_statement_of_facts_changes_facts(worlds, monkeypatch, path):
     change_statement(monkeypatch, path)
     with Graph.open(worlds.graph_path, read_only=True) as graph, pytest.raises((AssertionError, QueryError)):
         compared = check_facts(graph, sorted(worlds.manifest().sequences), random.Random(5))
-        assert len(compared) == 17
+        assert len(compared) == 15
 
 
 def pools(store, form):
     """The keys of the questions of one form of a template in the sequences of a store."""
     keys = set()
     with Graph.open(store.graph_path, read_only=True) as graph:
-        for sequence in sorted(store.manifest().sequences):
-            search = search_of(graph, store, sequence, True)
-            prover = Prover(search, CypherFacts(graph, RULES.load))
+        for job in layer_jobs(store, RULES):
+            search = Search(graph, job.sequence, job.layer(graph), RULES)
+            prover = make_prover(search)
             keys |= {one.key for one, _ in fill_pool(search, [TEMPLATES[form]], prover)}
     return keys
 
 
-@pytest.mark.parametrize("name", names("proposals", ""))
+@pytest.mark.parametrize("name", names("generators", ""))
 def test_a_changed_generator_changes_questions(sample_benchmark, monkeypatch, name):
     form = "presence" if name == "described" else name
     before = pools(sample_benchmark, form)
-    change_statement(monkeypatch, f"proposals/{name}.cypher")
+    change_statement(monkeypatch, f"generators/{name}.cypher")
     try:
         after = pools(sample_benchmark, form)
     except (QueryError, KeyError, ValueError):

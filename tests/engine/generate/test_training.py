@@ -58,11 +58,9 @@ def held_out(copy):
 
 @pytest.fixture(scope="module")
 def trained(copy, held_out):
-    """(store, generation) of the training questions that are disjoint from `held_out`, by two workers; beside the store
-    lies the file of its candidates."""
+    """(store, generation) of the training questions that are disjoint from `held_out`, by two workers."""
     store = copy()
-    candidates = store.path.parent / "candidates.parquet"
-    return store, generate(store, profile="train", disjoint_from=held_out.path, candidates=candidates, workers=2)
+    return store, generate(store, profile="train", disjoint_from=held_out.path, workers=2)
 
 
 def files(store):
@@ -92,14 +90,11 @@ def test_no_training_question_touches_a_held_out_one(trained, held_out):
     assert len(own) > 2 * FEW and not [one for one in own if touches(one, others)]
 
 
-def test_a_candidate_is_refused_only_where_it_touches(trained, whole, held_out):
-    found = pq.read_table(trained[0].path.parent / "candidates.parquet").to_pylist()
-    stays = {(row["sequence"], row["plan"]) for row in found}
+def test_what_touches_a_held_out_question_is_refused(trained, whole, held_out):
     others = list(extents(held_out))
-    every = list(extents(whole[0]))
-    assert {touches(one, others) for one in every} == {True, False}
-    for one in every:
-        assert ((one[1], one[0]) not in stays) == touches(one, others)
+    refused = [row["plan"] for row in trained[0].questions("rejected").to_pylist() if row["rule"] == "held_out"]
+    assert {touches(one, others) for one in extents(whole[0])} == {True, False}
+    assert set(refused) & {one[0] for one in extents(whole[0])}
     assert (
         sum(row["held_out"] for row in trained[1].templates) > sum(row["held_out"] for row in whole[1].templates) == 0
     )

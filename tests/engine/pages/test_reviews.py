@@ -15,7 +15,7 @@ from loaded_stores import graphless_store
 from processes import run
 from random_worlds import lively_world
 
-from jrdb_avr.engine.generate import found
+from jrdb_avr.engine.generate import run as generation
 from jrdb_avr.engine.pages.reviews import read_reviews, rejected
 from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.statements import read_statement
@@ -111,7 +111,7 @@ def in_memory():
 @pytest.mark.slow
 def test_generate_leaves_out_what_was_rejected(tmp_path, monkeypatch, in_memory):
     # What is found does not depend on the reviews, so it is searched for once.
-    monkeypatch.setattr(found, "search_sequence", cache(found.search_sequence))
+    monkeypatch.setattr(generation, "search_sequence", cache(generation.search_sequence))
     worlds = [lively_world(random.Random(seed), f"yard-2020-01-0{seed}_0") for seed in (5, 8)]
     store = graphless_store(tmp_path, worlds[0] | worlds[1])
     assert run("generate", "--store", store.path, "--workers", 1)[0] == 0

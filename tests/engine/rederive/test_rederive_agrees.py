@@ -1,27 +1,22 @@
 """The second path against the first: the same facts, relations, conditions and people in random worlds."""
 
+import itertools
 import random
 from collections import Counter
 
-import numpy as np
 import pytest
 from environment import DEEP
-from keyframe_layers import all_steps, searched
+from keyframe_layers import all_proofs, forms_in, make_prover, memory_graph, proposals, searched
 from loaded_stores import memory_store
 from random_worlds import SEQUENCE, build, in_other_words, lively_world, random_world, sociable_world
 
-from jrdb_avr.engine.generate.candidates import OUTCOMES, PASSED, VALUES, to_table
-from jrdb_avr.engine.generate.candidates import RULES as RULE_NAMES
-from jrdb_avr.engine.generate.conditions import find_conditions
-from jrdb_avr.engine.generate.proofs import stored_proofs
-from jrdb_avr.engine.generate.records import bindings, needed_boxes
-from jrdb_avr.engine.generate.relations import find_facts
-from jrdb_avr.engine.generate.scene import NOBODY, load_scene
-from jrdb_avr.engine.generate.search import find_candidates
+from jrdb_avr.engine.generate.distractors import Choices
+from jrdb_avr.engine.generate.facts import Facts
+from jrdb_avr.engine.generate.question import make_record
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN, Annotations, prove_again, rederive
 from jrdb_avr.schema.labels import DISTANCE_WORDS, POSES, ROBOT_SECTORS
-from jrdb_avr.schema.plan import Condition, parse_plan
-from jrdb_avr.schema.questions import Proof
+from jrdb_avr.schema.plan import Condition, canonical
+from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
@@ -94,62 +89,68 @@ def test_both_paths_see_the_same_actions_in_random_worlds(random_store):
     assert segments > 10
 
 
-def test_both_paths_see_the_same_relations_in_random_worlds(random_store):
-    """Every relation that leads to somebody anywhere, from everybody at every keyframe."""
-    seen = {}
-    for sequence in random_store.sequences:
-        annotations = Annotations.read(random_store, sequence, RULES)
-        with searched(random_store, sequence, RULES) as context:
-            for frame, track, relation, outcome, target in zip(*all_steps(context).to_pydict().values(), strict=True):
-                found = annotations.step_to(relation, track, frame)
-                assert found == (outcome, target), (sequence, relation, track, frame)
-                seen.setdefault(relation, set()).add(outcome)
-    assert sum("defined" in outcomes for outcomes in seen.values()) > 10
-    assert set().union(*seen.values()) == {"defined", "empty", "ambiguous", "unknown"}
+@pytest.fixture(scope="module")
+def facts_of(random_store):
+    """The facts of each sequence, read from a graph."""
+    graph = memory_graph(random_store, random_store.sequences)
+    layers = {name: random_store.interval("sequence", name)["layers"].to_pylist()[0] for name in random_store.sequences}
+    return {name: Facts(graph, name, RULES.load, with_faces="pose" in layers[name]) for name in random_store.sequences}
 
 
-def test_both_paths_see_the_same_conditions_in_random_worlds(random_store):
+def state_of(fit, who):
+    return TRUE if who in fit.certain else UNKNOWN if who in fit.could else FALSE
+
+
+def test_both_paths_see_the_same_relations_in_random_worlds(random_store, facts_of):
+    """Every relation from everybody to everybody else at every keyframe."""
     seen = {}
-    for sequence in random_store.sequences:
+    for sequence, facts in facts_of.items():
         annotations = Annotations.read(random_store, sequence, RULES)
-        scene = load_scene(random_store, sequence)
-        conditions = find_conditions(scene, find_facts(scene), RULES)
-        for code, condition in enumerate(conditions.vocabulary):
-            for sighting, moment in enumerate(conditions.moment.tolist()):
-                person, place = divmod(moment, len(scene.keyframes))
-                track, frame = int(scene.tracks[person]), int(scene.keyframes[place])
-                state = int(conditions.states[sighting, code])
-                assert annotations.holds(condition, track, frame) == state, (sequence, condition, track, frame)
-                seen.setdefault(conditions.vocabulary[code].kind, set()).add(state)
+        for frame, people in facts.people.items():
+            for (source, other), relation in itertools.product(itertools.permutations(people, 2), RELATIONS):
+                state = annotations.related(relation, source, other, frame)
+                assert state == state_of(facts.follow(relation, source, frame), other), (relation, source, other, frame)
+                seen.setdefault(RELATIONS[relation].kind, set()).add(state)
+    assert seen == {kind: {TRUE, UNKNOWN, FALSE} for kind in ("social", "group", "first", "person", "window")}
+
+
+def test_both_paths_see_the_same_conditions_in_random_worlds(random_store, facts_of):
+    seen = {}
+    for sequence, facts in facts_of.items():
+        annotations = Annotations.read(random_store, sequence, RULES)
+        assert set(facts.keyframes) == annotations.keyframes
+        sighted = [(who, frame) for frame, people in facts.people.items() for who in people]
+        for condition in {condition for place in sighted for condition in facts.conditions_of(*place)}:
+            for who, frame in sighted:
+                state = state_of(facts.match(condition, frame), who)
+                assert annotations.holds(condition, who, frame) == state, (sequence, condition, who, frame)
+                seen.setdefault(condition.kind, set()).add(state)
+        for who, frame in sighted:
+            assert annotations.pose(who, frame) == facts.pose(who, frame)
     assert set(seen) == set(RULES.condition_order)
     assert all(states >= {TRUE, UNKNOWN} for states in seen.values())
 
 
+def some_of(rows, most):
+    return rows[:: max(1, len(rows) // most)]
+
+
 def compare(store, sequence, most=60):
     """Ask the second path for what the first has proven, at most so many of a template; how many were asked for."""
-    annotations = Annotations.read(store, sequence, RULES)
-    counts = {}
-    with searched(store, sequence, RULES) as context:
-        for template in TEMPLATES.values():
-            if not set(template.layers) <= context.scene.layers:
-                continue
-            found = find_candidates(context, template)
-            rows = np.flatnonzero(found.rule == PASSED)
-            rows = rows[:: max(1, len(rows) // most)]
-            for line in to_table(context, found, rows, keyed=False).to_pylist():
-                second = rederive(annotations, parse_plan(line["plan"]), template.name, RULES)
+    annotations, counts = Annotations.read(store, sequence, RULES), Counter()
+    with searched(store, sequence, RULES) as search:
+        for template in forms_in(store, sequence):
+            prover = make_prover(search)
+            proven = [(one, proofs) for one in proposals(search, template) if (proofs := prover.prove(one)) is not None]
+            for one, proofs in some_of(proven, most):
+                second = rederive(annotations, one.plan, template.name, RULES)
                 told = (second.outcome, second.answer, second.target, second.faults)
-                assert told == ("defined", line["answer"], line["target_track"], ()), line["plan"]
-                assert dict(second.people) | dict(second.times) == bindings(context, found, line["row"]), line["plan"]
-                needed = needed_boxes(context, found, line["row"])
-                assert set(second.needed) == set(needed), line["plan"]
-                proofs = stored_proofs(context, found, line["row"], line["answer"], needed)
-                again = prove_again(annotations, parse_plan(line["plan"]), template.name, RULES, second)
-                assert set(again) - set(proofs) == {Proof("rederive", "annotations", True, "same", line["answer"])}, (
-                    line["plan"]
-                )
-                assert set(proofs) < set(again), line["plan"]
-                counts[template.query] = counts.get(template.query, 0) + 1
+                assert told == ("defined", one.answer, one.target, ()), canonical(one.plan)
+                record = make_record(search, one, proofs, Choices((), 0, ()))
+                assert dict(second.people) | dict(second.times) == record.bindings, record.plan
+                assert set(second.needed) == set(record.needed), record.plan
+                assert set(prove_again(annotations, one.plan, template.name, RULES, second)) == set(record.proofs)
+                counts[template.query] += 1
     return counts
 
 
@@ -158,27 +159,22 @@ def compare_refused(store, sequence, most=30):
 
     Returns how often each proof of a form had each outcome.
     """
-    annotations = Annotations.read(store, sequence, RULES)
-    counts = Counter()
-    with searched(store, sequence, RULES) as context:
-        for template in TEMPLATES.values():
-            found = find_candidates(context, template) if set(template.layers) <= context.scene.layers else None
-            for rule in ("hop.stop", "hop.skip", "time.shift", "time.drop") if found and found.perturbed else ():
-                rows = np.flatnonzero(found.rule == RULE_NAMES.index(rule))
-                rows = rows[:: max(1, len(rows) // most)]
-                for line in to_table(context, found, rows, keyed=False).to_pylist():
-                    plan = parse_plan(line["plan"])
-                    own = rederive(annotations, plan, template.name, RULES)
-                    again = prove_again(annotations, plan, template.name, RULES, own)
+    annotations, counts = Annotations.read(store, sequence, RULES), Counter()
+    with searched(store, sequence, RULES) as search:
+        for template in forms_in(store, sequence):
+            prover = make_prover(search)
+            for one in proposals(search, template):
+                prover.prove(one)
+            for rule in ("hop.stop", "hop.skip", "time.shift", "time.drop"):
+                for one, _, _ in some_of([refused for refused in prover.refused if refused.rule == rule], most):
+                    own = rederive(annotations, one.plan, template.name, RULES)
+                    again = prove_again(annotations, one.plan, template.name, RULES, own)
                     again = {(proof.kind, proof.variant): (proof.outcome, proof.answer) for proof in again}
-                    for result in found.perturbed:
-                        if (rule, result.kind, template.time_proof) == ("hop.stop", "time.shift", "program"):
-                            # Not tried at other times.
-                            continue
-                        answer = result.answer[line["row"]]
-                        first = OUTCOMES[result.outcome[line["row"]]], VALUES[answer] if answer != NOBODY else None
-                        assert again[result.kind, result.variant] == first, (result.kind, line["plan"])
-                        counts[template.query, result.kind, result.variant, first[0]] += 1
+                    for proof in all_proofs(search, one):
+                        found = proof.outcome, proof.answer
+                        if proof.kind != "anchor":
+                            assert again[proof.kind, proof.variant] == found, (proof.kind, canonical(one.plan))
+                        counts[template.query, proof.kind, proof.variant, proof.outcome] += 1
     return counts
 
 
@@ -187,7 +183,7 @@ def test_both_paths_perturb_alike_where_a_candidate_is_refused(tmp_path):
     for seed in range(8 if DEEP else 4):
         sequence, make = f"yard-{seed:02d}", sociable_world if seed < 2 else lively_world
         counts += compare_refused(memory_store(tmp_path / sequence, make(random.Random(seed), sequence)), sequence)
-    assert {"hop.stop", "hop.skip", "time.shift", "time.drop"} == {kind for _, kind, _, _ in counts}
+    assert {"hop.stop", "hop.skip", "time.shift", "time.drop"} < {kind for _, kind, _, _ in counts}
 
 
 @pytest.mark.parametrize(("reading", "outcome"), [("7", "unknown"), ("7-10", "same")])

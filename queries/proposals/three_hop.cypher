@@ -1,7 +1,0 @@
-// three_hop: three relations lead from a described person to another one, whose posture is the answer.
-// param sequence: text
-MATCH (n:Name)-[:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
-WHERE n.sequence = $sequence AND n.general AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND a.clear AND b.clear
-  AND c.clear AND d.clear AND a.image AND NOT d.ahead AND a.pose <> d.pose AND b.pose <> d.pose AND c.pose <> d.pose
-RETURN n.id AS name, a.frame AS t0, a.track AS a, b.track AS b, c.track AS c, d.track AS d, s1.relation AS r1,
-       s2.relation AS r2, s3.relation AS r3, d.pose AS answer ORDER BY name, r1, r2, r3
