@@ -21,8 +21,8 @@ from jrdb_avr.engine.generate.perturb import (
     NoAnswerError,
     Program,
     make_program,
+    parse_answer,
     prove,
-    read_answer,
 )
 from jrdb_avr.engine.generate.stored_layer import LayerJob
 from jrdb_avr.engine.rederive import Annotations, rederive
@@ -100,7 +100,7 @@ def find_faults(job: ConfirmJob) -> dict[str, Fault]:
 
 def _program(sequence: str, line: Mapping[str, Any]) -> tuple[Program, Answer]:
     program = make_program(sequence, parse_plan(line["plan"]), TEMPLATES[line["form"]])
-    return program, read_answer(line["answer_mode"], line["answer_text"])
+    return program, parse_answer(line["answer_mode"], line["answer_text"])
 
 
 def prove_all(

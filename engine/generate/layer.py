@@ -31,7 +31,7 @@ from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
 
 _TYPES: Final = {"STRING": pa.string(), "INT64": pa.int64(), "BOOLEAN": pa.bool_(), "DOUBLE": pa.float64()}
 
-Row = dict[str, Any]
+_Row = dict[str, Any]
 
 
 @dataclass
@@ -51,10 +51,10 @@ class Layer:
     """
 
     facts: Facts
-    rows: dict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
+    rows: dict[str, list[_Row]] = field(default_factory=lambda: defaultdict(list))
     names: dict[int, tuple[Condition, ...]] = field(default_factory=dict)
-    segments: dict[int, Row] = field(default_factory=dict)
-    boxes: Mapping[tuple[int, int], Row] = field(default_factory=dict)
+    segments: dict[int, _Row] = field(default_factory=dict)
+    boxes: Mapping[tuple[int, int], _Row] = field(default_factory=dict)
     images: frozenset[int] = frozenset()
     doubtful: dict[int, list[tuple[str, int, int]]] = field(default_factory=lambda: defaultdict(list))
     fps: float = FPS
@@ -185,7 +185,7 @@ def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tu
     return ids
 
 
-def _add_segments(layer: Layer, sequence: str, segments: Iterable[Row], low: int) -> None:
+def _add_segments(layer: Layer, sequence: str, segments: Iterable[_Row], low: int) -> None:
     some = [row for row in segments if row["action"] in ACTIONS]
     some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
     for number, row in enumerate(some, start=low):

@@ -35,15 +35,9 @@ _WORST: Final = ("empty", "ambiguous", "unknown")
 Answer = str | FrameViewpoint
 
 
-def read_answer(mode: str, text: str) -> Answer:
-    """Return an answer as programs give it: the text of a choice, or a start with its direction.
-
-    Args:
-        mode: Answer mode of the question.
-        text: Text of a choice, or the stored JSON of another answer.
-    """
-    answer = decode_answer(mode, text) if mode == "frame_viewpoint" else text
-    return cast(Answer, answer)
+def parse_answer(mode: str, text: str) -> Answer:
+    """Return a stored answer as programs return it: a start is decoded, a choice stays a text."""
+    return cast(FrameViewpoint, decode_answer(mode, text)) if mode == "frame_viewpoint" else text
 
 
 class NoAnswerError(Exception):
@@ -143,7 +137,7 @@ def make_program(sequence: str, plan: Plan, template: Template) -> Program:
 # -- running a program ------------------------------------------------------------------------------------------------
 
 
-def find_people(program: Program, source: FactSource) -> dict[str, int]:
+def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
     """Find the people of a program, one after another.
 
     Args:
@@ -226,7 +220,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
         NoAnswerError: If the program has no answer.
         MissingFactsError: If facts are missing.
     """
-    who = find_people(program, source)[program.target]
+    who = find_tracks(program, source)[program.target]
     if program.read == "start_view":
         (start,) = source.ask([("start", program.sequence, who, program.action, program.frame)])
         return cast(FrameViewpoint, _known(start))
@@ -290,7 +284,7 @@ def iterate_proofs(
     program: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
 ) -> Iterator[Proof | None]:
     """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
-    people = find_people(program, source)
+    people = find_tracks(program, source)
     yield from prove_conditions(program, source)
     yield from prove_changes(program, people, answer, keyframes, rules, source)
 
@@ -404,7 +398,7 @@ def _outcome(
 
 def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSource) -> str:
     """Compare starts. If no start is certain, the outcome is unknown only if a start may be near enough to score."""
-    who, action, sequence = find_people(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
+    who, action, sequence = find_tracks(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
     (start,) = source.ask([("start", sequence, who, action, perturbed.frame)])
     if start is not None:
         return "same" if same_answer(start, answer) else "different"
@@ -431,10 +425,9 @@ def _hops(program: Program) -> Iterator[tuple[str, str, Program]]:
 
 def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
     """Return the edges without a hop. The hops after it begin at the person from whom it led."""
-    edges = tuple(edge for edge in program.edges if edge is not skipped)
-    if skipped.target == program.target:
-        return edges
-    return tuple(replace(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
+    edges = (edge for edge in program.edges if edge is not skipped)
+    moves = skipped.target != program.target
+    return tuple(replace(e, source=skipped.source) if moves and e.source == skipped.target else e for e in edges)
 
 
 def _shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:

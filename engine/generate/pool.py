@@ -24,7 +24,7 @@ from jrdb_avr.engine.generate.perturb import (
     Program,
     iterate_proofs,
     make_program,
-    read_answer,
+    parse_answer,
 )
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
@@ -83,7 +83,7 @@ class Prover:
             return None
         template = proposal.template
         program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
-        answer = read_answer(template.spec.mode, proposal.answer)
+        answer = parse_answer(template.spec.mode, proposal.answer)
         proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
         if not (lacking := failing(template.name, proofs, self._search.rules)):
             return proofs

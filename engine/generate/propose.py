@@ -18,7 +18,7 @@ import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.facts import Fit
-from jrdb_avr.engine.generate.layer import Layer, Row
+from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values
@@ -29,6 +29,8 @@ from jrdb_avr.schema.relations import RELATIONS, RELATIONS_OF
 from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.templates import Slots, Template
 from jrdb_avr.schema.wording.people import in_order
+
+_Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -120,11 +122,11 @@ def propose(search: Search, template: Template) -> Iterator[Proposal]:
         yield make_proposal(search, template, row)
 
 
-def _plain(search: Search, template: Template) -> Iterable[Row]:
+def _plain(search: Search, template: Template) -> Iterable[_Row]:
     return search.rows(template.query)
 
 
-def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
+def make_proposal(search: Search, template: Template, row: _Row) -> Proposal:
     """Make a proposal of a generator's row.
 
     Args:
@@ -164,7 +166,7 @@ def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
 # -- forms that need more than a statement ----------------------------------------------------------------------------
 
 
-def _fork_joins(search: Search, template: Template) -> Iterator[Row]:
+def _fork_joins(search: Search, template: Template) -> Iterator[_Row]:
     """Yield the forks with the fourth person whom a relation of each branch singles out, but neither relation alone."""
     facts = search.layer.facts
     for row in search.rows(template.query):
@@ -201,7 +203,7 @@ _UNSEEN: Final = -1
 """First frame of a person who is first seen clearly in a frame without an image."""
 
 
-def _counts(search: Search, template: Template) -> Iterator[Row]:
+def _counts(search: Search, template: Template) -> Iterator[_Row]:
     """Yield the people with whom a described person is in a relation, from keyframe to keyframe while that is known.
 
     What lies between keyframes is left to the proof.
@@ -233,13 +235,13 @@ def _counts(search: Search, template: Template) -> Iterator[Row]:
                     yield row | times | {"r1": relation, "value": float(len(met)), "counted": counted}
 
 
-_MAKERS: Final[Mapping[str, Callable[[Search, Template], Iterable[Row]]]] = {
+_MAKERS: Final[Mapping[str, Callable[[Search, Template], Iterable[_Row]]]] = {
     "fork_join": _fork_joins,
     "gap_count": _counts,
 }
 
 
-def propose_presence(search: Search, template: Template) -> Iterator[tuple[int, str, tuple[int, int], list[Row]]]:
+def propose_presence(search: Search, template: Template) -> Iterator[tuple[int, str, tuple[int, int], list[_Row]]]:
     """Yield each pair of times at which a person is present or absent, with the descriptions before it.
 
     Args:
@@ -249,7 +251,7 @@ def propose_presence(search: Search, template: Template) -> Iterator[tuple[int, 
     Returns:
         Track, answer, both times, and a row per description.
     """
-    described: dict[int, list[Row]] = {}
+    described: dict[int, list[_Row]] = {}
     for row in search.rows("described"):
         described.setdefault(row["a"], []).append(row)
     wait = frames(search.rules.min_wait_s)

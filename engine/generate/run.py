@@ -45,9 +45,6 @@ SELECTED_BY: Final = [
 """Columns of the pool that selection reads."""
 
 
-Advance = Callable[[int], None]
-
-
 @dataclass(frozen=True, repr=False)
 class Generation(Displayed):
     """Result of a generation, as rows of counts. The questions are in the store.
@@ -316,7 +313,7 @@ def _refusals(sequence: str, template: str, prover: Prover) -> list[dict[str, An
     return rows
 
 
-def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Advance) -> list[Found]:
+def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Callable[[int], None]) -> list[Found]:
     """Search every sequence; return the results in the order of the jobs."""
     results: dict[int, Found] = {}
     for index, result in map_sequences(search_sequence, jobs, workers, lambda job: job.weight):

@@ -55,7 +55,8 @@ class ProofQuery(NamedTuple):
         comments, lines = re.findall(r"(?m)^// *(.+)", self.cypher), re.findall(r"(?m)^(?!//).+", self.cypher)
         parts = [f"jrdb-avr cypher --store {shlex.quote(str(store))}"]
         parts += [_fold(f"--param {shlex.quote(f'{name}={json.dumps(value)}')}") for name, value in self.params.items()]
-        parts.append(shlex.quote("\n".join(map(_fold, lines))))
+        # Double quotes of texts need no escapes in the shell.
+        parts.append(shlex.quote("\n".join(_fold(line.replace("'", '"')) for line in lines)))
         title = f"\nStatement {self.id}: {self.name}\n{_fold(' '.join(comments))}"
         return f"{title}\n\n" + " \\\n".join(parts) + ("\n" if self.rows else "\n\n(no rows)")
 

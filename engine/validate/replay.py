@@ -19,7 +19,7 @@ from jrdb_avr.engine.generate.perturb import (
     MissingFactsError,
     NoAnswerError,
     Program,
-    find_people,
+    find_tracks,
     make_program,
     prove_changes,
     prove_conditions,
@@ -188,7 +188,7 @@ def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[s
     record, plan = stored.record, stored.plan
     try:
         proofs = require_all(iterate_stored_proofs(stored, source, source.keyframes(record.sequence), rules))
-        people = find_people(stored.program, source)
+        people = find_tracks(stored.program, source)
     except NoAnswerError as reason:
         return [f"{record.question_id}: anchor match: stored same, now {reason}"]
     stated = {name: time.frame for name, time in plan.times.items() if time.frame is not None}
@@ -216,7 +216,7 @@ def iterate_stored_proofs(
         MissingFactsError: If the facts that find the people are missing.
     """
     record, program = stored.record, stored.program
-    people = find_people(program, source)
+    people = find_tracks(program, source)
     yield Proof("anchor", "match", True, "same", record.answer_text)
     yield from prove_conditions(program, source)
     yield _prove_views_clear(record, source)
