@@ -7,12 +7,15 @@ facts gave. Both take longer than the search, so they check chosen candidates on
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.perturb import (
@@ -24,7 +27,6 @@ from jrdb_avr.engine.generate.perturb import (
     parse_answer,
     prove,
 )
-from jrdb_avr.engine.generate.stored_layer import LayerJob
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.graph.handle import open_worker_graph
 from jrdb_avr.queries.store import Store
@@ -34,8 +36,13 @@ from jrdb_avr.schema.questions import NeededBox, Proof
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
 
-CONFIRMED: Final = ("key", "template", "form", "target_track", "plan", "answer_mode", "answer_text", "needed", "proofs")
+CONFIRMED: Final = (
+    *("key", "sequence", "template", "form", "target_track", "plan", "answer_mode", "answer_text", "needed", "proofs"),
+)
 """Columns of the pool that a confirmation needs."""
+
+CONFIRMED_AT_ONCE: Final = 500
+"""Minimum number of candidates in a part of `split_chosen`, but for the last part."""
 
 _PERTURBED: Final = ("anchor", "hop.stop", "hop.skip", "time.shift", "time.drop")
 """Kinds of proofs that perturbed programs give, but for the description's own match."""
@@ -45,14 +52,30 @@ _NEEDED: Final = msgspec.json.Decoder(tuple[NeededBox, ...])
 
 
 @dataclass(frozen=True)
-class ConfirmJob(LayerJob):
-    """Chosen candidates of a sequence.
+class ConfirmJob:
+    """Chosen candidates of some sequences.
 
     Attributes:
-        chosen: Rows of the pool with the columns `CONFIRMED`.
+        store: Folder of the store.
+        rules: Rules.
+        chosen: Rows of the pool with the columns `CONFIRMED`, by sequence.
     """
 
+    store: Path
+    rules: Rules
     chosen: pa.Table
+
+
+def split_chosen(chosen: pa.Table) -> Iterator[pa.Table]:
+    """Yield the chosen candidates in parts of whole sequences. A part has many, so that few statements prove all."""
+    first = last = 0
+    for count in pc.value_counts(chosen["sequence"]).to_pylist():
+        last += count["counts"]
+        if last - first >= CONFIRMED_AT_ONCE:
+            yield chosen.slice(first, last - first)
+            first = last
+    if last > first:
+        yield chosen.slice(first)
 
 
 class Fault(NamedTuple):
@@ -73,10 +96,10 @@ class Fault(NamedTuple):
 
 @without_collector()
 def find_faults(job: ConfirmJob) -> dict[str, Fault]:
-    """Find the candidates of a sequence that are not confirmed.
+    """Find the candidates that are not confirmed.
 
     Args:
-        job: Chosen candidates of the sequence.
+        job: Chosen candidates.
 
     Returns:
         The faults by the candidate's key.
@@ -85,32 +108,31 @@ def find_faults(job: ConfirmJob) -> dict[str, Fault]:
         StoreError: If a table or the graph is missing.
     """
     store, lines = Store(job.store), job.chosen.to_pylist()
-    annotations = Annotations.read(store, job.sequence, job.rules)
     with open_worker_graph(store.graph_path) as graph:
-        (keyframes,) = store.interval("sequence", job.sequence)["keyframes"].to_pylist()
-        programs = {line["key"]: _program(job.sequence, line) for line in lines}
-        proofs = prove_all(programs, sorted(keyframes), job.rules, CypherFacts(graph, job.rules.load))
+        programs = {line["key"]: _program(line) for line in lines}
+        proofs = prove_all(programs, job.rules, CypherFacts(graph, job.rules.load))
     faults = {}
-    for line in lines:
-        difference = _rederived(annotations, line, job.rules) or _proven(line, proofs[line["key"]])
-        if difference:
-            faults[line["key"]] = Fault(f"{job.sequence} {line['plan']}", difference)
+    for sequence, own in groupby(lines, lambda line: line["sequence"]):
+        annotations = Annotations.read(store, sequence, job.rules)
+        for line in own:
+            difference = _rederived(annotations, line, job.rules) or _proven(line, proofs[line["key"]])
+            if difference:
+                faults[line["key"]] = Fault(f"{sequence} {line['plan']}", difference)
     return faults
 
 
-def _program(sequence: str, line: Mapping[str, Any]) -> tuple[Program, Answer]:
-    program = make_program(sequence, parse_plan(line["plan"]), TEMPLATES[line["form"]])
+def _program(line: Mapping[str, Any]) -> tuple[Program, Answer]:
+    program = make_program(line["sequence"], parse_plan(line["plan"]), TEMPLATES[line["form"]])
     return program, parse_answer(line["answer_mode"], line["answer_text"])
 
 
 def prove_all(
-    programs: Mapping[str, tuple[Program, Answer]], keyframes: Sequence[int], rules: Rules, source: CypherFacts
+    programs: Mapping[str, tuple[Program, Answer]], rules: Rules, source: CypherFacts
 ) -> dict[str, list[Proof]]:
-    """Prove programs of one sequence together, so that one statement returns the facts of all of them.
+    """Prove programs together, so that one statement returns the facts of all of them.
 
     Args:
         programs: Programs with the answers of their questions, by key.
-        keyframes: Keyframes of the sequence, in order.
         rules: Thresholds.
         source: Source of the facts.
 
@@ -122,7 +144,7 @@ def prove_all(
         for key in sorted(waiting):
             program, answer = programs[key]
             try:
-                proofs[key] = prove(program, answer, keyframes, rules, source)
+                proofs[key] = prove(program, answer, source.keyframes(program.sequence), rules, source)
             except NoAnswerError:
                 proofs[key] = []
             except MissingFactsError:

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import blind_check, question_texts
-from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, Fault, find_faults
+from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, Fault, find_faults, split_chosen
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.diagnostics import EXAMPLES, dropped_rows, refusal_rows, shortfalls, tallies
 from jrdb_avr.engine.generate.held_out import Extent, HeldOut, read_held_out
@@ -134,12 +134,11 @@ def generate(
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
         lows = ensure_layer(store, rules, workers, progress)
-        jobs = {
-            name: SearchJob(store.path, name, lows[name], rules, tuple(held_out.extents.get(name, ())))
-            for name in sequences
-        }
+        jobs = [
+            SearchJob(store.path, name, lows[name], rules, tuple(held_out.extents.get(name, ()))) for name in sequences
+        ]
         with hold_graph(store.graph_path, workers):
-            found = _search(list(jobs.values()), workers, step_counter(progress, "searching", len(jobs)))
+            found = _search(jobs, workers, step_counter(progress, "searching", len(jobs)))
             pool = pa.concat_tables([one.pool for one in found])
             slim = pool.select(SELECTED_BY).append_column("row", pa.array(range(len(pool)), pa.int64()))
             selection, faults = _select(
@@ -147,7 +146,7 @@ def generate(
                 slim,
                 lambda slim: select(slim, rules, profile, seed, n),
                 excluded,
-                partial(_confirm, jobs, pool, workers, progress),
+                partial(_confirm, store.path, rules, pool, workers, progress),
             )
         rows = [row for one in found for row in one.refused]
         rows += dropped_rows(pool, selection.table, {key: fault.difference for key, fault in faults.items()})
@@ -360,17 +359,14 @@ def _without(rows: pa.Table, keys: Set[str]) -> pa.Table:
 
 
 def _confirm(
-    jobs: Mapping[str, SearchJob], pool: pa.Table, workers: Executor, progress: Progress | None, chosen: pa.Table
+    store: Path, rules: Rules, pool: pa.Table, workers: Executor, progress: Progress | None, chosen: pa.Table
 ) -> dict[str, Fault]:
     """Return the chosen candidates that are not confirmed, by key."""
-    rows = pool.select(["sequence", *CONFIRMED]).take(chosen["row"])
-    confirm_jobs = []
-    for name in sorted(set(rows["sequence"].to_pylist())):
-        job, own = jobs[name], rows.filter(pc.equal(rows["sequence"], name))
-        confirm_jobs.append(ConfirmJob(job.store, name, job.low, job.rules, own.select(CONFIRMED)))
-    advance = step_counter(progress, "confirming", len(confirm_jobs))
+    rows = pool.select(CONFIRMED).take(chosen["row"])
+    jobs = [ConfirmJob(store, rules, part) for part in split_chosen(rows)]
+    advance = step_counter(progress, "confirming", len(jobs))
     faults: dict[str, Fault] = {}
-    for _, found in map_sequences(find_faults, confirm_jobs, workers, lambda job: job.weight):
+    for _, found in map_sequences(find_faults, jobs, workers, lambda job: len(job.chosen)):
         faults |= found
         advance(1)
     return faults

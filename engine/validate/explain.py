@@ -33,7 +33,7 @@ _WIDTH: Final = 80
 _JSON_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"')
 
 
-class ProofStatement(NamedTuple):
+class ProofQuery(NamedTuple):
     """A statement that returns facts of one kind.
 
     Attributes:
@@ -55,7 +55,8 @@ class ProofStatement(NamedTuple):
         comments, lines = re.findall(r"(?m)^// *(.+)", self.cypher), re.findall(r"(?m)^(?!//).+", self.cypher)
         parts = [f"jrdb-avr cypher --store {shlex.quote(str(store))}"]
         parts += [_fold(f"--param {shlex.quote(f'{name}={json.dumps(value)}')}") for name, value in self.params.items()]
-        parts.append(shlex.quote("\n".join(map(_fold, lines))))
+        # Double quotes of texts need no escapes in the shell.
+        parts.append(shlex.quote("\n".join(_fold(line.replace("'", '"')) for line in lines)))
         title = f"\nStatement {self.id}: {self.name}\n{_fold(' '.join(comments))}"
         return f"{title}\n\n" + " \\\n".join(parts) + ("\n" if self.rows else "\n\n(no rows)")
 
@@ -73,7 +74,7 @@ class Explanation(NamedTuple):
     store: Path
     record: QuestionRecord
     proofs: list[tuple[Proof, list[int]]]
-    statements: list[ProofStatement]
+    statements: list[ProofQuery]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row per proof, with its statements."""
@@ -123,13 +124,13 @@ def explain(store: Store, question_id: str) -> Explanation:
     raise StoreError(f"the graph does not fit {question_id}: run 'jrdb-avr validate --replay --store {store.path}'")
 
 
-def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[ProofStatement]]:
+def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[ProofQuery]]:
     """Return the proofs and the statements of an explanation."""
     source = CypherFacts(graph, rules.load)
     keyframes = source.keyframes(stored.record.sequence)
     complete = source.complete(lambda: require_all(iterate_stored_proofs(stored, source, keyframes, rules)))
     proofs: list[tuple[Proof, list[int]]] = []
-    statements: list[ProofStatement] = []
+    statements: list[ProofQuery] = []
     ids: dict[Key, int] = {}
     source.asked.clear()
     # The second pass asks for the facts of one proof after another.
@@ -138,10 +139,8 @@ def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Pro
         for name, group in itertools.groupby(new, statement_of):
             keys = list(group)
             ids |= dict.fromkeys(keys, len(statements) + 1)
-            text, params = source.statement(name, keys)
-            statements.append(
-                ProofStatement(len(statements) + 1, name, text, params, graph.query(text, params).to_pylist())
-            )
+            query = source.statement(name, keys)
+            statements.append(ProofQuery(len(statements) + 1, name, *query, graph.query(*query).to_pylist()))
         proofs.append((proof, sorted({ids[key] for key in source.asked})))
         source.asked.clear()
     return proofs, statements
