@@ -36,7 +36,7 @@ KINDS_OF_USE: Final[dict[Use, tuple[RelationKind, ...]]] = {
 SAME_GROUP: Final = "in the same group as"
 WINDOW_DEGREES: Final = (30, 45, 60, 90)
 PAIR_REACH_M: Final = 5.0
-"""Maximum distance in metres at which a distance word of a relation of the kind "person" may begin."""
+"""Distance in metres. Relations of the kind "person" have only distance words that begin below it."""
 
 
 class Relation(NamedTuple):

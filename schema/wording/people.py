@@ -152,7 +152,7 @@ def read_description(text: str, at: str) -> tuple[Condition, ...]:
 
     Args:
         text: Noun phrase.
-        at: Name of the time at which the conditions hold.
+        at: Name of the time of the conditions.
 
     Raises:
         PlanError: If the text is not a noun phrase of `describe`.

@@ -2,7 +2,7 @@
 
 A hop is certain and leads to one person. Its phrase is a sentence with both people (`says`), or a noun phrase for the
 target (`the`). If several people may have the relation, the phrase is a predicate of the target (`holds`), after "is".
-A phrase with left or right always says from whose point of view. No phrase says "next to", because the order of angles
+A phrase with left or right always names the point of view. No phrase says "next to", because the order of angles
 does not show the depth.
 """
 
@@ -24,7 +24,7 @@ Style = Literal["says", "the", "holds"]
 class Words:
     """Phrases of a relation.
 
-    `{x}` stands for the source, and `{y}` for the target. A phrase is empty if it is not used.
+    `{x}` is the source, and `{y}` is the target. A phrase is empty if it is not used.
 
     Attributes:
         says: Sentence without a full stop.
