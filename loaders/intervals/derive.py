@@ -26,7 +26,7 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 _LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb"}
-"""Layers with labels of people whose words may also mean other labels, with the column of the label."""
+"""Layers with labels that may also mean other labels in ordinary words, with the column of the label."""
 
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:

@@ -5,8 +5,8 @@ robot sees them. The *person frame* is derived from 3D boxes with lidar points. 
 distance word of another person, relative to the direction that the person faces. Left is counter-clockwise. If one of
 two people is not located, the relation is unknown, and there is no row.
 
-If a view has more than `MAX_BESIDE` facts in the sequence, it has no rows, and all its relations are unknown. The
-columns `robot_view_listed` and `person_view_listed` of the table `sightings` say for which people a missing row means
+If a view has more than `MAX_BESIDE` facts in the sequence, it has no rows, and all its relations are unknown. If the
+column `robot_view_listed` or `person_view_listed` of the table `sightings` is true for a person, a missing row means
 that the relation is false.
 """
 

@@ -110,7 +110,7 @@ class Faces(Sighted):
     """People with key points, and whether their faces are visible."""
 
     visible: Bools
-    """Mask of the people whose head or eye is marked as visible."""
+    """Mask of the people with a head or eye that is marked as visible."""
 
 
 @dataclass(frozen=True)

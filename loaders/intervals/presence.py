@@ -1,4 +1,4 @@
-"""Interval tables `presences` and `absences`: the times at which people are in the picture, and the times between them.
+"""Interval tables `presences` and `absences`: times with a person in the picture, and times between them.
 
 A person is present at a frame with a box. The presence is certain if the box is a clear view. A person is absent at an
 annotated frame without a box, if the person has boxes before and after. The absence is certain if the frames one second

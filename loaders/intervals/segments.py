@@ -1,10 +1,10 @@
 """Stable segments of actions. A person visibly begins the action, continues it, and (in a closed segment) ends it.
 
 At each frame of the action layer's grid, an action of a person is true, false or unknown. A run is a longest possible
-sequence of consecutive grid frames at which the action is true and the person in clear view, or which are in a closed
-gap. A run is a stable segment if it is long enough, if the action is false and the person in clear view for a second
-before, and if the action is false for three seconds before and after. A grid frame that is not annotated is unknown.
-Frames outside the grid do not exist.
+sequence of consecutive grid frames. At each frame of a run, the action is true and the person in clear view, or the
+frame is in a closed gap. A run is a stable segment if it is long enough, if the action is false and the person in clear
+view for a second before, and if the action is false for three seconds before and after. A grid frame that is not
+annotated is unknown. Frames outside the grid do not exist.
 """
 
 from __future__ import annotations

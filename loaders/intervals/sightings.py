@@ -43,7 +43,7 @@ def in_person_sector(bearing_deg: Floats, sector: PersonSector) -> tuple[Bools, 
         sector: Sector.
 
     Returns:
-        Two masks: the directions for which the sector is true, and those for which it is true or unknown.
+        Two masks of directions: the sector is true, and the sector is true or unknown.
     """
     size = np.abs(bearing_deg)
     on_side = np.full(len(size), True)
@@ -95,7 +95,7 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
     member, solid, face = (rows_of(part.keys, boxes.keys) for part in (people.groups, located, people.faces))
     least, most, sized = group_sizes(line, boxes, people.groups, member, rules)
     codes = (np.where(solid >= 0, code, -1) for code in distance_word(_take(located.distance, solid), rules))
-    words = zip(("distance_word", "distance_word_other"), (texts(DISTANCE_WORDS, code) for code in codes), strict=True)
+    terms = zip(("distance_word", "distance_word_other"), (texts(DISTANCE_WORDS, code) for code in codes), strict=True)
     metrics = {name: located.center[:, i] for i, name in enumerate(("cx", "cy", "cz"))}
     metrics |= {"distance": located.distance, "heading": located.heading}
     columns = {
@@ -114,7 +114,7 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
         "group_size_max": nullable(most, ~sized, pa.int32()),
         "sector": texts(tuple(ROBOT_SECTORS), robot_sector(boxes.angle, rules)),
         "located": solid >= 0,
-        **dict(words),
+        **dict(terms),
         **{name: nullable(_take(values, solid), solid < 0, pa.float64()) for name, values in metrics.items()},
         "robot_view_listed": np.full(len(solid), views_listed[0]),
         "person_view_listed": (solid >= 0) & views_listed[1],

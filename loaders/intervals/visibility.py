@@ -23,7 +23,7 @@ UNIT: Final = 256
 """Number of length units in a pixel."""
 _TURN: Final = WIDTH * UNIT
 _LOWEST: Final = (HEIGHT - 2) * UNIT
-"""Bottom from which two boxes are compared by their tops, because the image cuts off both people."""
+"""Minimum bottom of two boxes that are compared by their tops, because the image cuts off both people."""
 
 Source = Literal["attributes", "geometry", "nothing"]
 """Evidence for the classes of a sequence: degrees of occlusion, nearer boxes and group labels, or none of them."""
@@ -72,7 +72,7 @@ def covered_areas(frame: Ints, box: Floats) -> tuple[Ints, Ints]:
         box: Left, top, width and height of each box in stitched pixels, shape (n, 4).
 
     Returns:
-        The area of each box that lies in the union of the nearer boxes, and the area of each box. The unit is
+        The area of each box inside the union of the nearer boxes, and the area of each box. The unit is
         1/65536 square pixel. Boxes are cut to the rows of the panorama and to one turn.
     """
     edges = np.rint(UNIT * np.stack([box[:, 0], box[:, 0] + box[:, 2], box[:, 1], box[:, 1] + box[:, 3]]))

@@ -123,7 +123,7 @@ def towards(angle: str) -> Clause:
 def to_anybody(edge: Clause, pattern: str) -> Clause:
     """Return the clause of a condition that holds if an edge leads to anybody else who matches a pattern.
 
-    The condition is certain only if such a person is in clear view, or if the rules do not judge views (`$judged`).
+    The condition is certain only if such a person is in clear view, or if the rules do not judge views (`$in_view`).
 
     Args:
         edge: Clause of the edge.
@@ -132,4 +132,4 @@ def to_anybody(edge: Clause, pattern: str) -> Clause:
     match = pattern.replace("{n}", "other").replace("{s}", "seen")
     texts = (text.replace("{m}", "other").replace("{z}", "seen") for text in edge)
     sure, could = (f"EXISTS {{{{ MATCH {match} AND other.id <> {{n}}.id AND {text}" for text in texts)
-    return Clause(f"{sure} AND (seen.clear OR NOT $judged) }}}}", f"{could} }}}}")
+    return Clause(f"{sure} AND (seen.clear OR NOT $in_view) }}}}", f"{could} }}}}")

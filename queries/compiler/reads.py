@@ -132,7 +132,7 @@ class SceneReader(Reader):
             "least": frames(rules.segment_min_s),
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
-            "judged": rules.visibility == "clear",
+            "in_view": rules.visibility == "clear",
             "flickering": sorted(FLICKERING) if rules.visibility == "clear" else [""],
         }
 
@@ -227,7 +227,7 @@ def compile_count(relation: str, mapping: SchemaMapping) -> str:
             f"WITH {carried}, t, n, s",
             f"MATCH {mapping.pattern.format(**other)}",
             f"WHERE {mapping.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
-            f"WITH {carried}, t, n, s, m, z, s.clear AND z.clear OR NOT $judged AS clear",
+            f"WITH {carried}, t, n, s, m, z, s.clear AND z.clear OR NOT $in_view AS clear",
             # The engine cannot evaluate EXISTS together with columns.
             f"WITH id, m, clear, {clause.sure.format(**at)} AS holds",
             f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, clear, holds",

@@ -5,6 +5,6 @@ WITH id, at, t, v, count(*) AS people, min(z.interactions_listed) AS listed
 MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at AND NOT s.covered
 OPTIONAL MATCH (n)-[r:Interacts|MayInteract]->(:Person)-[y:SeenIn]->(g:Frame)
 WHERE g.id = at AND r.label = v AND r.first <= t AND r.last >= t
-WITH id, n, people, listed, count(r) AS labels, coalesce(max(r.certain AND (y.clear OR NOT $judged)), false) AS certain
+WITH id, n, people, listed, count(r) AS labels, coalesce(max(r.certain AND (y.clear OR NOT $in_view)), false) AS certain
 WHERE labels > 0 OR people > 1 AND NOT listed
 RETURN id, n.track AS who, certain ORDER BY id, who
