@@ -81,9 +81,9 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     visibility: Literal["clear", "any"] = "clear"
     """With clear, occlusion attributes, or else nearer boxes and group labels, decide on clear views. With any, not."""
     max_covered: Share = 0.5
-    """Covered share of a box from which the box is no clear view. Applies to sequences without occlusion attributes."""
+    """Minimum covered share of a box that is no clear view. Applies to sequences without occlusion attributes."""
     min_covered: Share = 0.8
-    """Covered share of a box from which the person is covered. Applies to sequences without occlusion attributes."""
+    """Minimum covered share of the box of a covered person. Applies to sequences without occlusion attributes."""
     sector_true_deg: Annotated[float, msgspec.Meta(gt=0, le=45)] = 40.0
     """A sector such as "ahead of the robot" is true of a person who is at most this many degrees off its axis."""
     sector_false_deg: Annotated[float, msgspec.Meta(ge=45, lt=180)] = 90.0
@@ -108,7 +108,7 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     segment_edge_s: Seconds = 1.0
     """Seconds before a stable segment, and after a closed one, with the action false and the person present."""
     segment_quiet_s: Seconds = 3.0
-    """Seconds before and after a stable segment without any frame at which the action is true or unknown."""
+    """Seconds before and after a stable segment without a frame with a true or unknown action."""
 
     def __post_init__(self) -> None:
         if self.min_covered < self.max_covered:

@@ -72,8 +72,7 @@ def make_record(search: Search, proposal: Proposal, proofs: list[Proof], choices
         The record.
     """
     layer, template, plan = search.layer, proposal.template, proposal.plan
-    about, in_view = layer.action_step == KEYFRAME_STEP, layer.facts.judges_views
-    text = render(template.name, plan, proposal.key, about, in_view)
+    text = render(template.name, plan, proposal.key, layer.action_step == KEYFRAME_STEP, layer.facts.judges_views)
     public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
     public |= {"question": text, "choices": choices.texts, "answer_mode": plan.answer.mode}
     needed, times, begin = needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]

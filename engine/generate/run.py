@@ -193,10 +193,7 @@ def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> lis
     every, unclear = sorted(manifest.sequences), store.without_occlusion()
     if unclear:
         what = f"{len(unclear)} of {len(every)} sequences have no occlusion attributes"
-        evidence = (
-            "sizes of boxes alone" if manifest.load_rules.visibility == "any" else "nearer boxes and group labels"
-        )
-        how = f"there {evidence} decide who is in clear view"
+        how = "there boxes decide who is in clear view, so needed people may be hidden"
         line = f"{what} and are skipped" if require_occlusion else f"{what}: {how}; --require-occlusion skips them"
         warnings.warn(line, AvrWarning, stacklevel=3)
     if not require_occlusion:
