@@ -4,7 +4,7 @@ from jrdb_avr.loaders.load import load as load
 from jrdb_avr.engine.generate.run import generate as generate
 from jrdb_avr.engine.generate.run import Generation as Generation
 from jrdb_avr.engine.validate.checks import validate as validate
-from jrdb_avr.engine.validate.checks import Validation as Validation
+from jrdb_avr.engine.validate.validation import Validation as Validation
 from jrdb_avr.engine.run.evaluate import evaluate as evaluate
 from jrdb_avr.engine.run.evaluate import RunResult as RunResult
 from jrdb_avr.engine.report.comparison import score as score

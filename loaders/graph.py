@@ -261,8 +261,6 @@ def _renamed(name: str) -> Column:
     return lambda rows: rows[name]
 
 
-_GROUP_KINDS: Final = ("memberships", "group_info")
-
 _PERFORMS: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _renamed("action")}
 _BELONGS: Final[dict[str, Column]] = {"from": _number_key("track"), "to": _number_key("cluster")}
 _PAIR: Final[dict[str, Column]] = {"from": _number_key("source"), "to": _number_key("target")}
@@ -302,7 +300,7 @@ def _shape(source: str, intervals: Mapping[str, pa.Table]) -> pa.Table:
     describe people are null.
     """
     kind, made = _SOURCES[source]
-    rows = _groups(*(intervals[kind] for kind in _GROUP_KINDS)) if source == "SocialGroup" else intervals[kind]
+    rows = _groups(intervals["memberships"], intervals["group_info"]) if source == "SocialGroup" else intervals[kind]
     if source == "Object SeenIn":
         rows = pa.concat_tables([rows, INTERVALS["sightings"].empty_table()], promote_options="permissive")
     columns = column_names(source.split()[-1])

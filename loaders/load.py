@@ -41,7 +41,7 @@ from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.beliefs.record import copy_all
 from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.files import file_hash
-from jrdb_avr.queries.graph.handle import Graph, build_graph, remove_graph
+from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer, refuse_public
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
@@ -123,14 +123,10 @@ def load(
             raise InputError(_nothing(root, reports))
         left_out = _finish(store, staging, root.image_root, rules, entries, PARTS)
         if unclear := store.without_occlusion():
-            evidence = (
-                "every box of permitted size counts as a clear view, even of hidden people"
-                if rules.visibility == "any"
-                else "nearer boxes and group labels decide who is in clear view"
-            )
+            evidence = "sizes of boxes alone" if rules.visibility == "any" else "nearer boxes and group labels"
             warnings.warn(
-                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes, so {evidence}; "
-                "generate --require-occlusion skips such sequences",
+                f"{len(unclear)} of {len(entries)} sequences have no occlusion attributes, so {evidence} decide "
+                "who is in clear view; generate --require-occlusion skips such sequences",
                 AvrWarning,
                 stacklevel=2,
             )
@@ -363,26 +359,18 @@ def _finish_moves(store: Store) -> None:
 
 
 def _build(store: Store, staging: Store, manifest: Manifest) -> list[str]:
-    """Build the graph, stage the new manifest, and delete the old manifest.
+    """Build the graph with the scene and the runs' world models, stage the new manifest, and delete the old manifest.
 
     Return one line for each run that the graph leaves out.
     """
     with build_graph(store.graph_path) as graph:
-        rows, left_out = _fill(graph, store, staging, manifest)
+        rows = build_scene(graph, staging, list(manifest.sequences))
+        make_world_tables(graph)
+        left_out = copy_all(graph, store, run_ids(store))
         staging.write_manifest(msgspec.structs.replace(manifest, graph=rows))
         # A store without a manifest is refused, so no reader uses a store with only some of its new tables.
         (store.path / "store.json").unlink(missing_ok=True)
     return left_out
-
-
-def _fill(graph: Graph, store: Store, tables: Store, manifest: Manifest) -> tuple[dict[str, int | str], list[str]]:
-    """Fill a new graph with the scene and with the world models of runs.
-
-    Return the entry `graph` of the manifest, and one line for each run that the graph leaves out.
-    """
-    rows = build_scene(graph, tables, list(manifest.sequences))
-    make_world_tables(graph)
-    return rows, copy_all(graph, store, run_ids(store))
 
 
 def _swap(path: Path, new: Path, old: Path) -> None:

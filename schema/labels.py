@@ -1,13 +1,13 @@
-"""Vocabularies of the labels of people, with the words of questions and the tables that normalise spellings.
+"""Vocabularies of the labels of people, with the phrases of questions and the tables for other spellings.
 
-Labels are identified by name, never by number, as projects number the last actions differently. Values keep the
-spelling of the annotation format, so that "food-truck", "food truck" and "food_truck" are one value. The loader
-reports a label that no table knows; no question uses it. None stands for "the annotators could not tell", which is not
-a value.
+Labels are identified by name, never by number, because projects number the last actions differently. Values are spelled
+as in the annotation format, so that "food-truck", "food truck" and "food_truck" are one value. The loader reports a
+label that no table has, and no question uses it. The value None is the decision "unknown".
 
-Every phrase of an action or interaction is an -ing phrase: it fits after "is" and after "starts". No two phrases are
-alike, and none holds " and " or a comma, at which lists of them are split. The order of poses, other actions,
-interactions, genders and ages gives the codes of the marks in sample pictures: append only.
+Each phrase of an action or interaction begins with a verb in -ing, so that it fits after "is" and after "starts". All
+phrases differ. No phrase contains " and " or a comma, because lists of phrases are split there. The order of poses,
+other actions, interactions, genders and ages gives the codes of the marks in sample pictures. Add new entries only at
+the end.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ POSES: Final = (
     *("walking", "standing", "sitting", "cycling", "going upstairs", "going downstairs", "bending", "skating"),
     *("scootering", "running", "lying"),
 )
-"""Actions that are poses: a person is expected to have exactly one of them."""
+"""Actions that are poses. A person is expected to have exactly one of them."""
 
 OTHER_ACTIONS: Final = (
     *("holding sth", "listening to someone", "talking to someone", "looking at robot", "looking into sth"),
@@ -67,11 +67,11 @@ JOINT_PHRASES: Final[dict[str, str]] = {
     "waving hand together": "waving hands together with {someone}",
     "pointing at sth together": "pointing at something together with {someone}",
 }
-"""Each interaction between two people, with a place for the other person."""
+"""Phrase of each interaction between two people. `{someone}` is the other person."""
 
 INTERACTIONS: Final = tuple(JOINT_PHRASES)
 INTERACTION_PHRASES: Final = {label: phrase.format(someone="someone") for label, phrase in JOINT_PHRASES.items()}
-"""Each interaction with anybody."""
+"""Phrase of each interaction with any person."""
 
 POSES_OF_INTERACTIONS: Final = {label: pose for label in INTERACTIONS for pose in POSES if label.startswith(pose)}
 """The pose that an interaction implies."""
@@ -79,7 +79,7 @@ POSES_OF_INTERACTIONS: Final = {label: pose for label in INTERACTIONS for pose i
 GENDERS: Final = ("male", "female")
 AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood", "late adulthood")
 
-_NEIGHBORING_AGES: Final = [pair for one in itertools.pairwise(AGES) for pair in (one, one[::-1])]
+_NEIGHBORING_AGES: Final = [ages for pair in itertools.pairwise(AGES) for ages in (pair, pair[::-1])]
 
 FLICKERING: Final = frozenset(("looking at robot", "looking at sth", "pointing at sth", "interaction with door"))
 """Actions that labels often miss between two seconds that have them.
@@ -134,16 +134,19 @@ ALSO: Final = {
     ("looking into", "looking at"): "one looks at what one looks into",
     **dict.fromkeys(_NEIGHBORING_AGES, "ages have no bounds that can be seen"),
 }
-"""(label, other): why the words of `other` may be said of somebody with the label in ordinary words."""
+"""Pairs (label, other label) with a reason why ordinary words for the other label also fit a person with the label."""
 
 
 def may_be_called(label: str) -> frozenset[str]:
-    """Labels of people of whom the words of a label may be said too: to them, the words are never certainly false.
+    """Return the labels of people to which the words of another label may also apply.
+
+    Args:
+        label: Label with these words.
 
     >>> sorted(may_be_called("sitting"))
     ['bending', 'cycling']
     """
-    return frozenset(own for own, other in ALSO if other == label)
+    return frozenset(written for written, also in ALSO if also == label)
 
 
 def choice_text(answer: str) -> str:
@@ -156,19 +159,24 @@ def choice_text(answer: str) -> str:
 
 
 def choice_of(answer: str, choices: Sequence[str]) -> int | None:
-    """The number, from 1, of the choice that says an answer, in whatever case; None where none does."""
+    """Return the position of an answer among choices, from 1, or None if no choice says the answer.
+
+    Args:
+        answer: Answer.
+        choices: Texts of the choices, in upper or lower case.
+    """
     texts = [choice.lower() for choice in choices]
     text = choice_text(answer)
     return texts.index(text) + 1 if text in texts else None
 
 
 def answer_of_choice(text: str) -> str:
-    """The answer that a choice says: the reverse of `choice_text`."""
+    """Return the answer that a choice says: the reverse of `choice_text`."""
     return next((action for action, phrase in _CHOICE_PHRASES.items() if phrase == text), text)
 
 
 IMPOSSIBLE: Final = "impossible"
-"""The annotators' word for an action or attribute that they could not tell; it states no fact."""
+"""Annotators' label for an action or attribute that they could not decide. It states no fact."""
 
 _ACTION_SPELLINGS: Final = {
     "opening the door": "interaction with door",
@@ -181,23 +189,25 @@ SKELETON: Final = (
     *((1, 2), (0, 4), (3, 4), (8, 10), (5, 7), (10, 13), (14, 16), (4, 5), (7, 12), (4, 8), (3, 6)),
     *((13, 15), (11, 14), (6, 9), (8, 11)),
 )
-"""Pairs of keypoints that a line joins. The seventeen are: head, right and left eye, right shoulder, neck,
-left shoulder, right and left elbow, tailbone, right wrist, right hip, left hip, left wrist, right and left knee, right
-and left foot."""
+"""Pairs of key points that are joined by a line.
+
+The seventeen key points are: head, right and left eye, right shoulder, neck, left shoulder, right and left elbow,
+tailbone, right wrist, right hip, left hip, left wrist, right and left knee, right and left foot.
+"""
 
 OCCLUSIONS: Final = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
 CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
 COVERED_OCCLUSIONS: Final = frozenset(OCCLUSIONS[2:])
 
 ROBOT_SECTORS: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
-"""Directions as the robot sees them, with the panorama angle of each one's axis."""
+"""Panorama angle in degrees of the axis of each direction that the robot sees."""
 
 
 class PersonSector(NamedTuple):
-    """A sector in a person's own heading frame, in degrees turned from straight ahead to its side, or to either.
+    """Sector of a person, in degrees from the direction that the person faces to the side, or to either side.
 
-    It is true of whoever is turned from `low` to `high`, false of whoever is not turned from `least` to `most`, and
-    unknown in between, where some would say that it is true.
+    The sector is true of a direction from `low` to `high`. It is false of a direction that is not from `least` to
+    `most`. Between these ranges it is unknown, because some readers would call it true.
     """
 
     side: Literal["left", "right", "either"]
@@ -207,7 +217,7 @@ class PersonSector(NamedTuple):
     most: float
 
 
-# The annotations draw the bounds 0-30-45-135-145-180; where a sector is true, eighths of a circle agree with them.
+# Inside `low` and `high`, the bounds 0-30-45-135-145-180 of the annotations agree with eighths of a circle.
 _FRONT, _BACK = PersonSector("either", 0, 20, 0, 90), PersonSector("either", 160, 180, 90, 180)
 PERSON_SECTORS: Final = {
     "front": _FRONT,
@@ -219,120 +229,48 @@ PERSON_SECTORS: Final = {
     "right": PersonSector("right", 70, 110, 0, 180),
     "front right": PersonSector("right", 32, 43, 0, 90),
 }
-"""Sectors of a person by word; left is the person's own."""
+"""Sectors of a person by name. Left is seen from the person."""
 
 DISTANCE_WORDS: Final = ("very close", "close", "moderate", "far", "very far")
 DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
-"""Upper bounds, inclusive, of all distance words but the last."""
+"""Maximum distance in metres of each distance word except the last."""
 
 ETHNICITIES: Final = ("caucasian/white", "negroid/black", "mongoloid/asian", "others")
-"""The annotators' guesses, in the annotation's own terms."""
+"""Guesses of the annotators, in the annotation's own terms."""
 
 PLACES: Final = (
-    "cafeteria/dining_hall/food_court",
-    "open_area/campus",
-    "open_space/corridor",
-    "room/class",
-    "study_space",
-    "street",
+    *("cafeteria/dining_hall/food_court", "open_area/campus", "open_space/corridor", "room/class", "study_space"),
+    *("street",),
 )
-VENUES: Final = tuple(f"{side}_{place}" for side in ("indoor", "outdoor") for place in PLACES)
-"""Kinds of place of a group."""
+VENUES: Final = tuple(f"{side}_{kind}" for side in ("indoor", "outdoor") for kind in PLACES)
+"""Kinds of places of a group."""
 
 AIMS: Final = (
-    "wandering",
-    "discussing_an_object/matter",
-    "studying/writing/reading/working",
-    "waiting_for_someone/something",
-    "socializing",
-    "excursion",
-    "attending_class/lecture/seminar",
-    "eating/ordering_food",
-    "commuting",
-    "navigating",
+    *("wandering", "discussing_an_object/matter", "studying/writing/reading/working", "waiting_for_someone/something"),
+    *("socializing", "excursion", "attending_class/lecture/seminar", "eating/ordering_food", "commuting", "navigating"),
 )
 """Purposes of a group."""
 
 BODY_PLACES: Final = (
-    "floor",
-    "chair",
-    "stairs",
-    "ground",
-    "platform",
-    "grass",
-    "bike",
-    "scooter",
-    "balcony",
-    "sofa",
-    "skateboard",
-    "sidewalk",
-    "pathway",
-    "desk",
-    "street",
-    "crosswalk",
-    "bench",
-    "road",
+    *("floor", "chair", "stairs", "ground", "platform", "grass", "bike", "scooter", "balcony", "sofa", "skateboard"),
+    *("sidewalk", "pathway", "desk", "street", "crosswalk", "bench", "road"),
 )
-"""What the bodies of a group are on (`BPC` in the files)."""
+"""Things that carry the people of a group, such as a floor or a chair (`BPC` in the files)."""
 
 SURROUNDINGS: Final = (
-    "counter",
-    "pillar",
-    "bin",
-    "gate",
-    "table",
-    "wall",
-    "stairs",
-    "fence",
-    "door",
-    "trolley",
-    "coffee_machine",
-    "shelves",
-    "cafeteria",
-    "balcony",
-    "desk",
-    "room",
-    "elevator",
-    "sofa",
-    "bike",
-    "board",
-    "stroller",
-    "scooter",
-    "statue",
-    "platform",
-    "standboard",
-    "poster",
-    "show_case",
-    "window",
-    "floor",
-    "crutches",
-    "chair",
-    "tree",
-    "pole",
-    "bench",
-    "building",
-    "food_truck",
-    "bus",
-    "robot",
-    "baggage",
-    "stand_pillar",
-    "screen",
-    "forecourt",
-    "shop",
-    "cabinet",
-    "light_street",
-    "car",
-    "copy_machine",
-    "drink_fountain",
-    "class",
+    *("counter", "pillar", "bin", "gate", "table", "wall", "stairs", "fence", "door", "trolley", "coffee_machine"),
+    *("shelves", "cafeteria", "balcony", "desk", "room", "elevator", "sofa", "bike", "board", "stroller", "scooter"),
+    *("statue", "platform", "standboard", "poster", "show_case", "window", "floor", "crutches", "chair", "tree"),
+    *("pole", "bench", "building", "food_truck", "bus", "robot", "baggage", "stand_pillar", "screen", "forecourt"),
+    *("shop", "cabinet", "light_street", "car", "copy_machine", "drink_fountain", "class"),
 )
-"""What stands out around a group (`SSC` in the files)."""
+"""Things near a group (`SSC` in the files)."""
 
 LOCATIONS: Final = ("at",)
 """Prepositions between a group and its surroundings (`location_pre`). No complete list is published."""
 
 DEMOGRAPHICS: Final = {"gender": "gender", "age": "age", "race": "ethnicity"}
-"""Attributes of a person: key in the files -> name here."""
+"""Name of each attribute of a person by its key in the files."""
 
 GROUP_INFO: Final = {
     "venue": "venue",
@@ -342,7 +280,7 @@ GROUP_INFO: Final = {
     "location_pre": "location",
     "inter": "inter",
 }
-"""Attributes of a group: key in the files -> name here."""
+"""Name of each attribute of a group by its key in the files."""
 
 VALUES: Final[dict[str, tuple[str, ...]]] = {
     "gender": GENDERS,
@@ -355,13 +293,13 @@ VALUES: Final[dict[str, tuple[str, ...]]] = {
     "location": LOCATIONS,
     "inter": INTERACTIONS,
 }
-"""The vocabulary of every attribute."""
+"""Vocabulary of each attribute."""
 
 PRESENCE_ANSWERS: Final = ("both times", "only at the first time", "only at the second time", "neither time")
 DISTANCE_ANSWERS: Final = ("closer to the robot", "farther from the robot", "about the same distance", "not in view")
 
 UNKNOWN_WORDS: Final = frozenset({IMPOSSIBLE, "unknown"})
-"""Annotators' words for "could not tell"."""
+"""Words of annotators who could not decide."""
 
 _VALUE_SPELLINGS: Final[dict[str, dict[str, str]]] = {
     # The words of the reasoning files.
@@ -378,7 +316,11 @@ _VALUE_SPELLINGS: Final[dict[str, dict[str, str]]] = {
 
 
 def plain(raw: str) -> str:
-    """A label in lower case, with single blanks for `_`, `-` and any run of blanks."""
+    """Return a label in lower case. Single blanks replace underscores, hyphens and runs of blanks.
+
+    Args:
+        raw: Label as written.
+    """
     return " ".join(raw.replace("_", " ").replace("-", " ").lower().split())
 
 
@@ -386,13 +328,18 @@ _INTERACTION_OF: Final = {plain(label): label for label in INTERACTIONS} | {
     "standing together together": "standing together"
 }
 _VALUE_OF: Final = {
-    name: {plain(word): word for word in words} | _VALUE_SPELLINGS.get(name, {}) for name, words in VALUES.items()
+    name: {plain(value): value for value in values} | _VALUE_SPELLINGS.get(name, {}) for name, values in VALUES.items()
 }
-_PLACE_OF: Final = {plain(place): place for place in PLACES}
+_PLACE_OF: Final = {plain(kind): kind for kind in PLACES}
 
 
 def normal_action(raw: str) -> str:
-    """The vocabulary's spelling of an action label; an unknown label comes back stripped and lower-cased.
+    """Return the vocabulary's spelling of an action label.
+
+    An unknown label is returned in lower case, without outer blanks.
+
+    Args:
+        raw: Label as written.
 
     >>> normal_action("Opening_the_door")
     'interaction with door'
@@ -403,7 +350,10 @@ def normal_action(raw: str) -> str:
 
 @functools.lru_cache(maxsize=10_000)
 def normal_interaction(raw: str) -> str:
-    """The vocabulary's spelling of a label between two people.
+    """Return the vocabulary's spelling of a label between two people.
+
+    Args:
+        raw: Label as written.
 
     >>> normal_interaction("standing_together together")
     'standing together'
@@ -414,27 +364,31 @@ def normal_interaction(raw: str) -> str:
 
 @functools.lru_cache(maxsize=10_000)
 def normal_values(attribute: str, raw: str) -> tuple[str | None, ...]:
-    """Values of a label of an attribute (a key of `VALUES`), each once; None where the annotators could not tell.
+    """Return the different values of an attribute's label. A value is None if the annotators could not decide.
 
-    An aim may be several, joined with `&`; a venue may be written with a colon after indoor or outdoor.
+    Several aims may be joined with `&`. A venue may have a colon after indoor or outdoor.
+
+    Args:
+        attribute: Key of `VALUES`.
+        raw: Label as written.
 
     >>> normal_values("age", "Young_Adulthood"), normal_values("aim", "socializing&commuting")
     (('young adulthood',), ('socializing', 'commuting'))
     """
-    words = raw.split("&") if attribute == "aim" else [raw.replace(":", " ") if attribute == "venue" else raw]
+    parts = raw.split("&") if attribute == "aim" else [raw.replace(":", " ") if attribute == "venue" else raw]
     values: dict[str | None, None] = {}
-    for word in map(plain, words):
+    for word in map(plain, parts):
         if word:
             values[None if word in UNKNOWN_WORDS else _value(attribute, word)] = None
     return tuple(values)
 
 
 def _value(attribute: str, word: str) -> str:
-    """The vocabulary's spelling of a plain word."""
+    """Return the vocabulary's spelling of a plain word."""
     if attribute == "inter":
         return normal_interaction(word)
     if attribute == "venue" and word.startswith(("indoor ", "outdoor ")):
-        # Even of an unknown place the label says whether it is indoors.
-        side, place = word.split(" ", 1)
-        return f"{side}_{_PLACE_OF.get(place, place)}"
+        # The label of an unknown place still says whether the place is indoors.
+        side, kind = word.split(" ", 1)
+        return f"{side}_{_PLACE_OF.get(kind, kind)}"
     return _VALUE_OF[attribute].get(word, word)

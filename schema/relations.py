@@ -1,7 +1,7 @@
-"""The relations between two people: one row each, with its kind. Every other module derives its lists from these rows.
+"""Relations between two people. Each relation is one row, and other modules derive their lists from these rows.
 
-A relation leads from a source to a target. Left and right of kinds "first" and "window" are the robot's; those of kind
-"person" are the source's own.
+A relation leads from a source to a target. In relations of the kinds "first" and "window", left and right are seen from
+the robot. In relations of the kind "person", they are seen from the source.
 """
 
 from __future__ import annotations
@@ -12,8 +12,11 @@ from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, INTERACTIO
 
 RelationKind = Literal["social", "group", "first", "person", "window"]
 Use = Literal["hop", "join", "count"]
-"""hop: leads to one person; join: one of two relations that together lead to one person; count: the people who have it
-are counted."""
+"""Use of a relation in a question.
+
+A hop leads to one person. Two joins together lead to one person. With count, the people who have the relation are
+counted.
+"""
 
 LAYER_OF_KIND: Final[dict[RelationKind, str]] = {
     "social": "interactions",
@@ -22,7 +25,7 @@ LAYER_OF_KIND: Final[dict[RelationKind, str]] = {
     "person": "3d",
     "window": "2d",
 }
-"""The layer that tells whether a relation of the kind holds."""
+"""Layer that decides whether a relation of the kind holds."""
 
 KINDS_OF_USE: Final[dict[Use, tuple[RelationKind, ...]]] = {
     "hop": ("social", "group", "first", "person"),
@@ -33,15 +36,22 @@ KINDS_OF_USE: Final[dict[Use, tuple[RelationKind, ...]]] = {
 SAME_GROUP: Final = "in the same group as"
 WINDOW_DEGREES: Final = (30, 45, 60, 90)
 PAIR_REACH_M: Final = 5.0
-"""A question names relations of kind "person" only with distance words that begin below this distance."""
+"""Distance in metres. Relations of the kind "person" have only distance words that begin below it."""
 
 
 class Relation(NamedTuple):
     """A relation: its label, its kind, and the parts of the label.
 
-    social: a labelled interaction, which holds both ways. group: both are members of one social group. first: the
-    target is the first person on a `side` of the source. window: the target is within so many `degrees` on that side.
-    person: the target stands in a `sector` of the source's own heading frame, at a `distance` (a distance word).
+    Attributes:
+        label: Name of the relation.
+        kind: social: a labelled interaction, which holds in both directions. group: both people are members of one
+            social
+            group. first: the target is the first person on a side of the source. window: the target is within some
+            degrees on a side. person: the target is in a sector of the source, at a distance.
+        side: Side of the kinds "first" and "window", otherwise "".
+        degrees: Maximum angle of the kind "window", otherwise 0.
+        sector: Sector of the kind "person", otherwise "".
+        distance: Distance word of the kind "person", otherwise "".
     """
 
     label: str
@@ -53,7 +63,7 @@ class Relation(NamedTuple):
 
     @property
     def in_questions(self) -> bool:
-        """Whether a question may name it."""
+        """Whether a question may have the relation."""
         return self.kind != "person" or self.distance in _NEAR
 
 
@@ -62,7 +72,12 @@ _SIDES: Final[tuple[Literal["left", "right"], ...]] = ("left", "right")
 
 
 def person_frame_label(sector: str, distance_word: str) -> str:
-    """The label of a relation of kind "person", as in 'front left, close'."""
+    """Return the label of a relation of the kind "person", such as 'front left, close'.
+
+    Args:
+        sector: Sector of the source.
+        distance_word: Distance word.
+    """
     return f"{sector}, {distance_word}"
 
 
@@ -83,18 +98,18 @@ _ROWS: Final = (
 )
 
 RELATIONS: Final[dict[str, Relation]] = {row.label: row for row in _ROWS}
-"""All relations by label, in the order in which questions are searched."""
+"""All relations by label, in the order of the search for questions."""
 
 QUESTION_RELATIONS: Final = tuple(row.label for row in _ROWS if row.in_questions)
-"""Labels of the relations that a question may name."""
+"""Labels of the relations that a question may have."""
 
 RELATIONS_OF: Final[dict[Use, tuple[str, ...]]] = {
     use: tuple(label for label in QUESTION_RELATIONS if RELATIONS[label].kind in kinds)
     for use, kinds in KINDS_OF_USE.items()
 }
-"""Labels of the relations that a question may name for each use."""
+"""Labels of the relations that a question may have, by use."""
 
 SYMMETRIC: Final = frozenset(row.label for row in _ROWS if row.kind in ("social", "group"))
-"""Relations that hold both ways."""
+"""Labels of the relations that hold in both directions."""
 
 FIRST_LEFT, FIRST_RIGHT = (row.label for row in _ROWS if row.kind == "first")

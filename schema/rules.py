@@ -1,8 +1,8 @@
-"""Every threshold of the benchmark, in one frozen object.
+"""All thresholds of the benchmark.
 
-`LoadRules` shape the derived facts in the graph; their hash is stored with it, and questions are generated only from a
-graph built under the same ones. `Rules` adds what generation uses; its hash stands in every row of `answers`. Times
-are seconds where a person would say seconds; the code compares frames (`frames(seconds)`).
+The command `load` applies `LoadRules`. The graph stores a hash of them, and questions are generated only from a graph
+with the same load rules. `Rules` adds the thresholds of generation. Each row of `answers` has a hash of `Rules`. Fields
+have seconds if a person would say seconds. The program compares frames, and `frames` converts seconds.
 """
 
 from __future__ import annotations
@@ -22,14 +22,21 @@ FPS: Final = 15.0
 """Frames per second of every JRDB sequence."""
 
 KEYFRAME_STEP: Final = 15
-"""Frames between keyframes: one per second."""
+"""Number of frames from one keyframe to the next. There is one keyframe per second."""
 
 SLACK: Final = 1e-9
-"""Degrees or metres that a decimal such as 0.55 may miss the edge by that it names."""
+"""Tolerance in degrees or metres, because decimals such as 0.55 have no exact float."""
 
 
 def frames(seconds: float) -> int:
-    """Frames in a span of seconds."""
+    """Convert seconds to frames.
+
+    Args:
+        seconds: Length in seconds.
+
+    Returns:
+        The nearest number of frames.
+    """
     return round(seconds * FPS)
 
 
@@ -37,7 +44,10 @@ Pixels = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
 Metres = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 Wait = Annotated[float, msgspec.Meta(ge=1, le=3600)]
-"""Seconds between two times of a question: one keyframe step at least, or both would be the same time."""
+"""Seconds between two times of a question.
+
+The minimum is one keyframe step, because otherwise both times could be the same keyframe.
+"""
 Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
 
 CONDITION_KINDS: Final = (
@@ -71,9 +81,9 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     visibility: Literal["clear", "any"] = "clear"
     """With clear, occlusion attributes, or else nearer boxes and group labels, decide on clear views. With any, not."""
     max_covered: Share = 0.5
-    """Covered share of a box from which the box is no clear view. Applies to sequences without occlusion attributes."""
+    """Minimum covered share of a box that is no clear view. Applies to sequences without occlusion attributes."""
     min_covered: Share = 0.8
-    """Covered share of a box from which the person is covered. Applies to sequences without occlusion attributes."""
+    """Minimum covered share of the box of a covered person. Applies to sequences without occlusion attributes."""
     sector_true_deg: Annotated[float, msgspec.Meta(gt=0, le=45)] = 40.0
     """A sector such as "ahead of the robot" is true of a person who is at most this many degrees off its axis."""
     sector_false_deg: Annotated[float, msgspec.Meta(ge=45, lt=180)] = 90.0
@@ -98,14 +108,17 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     segment_edge_s: Seconds = 1.0
     """Seconds before a stable segment, and after a closed one, with the action false and the person present."""
     segment_quiet_s: Seconds = 3.0
-    """Seconds before and after a stable segment without any frame at which the action is true or unknown."""
+    """Seconds before and after a stable segment without a frame with a true or unknown action."""
 
     def __post_init__(self) -> None:
         if self.min_covered < self.max_covered:
             raise ValueError("min_covered is at least max_covered, or a person could be clear and covered")
 
     def covered_thousandths(self) -> tuple[int, int]:
-        """Return `max_covered` and `min_covered` in whole thousandths. Shares of areas are compared in integers."""
+        """Return `max_covered` and `min_covered` in whole thousandths.
+
+        Shares of areas are compared in integers.
+        """
         return round(1000 * self.max_covered), round(1000 * self.min_covered)
 
 
@@ -161,18 +174,33 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def training_rules(rules: Rules) -> Rules:
-    """The rules of a training set: no cap per person, and no limit on answers."""
+    """Return the rules of a training set, which has no maximum per person and no limit on answers.
+
+    Args:
+        rules: Rules to change.
+    """
     most = 1_000_000
     return msgspec.structs.replace(rules, max_per_person=most, max_per_person_in_all=most, max_answer_share=1.0)
 
 
 def rules_hash(rules: Rules | LoadRules) -> str:
-    """16 hex digits that change with any threshold."""
+    """Return 16 hexadecimal digits that change with any threshold.
+
+    Args:
+        rules: Rules.
+    """
     return hashlib.sha256(msgspec.json.encode(rules, order="sorted")).hexdigest()[:16]
 
 
 def rule_rows(rules: Rules | None = None) -> list[dict[str, Any]]:
-    """A row per rule: the name that `override` takes, its value, and its meaning."""
+    """List the rules.
+
+    Args:
+        rules: Rules, or None for the defaults.
+
+    Returns:
+        One row per rule: the name that `override` takes, the value and the meaning.
+    """
     rules = rules or Rules()
     rows = []
     for prefix, group in (("", rules), ("load.", rules.load)):
@@ -184,7 +212,7 @@ def rule_rows(rules: Rules | None = None) -> list[dict[str, Any]]:
 
 
 def _meanings(kind: type[msgspec.Struct]) -> dict[str, str]:
-    """The text that stands below each field in the source."""
+    """Return the text below each field in the source."""
     (definition,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(definition, ast.ClassDef)
     return {
@@ -196,9 +224,17 @@ def _meanings(kind: type[msgspec.Struct]) -> dict[str, str]:
 
 
 def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
-    """Rules with `name=value` overrides applied; names of load rules are written `load.name`.
+    """Change some rules.
 
-    A value is JSON; a word needs no quotes. Raises InputError for an unknown name or a value of the wrong type.
+    Args:
+        rules: Rules to change.
+        changes: New values by name. The name of a load rule is `load.name`. A value is JSON. A string needs no quotes.
+
+    Returns:
+        The changed rules.
+
+    Raises:
+        InputError: If a name is unknown, or a value has the wrong type.
     """
     plain: dict[str, Any] = msgspec.to_builtins(rules)
     for name, text in changes.items():
@@ -212,7 +248,7 @@ def override(rules: Rules, changes: Mapping[str, str]) -> Rules:
         except UnicodeError:
             raise InputError(f"rule {name}: {text!r} is not Unicode", field=name) from None
         except msgspec.DecodeError:
-            # A word needs no quotes; one in the place of a number fails by its type below.
+            # A string needs no quotes. If the rule is a number, the conversion below refuses the string.
             target[key] = text
     try:
         return msgspec.convert(plain, Rules)

@@ -92,7 +92,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "group_size_min": (_I, "minimum of `group_size`; null if the group is unknown or the person is covered"),
     "group_size_max": (_I, "maximum of `group_size`; null if the group is unknown or the person is covered"),
     "located": (_B, "true if the person has a 3D box with lidar points at the frame"),
-    "heading": (_F, "direction that the person faces, radians counter-clockwise from straight ahead of the robot"),
+    "heading": (_F, "direction that the person faces, radians in [-pi, pi) counter-clockwise from ahead of the robot"),
     "occlusion": (_S, "degree of occlusion, as annotated"),
     "no_eval": (_B, "true if the annotators excluded the box from evaluation"),
     "sensor": (_S, "name of the camera, or kind of sensor"),
@@ -196,7 +196,6 @@ SPECIAL: Final[dict[tuple[str, str], tuple[pa.DataType, str]]] = {
     ("annotations_calibration", "cx"): (_F, "column of the principal point, pixels"),
     ("annotations_calibration", "cy"): (_F, "row of the principal point, pixels"),
     ("annotations_listed", "layer"): (_S, "layer of the list: interactions or handles"),
-    ("intervals_sequence", "has_attributes"): (_B, "true if at least one 2D box of the sequence has attributes"),
     ("predictions", "answer"): (_S, "answer of the method, as JSON; null if there is none"),
     ("predictions", "raw"): (_S, "last text that the model wrote"),
     ("world", "number"): (_I, "index of the write in its episode, from 0"),
@@ -268,10 +267,7 @@ _ANNOTATIONS: Final = {
 ANNOTATIONS: Final = _schemas("annotations_", _ANNOTATIONS)
 
 _INTERVALS: Final = {
-    "sequence": (
-        "Facts about each sequence.",
-        "sequence fps frame_count layers action_step keyframes has_attributes visibility",
-    ),
+    "sequence": ("Facts about each sequence.", "sequence fps frame_count layers action_step keyframes visibility"),
     "frames": (
         "Annotated frames. `seconds` is computed from the timestamps if there are any, and otherwise from fps.",
         "sequence frame seconds keyframe annotated image",

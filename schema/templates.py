@@ -1,7 +1,7 @@
 """The question templates: one row each, with plan, layers, proofs and words.
 
-To add a template, add a row here, its search in `queries/generators` or `engine.generate`, and the queries of its time
-proofs in `queries/necessity`. `docs/architecture.md` has the whole list, under "Add".
+To add a template, add a row here and its search, a file of `queries/generators`. `docs/architecture.md` has the whole
+list, under "Add".
 
 In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people along a path are called
 A, B, C and D, and `{says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`), `{Says1}`
@@ -23,16 +23,22 @@ from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import Use
 
 TimeProof = Literal["times", "program", "construction"]
-"""What time.shift and time.drop move: the stated times after the description, for the same person; the whole program,
-with description and hops read again; or nothing, because the answer is itself a time."""
+"""Part of a question that the proofs time.shift and time.drop change.
+
+times: the stated times after the description, for the same person. program: the whole program, so that description and
+hops are read again. construction: nothing, because the answer is itself a time.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Slots:
-    """The variable parts of a question's text.
+    """Variable parts of the text of a question.
 
-    conditions: of the described person; frames: the stated ones by time name; actions: in the order of the row;
-    relations: edge by edge, or the one that is counted.
+    Attributes:
+        conditions: Conditions of the described person.
+        frames: Stated frames by name of the time.
+        actions: Actions, in the order of the template.
+        relations: Relations in the order of the edges, or the relation that is counted.
     """
 
     conditions: tuple[Condition, ...]
@@ -45,14 +51,13 @@ class Slots:
 class Template:
     """A kind of question, or one of several forms of a kind. Its plan describes person a.
 
-    spec: how the answer is read from the plan; read: columns of the candidates' frames where it is read (see
-    `engine.generate.candidates`), without which they are the times of `spec`. decisive: the frames whose boxes of the
-    target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
-    decides. stated: names of the stated times, that of the description first; events: the other
-    times, with `{1}` and `{2}` for the question's actions. edges: source and target of each relation. time_queries:
-    prefix of the queries `_shift` and `_drop` of the time proofs. single_view: whether one fixed view may answer the
-    question. form: name of a form, which is also that of its generator query; the forms of a template are judged
-    together. seeks: what a scene must hold for a candidate; the first form states it for all.
+    spec: how the answer is read from the plan; read: names of the frames where it is read (see
+    `engine.generate.propose.Proposal`), without which they are the times of `spec`. decisive: the frames whose boxes of
+    the target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
+    decides. stated: names of the stated times, that of the description first; events: the other times, with `{1}` and
+    `{2}` for the question's actions. edges: source and target of each relation. single_view: whether one fixed view may
+    answer the question. form: name of a form, which is also that of its generator query; the forms of a template are
+    judged together. seeks: what a scene must hold for a candidate; the first form states it for all.
     """
 
     name: str
@@ -64,7 +69,6 @@ class Template:
     edges: tuple[tuple[str, str], ...] = ()
     layers: tuple[str, ...] = ("2d", "actions")
     time_proof: TimeProof = "construction"
-    time_queries: str = ""
     single_view: bool = True
     read: tuple[str, ...] = ()
     decisive: tuple[str, ...] = ()
@@ -74,21 +78,20 @@ class Template:
     def __post_init__(self) -> None:
         object.__setattr__(self, "read", self.read or self.spec.times)
         object.__setattr__(self, "decisive", self.decisive or self.read)
-        object.__setattr__(self, "time_queries", self.time_queries or self.name)
 
     @property
     def query(self) -> str:
-        """Name of the form and of its generator query."""
+        """Name of the form, which is also the name of its generator query."""
         return self.form or self.name
 
     @property
     def described(self) -> str:
-        """Name of the time at which the description and the edges hold."""
+        """Name of the time of the description and of the edges."""
         return self.stated[0]
 
     @property
     def target(self) -> str:
-        """The node whose state is the answer."""
+        """Node that the answer is about."""
         return self.spec.of
 
     @property
@@ -103,17 +106,17 @@ class Template:
 
     @property
     def hops(self) -> int:
-        """Number of relations one after another to the target: two in a fork-join, whose branches are parallel."""
+        """Number of successive relations to the target. A fork-join has two, because its branches are parallel."""
         return len(self.edges) // (2 if self.joins else 1)
 
     @property
     def counts(self) -> bool:
-        """Whether the answer counts the people who have a relation with the target."""
+        """Whether the answer is the number of people who have a relation with the target."""
         return self.spec.read == "count"
 
     @property
     def uses(self) -> tuple[Use, ...]:
-        """The use of each relation of the text."""
+        """Use of each relation in the text."""
         targets = [target for _, target in self.edges]
         hops: tuple[Use, ...] = tuple("hop" if targets.count(target) == 1 else "join" for target in targets)
         return (*hops, "count") if self.counts else hops
@@ -135,12 +138,16 @@ class Template:
 
     @property
     def actions(self) -> int:
-        """How many actions the text names."""
+        """Number of actions that the text names."""
         return len({time.action for time in self.events.values() if time.action is not None})
 
     def build(self, slots: Slots) -> Plan:
-        """The plan of a text with these slots."""
-        named = {f"{{{number}}}": action for number, action in enumerate(slots.actions, 1)}
+        """Return the plan of a text.
+
+        Args:
+            slots: Slots of the text.
+        """
+        named = {f"{{{i}}}": action for i, action in enumerate(slots.actions, 1)}
         events = {
             t: replace(time, action=named[time.action]) if time.action else time for t, time in self.events.items()
         }
@@ -157,7 +164,11 @@ class Template:
         )
 
     def slots(self, plan: Plan) -> Slots | None:
-        """The slots of a plan's text; None where the plan lacks a part, so that it is of another template."""
+        """Return the slots of a plan's text, or None if the plan lacks a part, because it is of another template.
+
+        Args:
+            plan: Plan.
+        """
         frames = {name: plan.times[name].frame for name in self.stated if name in plan.times}
         actions = {
             time.action: plan.times[name].action
@@ -172,8 +183,8 @@ class Template:
             tuple(action for _, action in sorted(actions.items()) if action is not None),
             tuple(relation for relation in relations if relation is not None),
         )
-        found = len(slots.frames), len(slots.actions), len(slots.relations)
-        return slots if found == (len(self.stated), self.actions, len(self.uses)) else None
+        sizes = len(slots.frames), len(slots.actions), len(slots.relations)
+        return slots if sizes == (len(self.stated), self.actions, len(self.uses)) else None
 
 
 def _start(of: str = "a", action: str = "{1}") -> Time:
@@ -238,7 +249,6 @@ _ROWS: Final = (
         ),
         stated=("t0", "t1"),
         time_proof="times",
-        time_queries="pose",
         seeks="a described person does something three seconds or more later, but not at the time of the description",
     ),
     Template(
@@ -274,7 +284,6 @@ _ROWS: Final = (
         stated=("t0", "t1"),
         decisive=("t1",),
         time_proof="times",
-        time_queries="distance",
         seeks="somebody described comes nearer, goes farther, stays or leaves, measured by lidar",
     ),
     Template(
@@ -352,7 +361,6 @@ _ROWS: Final = (
         stated=("t0", "t1"),
         edges=_TWO_HOPS,
         time_proof="times",
-        time_queries="pose",
         seeks="two certain relations lead to a person who does something ten seconds later, but not at first",
     ),
     Template(
@@ -426,17 +434,24 @@ _ROWS: Final = (
 )
 
 TEMPLATES: Final[dict[str, Template]] = {row.query: row for row in _ROWS}
-"""Rows by name of the form, in the order in which they are searched; a template's forms stand together."""
+"""Templates by name of the form, in the order of the search. The forms of a template are neighbours."""
 
 FORMS: Final = {name: tuple(rows) for name, rows in groupby(_ROWS, key=lambda row: row.name)}
-"""The forms of each template, by its name."""
+"""Forms of each template, by name of the template."""
 
 FAMILIES: Final = {name: forms[0].family for name, forms in FORMS.items()}
-"""The twelve templates and their families."""
+"""Family of each template, by name of the template."""
 
 
 def forms_of(name: str) -> tuple[Template, ...]:
-    """The forms of a template. Raises PlanError for an unknown name."""
+    """Return the forms of a template.
+
+    Args:
+        name: Name of the template.
+
+    Raises:
+        PlanError: If the name is unknown.
+    """
     if name not in FORMS:
         raise PlanError("template", f"{name!r} is no template; use one of {', '.join(FORMS)}")
     return FORMS[name]

@@ -45,20 +45,16 @@ LANGUAGE_LATER = (
     "agent/reference/",
     "agent/simulated/",
     "engine/generate/",
-    "loaders/intervals/",
     "loaders/synthetic/",
     "queries/beliefs/",
-    "queries/compiler/",
+    "queries/compiler/beliefs.py",
+    "queries/compiler/believed.py",
     "queries/generators/",
     "queries/necessity/",
     "queries/search/",
-    "schema/labels.py",
     "schema/markers.py",
     "schema/plan.py",
-    "schema/relations.py",
-    "schema/rules.py",
     "schema/templates.py",
-    "schema/wording/",
 )
 """Paths that later changes rewrite: until then, their language does not count, nor do ruff's rules of docstrings."""
 PATTERNS = {

@@ -23,7 +23,6 @@ ROW = """
         ("At {t0}, begin with {who}. Go on to {the1}, and from there to {the2}. Which of these is C doing then?",),
         edges=_TWO_HOPS,
         time_proof="program",
-        time_queries="two_hop",
         seeks="from somebody described two certain relations lead on to a person of known pose",
     ),
 """

@@ -16,7 +16,7 @@ import jrdb_avr
 from jrdb_avr.engine.generate.run import Generation
 from jrdb_avr.engine.report.comparison import Scores
 from jrdb_avr.engine.run.evaluate import RunResult
-from jrdb_avr.engine.validate.checks import Validation
+from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.loaders.problems import Problem
 from jrdb_avr.loaders.report import SequenceReport
 from jrdb_avr.loaders.result import LoadResult

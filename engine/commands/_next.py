@@ -27,10 +27,7 @@ def next_steps(folder: Path) -> list[str]:
         where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."
         load = f"jrdb-avr load ROOT --store {shlex.quote(named or 'store')}"
         steps = (("jrdb-avr demo", "every step on synthetic data, in twenty seconds"), (load, "your copy of JRDB"))
-        return [
-            where,
-            *(f"  {command:<{len(load)}}  {what}" for command, what in steps),
-        ]
+        return [where, *(f"  {command:<{len(load)}}  {what}" for command, what in steps)]
     return [line for place in stores for line in _of_store(place, folder, named)]
 
 

@@ -60,7 +60,7 @@ def generate(
     ignores the rules max_per_person and max_per_person_in_all.
     """
     from jrdb_avr.engine.generate import run
-    from jrdb_avr.engine.validate.reviews import rejected
+    from jrdb_avr.engine.pages.reviews import rejected
     from jrdb_avr.schema.rules import Rules, override
 
     rules = override(Rules(), dict(overrides))

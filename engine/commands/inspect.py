@@ -67,7 +67,7 @@ def command(
 
 
 def _import(store: Store, decisions: Path, reviewer: str, form: RowFormat) -> None:
-    from jrdb_avr.engine.validate.reviews import agreements, import_decisions, read_decisions
+    from jrdb_avr.engine.pages.reviews import agreements, import_decisions, read_decisions
 
     if not 1 <= len(reviewer) <= 80 or not reviewer.isprintable():
         raise click.UsageError("--reviewer is a name of 1 to 80 printable characters")

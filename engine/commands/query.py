@@ -13,7 +13,7 @@ import click
 
 from jrdb_avr.engine.commands._complete import complete_query
 from jrdb_avr.engine.commands._options import FILE, form_option, pairs_option, store_option
-from jrdb_avr.engine.console import print_rows
+from jrdb_avr.engine.console import RowFormat, print_data, print_rows
 from jrdb_avr.schema.errors import InputError, QueryError
 
 if TYPE_CHECKING:
@@ -30,15 +30,9 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
     for decorate in (
         click.argument("query", required=False, shell_complete=complete_query),
         store_option(required=False),
-        pairs_option(
-            "--param", "params", "Set the parameter $NAME of the query to VALUE (JSON or plain text). May be repeated."
-        ),
+        pairs_option("--param", "params", "Value of the parameter $NAME, as JSON or plain text. May be repeated."),
         click.option(
-            "--timeout",
-            type=click.FloatRange(0.1, 86_400),
-            default=60.0,
-            show_default=True,
-            help="Maximum seconds that the query may take.",
+            "--timeout", type=click.FloatRange(0.1, 86_400), default=60.0, show_default=True, help="Maximum seconds."
         ),
         click.option("--list", "listing", is_flag=True, help="List the saved queries with their parameters."),
         form_option,
@@ -50,18 +44,28 @@ def _query_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command()
 @_query_options
-def cypher(**options: Any) -> None:
+@click.option("--question", metavar="ID", help="Prove a question again, and print its statements with their rows.")
+def cypher(question: str | None, **options: Any) -> None:
     """Query the graph of a store with Cypher.
 
     QUERY is one of these: a read-only statement, the name of a saved query (see --list), the path of a file FILE.cypher
     that holds a statement, or - to read a statement from standard input.
 
+    With --question and no QUERY, the command proves a question of the store again. It prints each proof with the
+    numbers of its statements. Then it prints each statement as a command to run, with the rows that it returns.
+
     Examples:
       jrdb-avr cypher --list
+      jrdb-avr cypher --question 0098303b6414dec4 --store S
       jrdb-avr cypher who_is_where --store S --param sequence=NAME --param frame=15
       jrdb-avr cypher 'MATCH (p:Person) RETURN count(*) AS people' --store S --json
     """
-    _run("cypher", **options)
+    if question is None:
+        _run("cypher", **options)
+    elif options["query"] or options["params"] or options["listing"] or options["parquet"]:
+        raise click.UsageError("--question goes with --store, --json and --csv only")
+    else:
+        _explain(options["store"], question, options["form"])
 
 
 @click.command()
@@ -89,8 +93,8 @@ def _run(
     if form and parquet is not None:
         raise click.UsageError("choose one of --csv, --json and --parquet")
     if options["listing"]:
-        known = named_queries(language).values()
-        rows = [{"name": own.name, "answers": own.answers, "parameters": own.takes} for own in known]
+        named = named_queries(language)
+        rows = [{"name": name, "answers": query.answers, "parameters": query.takes} for name, query in named.items()]
         print_rows(rows, form=form)
         return
     if query is None:
@@ -100,13 +104,8 @@ def _run(
         "".join((query, *(text for pair in params for text in pair))).encode()
     except UnicodeEncodeError:
         raise click.UsageError("QUERY and --param must be UTF-8 text") from None
-    if store is None:
-        raise click.UsageError("Missing option '--store'.")
-    for name, _ in params:
-        if not name.isidentifier():
-            raise click.UsageError(f"--param {name}: not the name of a parameter")
     values = {name: parse_value(text) for name, text in params}
-    table = _unique_names(store.query(language, query, values, options["timeout"]))
+    table = _unique_names(_given(store).query(language, query, values, options["timeout"]))
     if parquet is not None:
         _write_parquet(table, parquet)
         return
@@ -115,6 +114,23 @@ def _run(
     except (OverflowError, ValueError) as error:
         raise QueryError(f"the result holds a time that cannot be printed ({error}): cast it to text") from None
     print_rows(rows, columns=table.column_names, form=form)
+
+
+def _explain(store: Store | None, question: str, form: RowFormat) -> None:
+    from jrdb_avr.engine.validate.explain import explain
+
+    explanation = explain(_given(store), question)
+    if form:
+        print_data(explanation.rows(), form)
+    else:
+        for title, rows in explanation.tables():
+            print_rows(rows, title)
+
+
+def _given(store: Store | None) -> Store:
+    if store is None:
+        raise click.UsageError("Missing option '--store'.")
+    return store
 
 
 def _statement(language: Language, query: str) -> str:

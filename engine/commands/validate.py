@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jrdb_avr.engine.commands._options import form_option, pairs_option, store_option
-from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar
+from jrdb_avr.engine.console import RowFormat, note, print_rows, progress_bar
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
@@ -23,9 +23,9 @@ def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: 
     """Check the questions of a store, and derive all answers and proofs again with a second program.
 
     The command checks files, ids, choices, answers, texts and evidence. The second program reads only the annotation
-    tables, and shares no code with 'generate'. With --replay, Cypher statements on the graph also repeat all proofs of the
-    stored plans. Each plan then also runs as one Cypher query. The query must find the stored people and the stored
-    answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
+    tables, and shares no code with 'generate'. With --replay, Cypher statements on the graph repeat all proofs of the
+    stored plans too. Then each plan runs as one Cypher query, which must find the stored people and the stored answer.
+    Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override
@@ -33,11 +33,9 @@ def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: 
     with progress_bar() as progress:
         rules = override(Rules(), dict(overrides))
         found = validate(store, rules, replay_proofs=replay, progress=progress)
-    if form:
-        print_data(found.rows(), form)
-    else:
-        # The first faults are left out, because all faults follow, one per line.
-        print_rows([{name: row[name] for name in row if name != "first fault"} for row in found.rows()])
+    # A table lacks the first faults, because all faults follow, one per line.
+    left_out = () if form else ("first fault",)
+    print_rows([{name: row[name] for name in row if name not in left_out} for row in found.rows()], form=form)
     for name, faults in found.faults.items():
         for fault in faults[:20]:
             note(f"{name}: {fault}")

@@ -7,8 +7,8 @@ all noted facts as rows of its parameter `$asked`.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeVar
 
 from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
@@ -19,10 +19,10 @@ from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.choice_labels import list_actions
-from jrdb_avr.schema.labels import ACTIONS, FLICKERING, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.labels import ACTIONS, POSES, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
-from jrdb_avr.schema.rules import KEYFRAME_STEP, LoadRules
+from jrdb_avr.schema.rules import LoadRules
 
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
@@ -31,8 +31,15 @@ _BY_READS: Final = ("seen", "start")
 """Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
 
 
+T = TypeVar("T")
+
+
 class CypherFacts:
-    """Source of facts for `perturb` that asks the graph in rounds."""
+    """Source of facts for `perturb` that asks the graph in rounds.
+
+    Attributes:
+        asked: Keys of the facts that were asked for. Callers may empty this set.
+    """
 
     def __init__(self, graph: Graph, rules: LoadRules) -> None:
         """Make a source that knows nothing yet.
@@ -42,12 +49,14 @@ class CypherFacts:
             rules: Thresholds of sectors and of directions between people.
         """
         self._reader = SceneReader(graph, SCENE, rules)
+        self.asked: set[Key] = set()
         self._known: dict[Key, Any] = {}
         self._noted: set[Key] = set()
         self._keyframes: dict[str, list[int]] = {}
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key. Raises MissingFactsError if some are not known yet; `fill` looks them up."""
+        self.asked.update(keys)
         missing = [key for key in keys if key not in self._known]
         if missing:
             self._noted.update(missing)
@@ -64,6 +73,14 @@ class CypherFacts:
                 self._look_up(name, keys[first : first + AT_ONCE])
         self._noted.clear()
         return bool(by_statement)
+
+    def complete(self, function: Callable[[], T]) -> T:
+        """Call a function, and look up the facts that it lacks, until it returns a value. Return this value."""
+        while True:
+            try:
+                return function()
+            except MissingFactsError:
+                self.fill()
 
     def count(self, sequence: str, relation: str, who: int, first: int, last: int) -> int | None:
         """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
@@ -132,8 +149,11 @@ def statement_of(key: Key) -> str:
     """Return the name of the statement of a fact: a file in `queries/necessity`, or a read of the compiler."""
     kind = key[0]
     if kind == "match":
-        return f"condition_{key[2].kind}"
-    return f"relation_{RELATIONS[key[2]].kind}" if kind == "follow" else str(kind)
+        return "condition_word" if key[2].attribute in WORDS else f"condition_{key[2].kind}"
+    if kind == "follow":
+        relation = RELATIONS[key[2]].kind
+        return f"relation_{relation}" if relation in ("group", "window") else "relation_pair"
+    return str(kind)
 
 
 def row_of(key: Key) -> dict[str, Any]:
@@ -158,7 +178,7 @@ def row_of(key: Key) -> dict[str, Any]:
         row["person"] = f"{scope}/{about[1]}"
         if relation.kind == "window":
             return row | {"v": float(relation.degrees), "side": 1 if relation.side == "left" else -1}
-        return row | {"v": relation.label}
+        return row | {"v": relation.label, "kind": relation.kind}
     return row
 
 
@@ -167,9 +187,7 @@ def _condition_values(condition: Condition) -> dict[str, Any]:
         return {"v": ROBOT_SECTORS[str(condition.value)]}
     if condition.attribute in WORDS:
         possible = may_be_called(str(condition.value)) | {condition.value}
-        return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible)}
+        return {"v": condition.value, "w": sorted(WORDS[condition.attribute] - possible), "kind": condition.attribute}
     if condition.object is not None:
         return {"v": condition.object, "w": condition.verb}
-    if condition.kind == "action":
-        return {"v": condition.action, "near": KEYFRAME_STEP if condition.action in FLICKERING else 0}
     return {"v": condition.value or condition.action or condition.interaction}

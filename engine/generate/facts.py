@@ -13,7 +13,6 @@ from typing import Any, Final, NamedTuple, cast
 
 from jrdb_avr.queries.compiler.reads import Seen
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.choice_labels import ListedActions, list_actions
 from jrdb_avr.schema.labels import (
@@ -47,7 +46,7 @@ class Fit(NamedTuple):
 Key = tuple[Any, ...]
 """Kind of a fact, sequence, and what the fact is about."""
 
-_LABELS: Final = ("performs", "handles", "interacts", "beside", "member")
+_LABELS: Final = ("performs", "handles", "pairs", "member")
 """Names of the statements in `queries/search` that return the labels of people at keyframes."""
 
 WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
@@ -92,13 +91,10 @@ class Facts:
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
 
-        self.keyframes: list[int] = []
-
         def rows(name: str) -> list[dict[str, Any]]:
-            text = read_statement(f"search/{name}.cypher")
-            values = {"sequence": sequence, "phase": self.keyframes[0] % KEYFRAME_STEP if self.keyframes else 0}
-            used = {each: values[each] for each in parameters(text)}
-            found: list[dict[str, Any]] = graph.query(text, used).to_pylist()
+            found: list[dict[str, Any]] = graph.query(
+                read_statement(f"search/{name}.cypher"), {"sequence": sequence}
+            ).to_pylist()
             return found
 
         frames = rows("frames")
@@ -118,17 +114,14 @@ class Facts:
         self._read_labels({name: rows(name) for name in _LABELS})
         self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
 
-    def _read_labels(self, rows: Mapping[str, Iterable[dict[str, Any]]]) -> None:
+    def _read_labels(self, rows: Mapping[str, Iterable[Mapping[str, Any]]]) -> None:
         written: dict[tuple[int, int], dict[str, bool]] = defaultdict(dict)
         for row in rows["performs"]:
-            if row["value"] in ACTIONS:
+            flickers = self.judges_views and row["value"] in FLICKERING
+            if row["value"] in ACTIONS and (row["now"] or flickers):
                 self._mark(self._labels, row, ("action", row["value"]), row["who"])
-                if row["written"]:
-                    written[row["who"], row["frame"]][row["value"]] = row["easy"]
-            if self.judges_views and row["written"] and row["value"] in FLICKERING:
-                for near in (row["frame"] - KEYFRAME_STEP, row["frame"] + KEYFRAME_STEP):
-                    about = row | {"frame": near, "certain": False}
-                    self._mark(self._labels, about, ("action", row["value"]), row["who"])
+            if row["value"] in ACTIONS and row["written"]:
+                written[row["who"], row["frame"]][row["value"]] = row["easy"]
         for frame, people in self.people.items():
             for who, row in people.items():
                 self.lists[who][frame] = list_actions(written[who, frame], row["listed"])
@@ -136,14 +129,10 @@ class Facts:
             if row["verb"] in VERBS:
                 category = row["value"] if row["value"] in OBJECTS else None
                 self._mark(self._labels, row, (row["verb"], category), row["who"])
-        for row in (*rows["interacts"], *rows["beside"]):
-            if row["other"] in self.people[row["frame"]]:
-                self._mark(self._pairs, row, (row["who"], row["value"]), row["other"])
-        for row in rows["interacts"]:
-            if (other := self.people[row["frame"]].get(row["other"])) is not None:
-                # Nobody sees that a person interacts with a person out of view.
-                certain = row["certain"] and (other["clear"] or not self.judges_views)
-                self._mark(self._labels, row | {"certain": certain}, ("interaction", row["value"]), row["who"])
+        for row in rows["pairs"]:
+            if row["value"] in QUESTION_RELATIONS:
+                for other in self.people[row["frame"]].keys() & set(row["others"]):
+                    self._mark(self._pairs, row, (row["who"], row["value"]), other)
         groups: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
         for row in rows["member"]:
             self._mark(groups, row, ("group", row["value"]), row["who"])
@@ -187,13 +176,20 @@ class Facts:
                 marks = labels.get((condition.verb or "", condition.object), {})
                 return _fit(marks, self._without(frame, "handles_listed") | unknown)
             case "interaction":
-                # A person without a list may interact with each other person.
-                anybody = len(self.people[frame]) > 1 and self._without(frame, "interactions_listed")
-                marks = labels.get(("interaction", condition.interaction), {})
-                return _fit(marks, self.people[frame] if anybody else ())
+                return self._match_interaction(condition.interaction or "", frame)
             case "sector":
                 return self._match_sector(str(condition.value), frame)
         return self._match_value(condition, frame)
+
+    def _match_interaction(self, label: str, frame: int) -> Fit:
+        people, marks = self.people[frame], {}
+        for (who, name), met in self._pairs[frame].items():
+            if name == label:
+                # A partner who is not in clear view may be out of sight.
+                marks[who] = any(met[other] and (people[other]["clear"] or not self.judges_views) for other in met)
+        # A person without a list may interact with each other person.
+        anybody = len(people) > 1 and self._without(frame, "interactions_listed")
+        return _fit(marks, people.keys() if anybody else ())
 
     def _match_sector(self, sector: str, frame: int) -> Fit:
         off = {who: angle_error(row["angle"], ROBOT_SECTORS[sector]) for who, row in self.people[frame].items()}
@@ -222,7 +218,7 @@ class Facts:
         return Fit(could, certain)
 
     def _match_group_size(self, size: int, frame: int) -> Fit:
-        sizes = {who: (row["group_size_min"], row["group_size_max"]) for who, row in self.people[frame].items()}
+        sizes = {who: (row["size_min"], row["size_max"]) for who, row in self.people[frame].items()}
         could = {who for who, (least, most) in sizes.items() if least is None or least <= size <= most}
         return Fit(could, {who for who in could if sizes[who] == (size, size)})
 

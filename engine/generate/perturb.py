@@ -1,14 +1,12 @@
 """Perturbations of a plan, and the proofs that they give.
 
-A perturbation is another program: a condition left out, another target, a hop left out, or other times. A program runs
-over facts, which a source of facts returns by key. The same code therefore proves a question from the sets of `Facts`
-and from statements over the stored graph.
+A perturbation is another program: a condition or a hop left out, another target, or other times. A source returns facts
+by key. So the same code proves a question from the sets of `Facts` and from statements over the stored graph.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import reduce
 from typing import Any, Final, Protocol, cast
 
 import msgspec
@@ -36,15 +34,9 @@ _WORST: Final = ("empty", "ambiguous", "unknown")
 Answer = str | FrameViewpoint
 
 
-def read_answer(mode: str, text: str) -> Answer:
-    """Return an answer as programs give it: the text of a choice, or a start with its direction.
-
-    Args:
-        mode: Answer mode of the question.
-        text: Text of a choice, or the stored JSON of another answer.
-    """
-    answer = decode_answer(mode, text) if mode == "frame_viewpoint" else text
-    return cast(Answer, answer)
+def parse_answer(mode: str, text: str) -> Answer:
+    """Return a stored answer as programs return it: a start is decoded, a choice stays a text."""
+    return cast(FrameViewpoint, decode_answer(mode, text)) if mode == "frame_viewpoint" else text
 
 
 class NoAnswerError(Exception):
@@ -144,7 +136,7 @@ def make_program(sequence: str, plan: Plan, template: Template) -> Program:
 # -- running a program ------------------------------------------------------------------------------------------------
 
 
-def find_people(program: Program, source: FactSource) -> dict[str, int]:
+def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
     """Find the people of a program, one after another.
 
     Args:
@@ -160,7 +152,7 @@ def find_people(program: Program, source: FactSource) -> dict[str, int]:
     """
     people = {"a": _only(match(program, source)) if program.held is None else program.held}
     failures, missing = [], False
-    for node in program.nodes[1:]:
+    for node in program.nodes[1:] if program.edges else ():
         edges = [edge for edge in program.edges if edge.target == node]
         if not all(edge.source in people for edge in edges):
             continue
@@ -197,7 +189,9 @@ def _step(program: Program, source: FactSource, people: dict[str, int], edges: S
 
 
 def _overlap(fits: Sequence[Fit]) -> Fit:
-    could, certain = (reduce(lambda some, more: some & more, map(set, sets)) for sets in zip(*fits, strict=True))
+    could, certain = fits[0]
+    for fit in fits[1:]:
+        could, certain = could & fit.could, certain & fit.certain
     return Fit(could, certain)
 
 
@@ -227,7 +221,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
         NoAnswerError: If the program has no answer.
         MissingFactsError: If facts are missing.
     """
-    who = find_people(program, source)[program.target]
+    who = find_tracks(program, source)[program.target]
     if program.read == "start_view":
         (start,) = source.ask([("start", program.sequence, who, program.action, program.frame)])
         return cast(FrameViewpoint, _known(start))
@@ -259,7 +253,7 @@ def read_action(program: Program, label: str, source: FactSource) -> str:
         NoAnswerError: If the program finds no single person.
         MissingFactsError: If facts are missing.
     """
-    about = program.sequence, find_people(program, source)[program.target], program.times[0]
+    about = program.sequence, find_tracks(program, source)[program.target], program.times[0]
     seen, labels = source.ask([("seen", *about), ("labels", *about)])
     return "empty" if seen.present is False else outcome(labels, label)
 
@@ -290,18 +284,23 @@ def prove(program: Program, answer: Answer, keyframes: Sequence[int], rules: Rul
         NoAnswerError: If the program finds no single person.
         MissingFactsError: If facts are missing. All facts that can be asked for have been asked for.
     """
-    proofs = list(iterate_proofs(program, answer, keyframes, rules, source))
-    known = [proof for proof in proofs if proof is not None]
-    if len(known) < len(proofs):
+    return require_all(iterate_proofs(program, answer, keyframes, rules, source))
+
+
+def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
+    """Return all proofs. Raise MissingFactsError after the last proof if one of them lacks facts."""
+    proofs = list(proofs)
+    complete = [proof for proof in proofs if proof is not None]
+    if len(complete) < len(proofs):
         raise MissingFactsError
-    return known
+    return complete
 
 
 def iterate_proofs(
     program: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
 ) -> Iterator[Proof | None]:
     """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
-    people = find_people(program, source)
+    people = find_tracks(program, source)
     yield from prove_conditions(program, source)
     yield from prove_changes(program, people, answer, keyframes, rules, source)
 
@@ -421,7 +420,7 @@ def _compare(
 
 def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSource) -> str:
     """Compare starts. If no start is certain, the outcome is unknown only if a start may be near enough to score."""
-    who, action, sequence = find_people(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
+    who, action, sequence = find_tracks(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
     (start,) = source.ask([("start", sequence, who, action, perturbed.frame)])
     if start is not None:
         return "same" if same_answer(start, answer) else "different"
@@ -455,10 +454,9 @@ def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
 
 def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
     """Return the edges without a hop. The hops after it begin at the person from whom it led."""
-    edges = tuple(edge for edge in program.edges if edge is not skipped)
-    if skipped.target == program.target:
-        return edges
-    return tuple(replace(edge, source=skipped.source) if edge.source == skipped.target else edge for edge in edges)
+    edges = (edge for edge in program.edges if edge is not skipped)
+    moves = skipped.target != program.target
+    return tuple(replace(e, source=skipped.source) if moves and e.source == skipped.target else e for e in edges)
 
 
 def shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:

@@ -30,7 +30,7 @@ from jrdb_avr.engine.generate.perturb import (
     Program,
     iterate_proofs,
     make_program,
-    read_answer,
+    parse_answer,
 )
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
@@ -95,7 +95,8 @@ class Prover:
             return None
         template = proposal.template
         program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
-        proofs = self._try_proofs(program, read_answer(template.spec.mode, proposal.answer), template)
+        answer = parse_answer(template.spec.mode, proposal.answer)
+        proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
         if not (lacking := failing(template.name, proofs, self._search.rules)):
             return proofs
         rule = lacking[0].split()[0]
@@ -118,13 +119,6 @@ class Prover:
 
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
-        while True:
-            try:
-                return self._prove(program, answer, template)
-            except MissingFactsError:
-                self._cypher.fill()
-
-    def _prove(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         rules, proofs, missing = self._search.rules, [], False
         for proof in iterate_proofs(program, answer, self._search.layer.facts.keyframes, rules, self):
             if proof is None:

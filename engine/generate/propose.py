@@ -16,6 +16,7 @@ from itertools import product
 from typing import Any, Final
 
 import msgspec
+import pyarrow as pa
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
@@ -103,8 +104,15 @@ class Search:
         """Run a generator and return its rows."""
         text = read_statement(f"generators/{name}.cypher")
         values = {**keyframe_values(self.rules), "sequence": self.sequence}
-        rows: list[dict[str, Any]] = self.graph.query(text, {key: values[key] for key in parameters(text)}).to_pylist()
-        return rows
+        table = self.graph.query(text, {key: values[key] for key in parameters(text)})
+        # Presence has hundreds of thousands of rows. NumPy converts their numbers 20 times as fast.
+        columns = [
+            column.to_numpy().tolist()
+            if pa.types.is_integer(column.type) and not column.null_count
+            else column.to_pylist()
+            for column in table.columns
+        ]
+        return [dict(zip(table.column_names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def propose(search: Search, template: Template) -> Iterable[Row]:

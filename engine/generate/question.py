@@ -26,12 +26,12 @@ from jrdb_avr.engine.generate.perturb import (
     MissingFactsError,
     NoAnswerError,
     Program,
-    find_people,
+    find_tracks,
     hops,
     make_program,
     match,
+    parse_answer,
     prove,
-    read_answer,
     run,
     shifts,
 )
@@ -134,7 +134,7 @@ def _program(proposal: Proposal) -> tuple[Program, Answer]:
     program = make_program(proposal.sequence, proposal.plan, proposal.template)
     # Proofs leave out the conditions in the order of the description.
     program = replace(program, conditions=proposal.conditions)
-    return program, read_answer(proposal.template.spec.mode, proposal.answer)
+    return program, parse_answer(proposal.template.spec.mode, proposal.answer)
 
 
 def prove_all(
@@ -325,7 +325,7 @@ def _named(search: Search, program: Program, name: str) -> Iterator[tuple[str, s
         if program.read != "action":
             yield str(run(program, facts, search.rules)), name
             return
-        target = find_people(program, facts)[program.target]
+        target = find_tracks(program, facts)[program.target]
     except NoAnswerError:
         return
     labels = facts.labels(target, program.times[0])

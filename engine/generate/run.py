@@ -130,12 +130,11 @@ def generate(
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
         lows = ensure_layer(store, rules, workers, progress)
-        jobs = {
-            name: SearchJob(store.path, name, lows[name], rules, tuple(held_out.extents.get(name, ())))
-            for name in sequences
-        }
+        jobs = [
+            SearchJob(store.path, name, lows[name], rules, tuple(held_out.extents.get(name, ()))) for name in sequences
+        ]
         with hold_graph(store.graph_path, workers):
-            found = _search(list(jobs.values()), workers, step_counter(progress, "searching", len(jobs)))
+            found = _search(jobs, workers, step_counter(progress, "searching", len(jobs)))
             counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
             selected = _choose(
                 [entry for one in found for entry in _ENTRIES.decode(one.pool)],
@@ -187,9 +186,7 @@ def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> lis
     every, unclear = sorted(manifest.sequences), store.without_occlusion()
     if unclear:
         what = f"{len(unclear)} of {len(every)} sequences have no occlusion attributes"
-        how = "there nearer boxes and group labels decide who is in clear view"
-        if manifest.load_rules.visibility == "any":
-            how = "there every box of legal size counts as a clear view, also one of somebody hidden"
+        how = "there boxes decide who is in clear view, so needed people may be hidden"
         line = f"{what} and are skipped" if require_occlusion else f"{what}: {how}; --require-occlusion skips them"
         warnings.warn(line, AvrWarning, stacklevel=3)
     if not require_occlusion:
@@ -310,7 +307,7 @@ def _refusals(sequence: str, template: str, prover: Prover) -> list[Row]:
     return rows
 
 
-def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Advance) -> list[Found]:
+def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Callable[[int], None]) -> list[Found]:
     """Search every sequence; return the results in the order of the jobs."""
     results: dict[int, Found] = {}
     for index, result in map_sequences(search_sequence, jobs, workers, lambda job: job.weight):
@@ -385,15 +382,16 @@ def _left_out(selected: Selected) -> Iterator[Row]:
 
 
 def _make(
-    jobs: Mapping[str, SearchJob], workers: Executor, progress: Progress | None, chosen: Sequence[Chosen]
+    jobs: Sequence[SearchJob], workers: Executor, progress: Progress | None, chosen: Sequence[Chosen]
 ) -> tuple[pa.Table, dict[str, Fault]]:
     """Make selected questions; return them, and the faults by key."""
     by_sequence: dict[str, list[Chosen]] = defaultdict(list)
     for one in chosen:
         by_sequence[one.question.candidate.sequence].append(one)
     question_jobs = [
-        QuestionJob(jobs[name].store, name, jobs[name].low, jobs[name].rules, tuple(some))
-        for name, some in sorted(by_sequence.items())
+        QuestionJob(job.store, job.sequence, job.low, job.rules, tuple(by_sequence[job.sequence]))
+        for job in jobs
+        if job.sequence in by_sequence
     ]
     advance = step_counter(progress, "confirming", len(question_jobs))
     tables, faults = [COLUMNS.empty_table()], dict[str, Fault]()

@@ -90,7 +90,7 @@ def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progre
     # A killed run may have left staged rows.
     shutil.rmtree(stage, ignore_errors=True)
     jobs = layer_jobs(store, rules)
-    if not is_stored(store, rules):
+    if not _is_stored(store, rules):
         advance = step_counter(progress, "keyframes", len(jobs))
         try:
             with hold_graph(store.graph_path, workers):
@@ -102,16 +102,8 @@ def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progre
     return {job.sequence: job.low for job in jobs}
 
 
-def is_stored(store: Store, rules: Rules) -> bool:
-    """Return whether the graph of a store has the keyframe layer of these rules and of all sequences.
-
-    If a run has written into the graph, or the graph is damaged, its file differs from the built one. Then the whole
-    store is verified first.
-
-    Raises:
-        StoreError: If the graph is missing or damaged.
-        LockedError: If another process writes the graph.
-    """
+def _is_stored(store: Store, rules: Rules) -> bool:
+    """Return whether the graph has the layer of these rules and of all sequences. Verify a file that was changed."""
     # Check the file before it is opened here, because closing the file would drop the engine's lock on it.
     if not is_as_built(store.graph_path) and any(check.fault for check in checks_of(store)):
         raise StoreError(f"{store.graph_path} is damaged: run 'jrdb-avr load --verify --store {store.path}'")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,8 +22,9 @@ from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.proofs import expected, failing
 from jrdb_avr.engine.generate.question import AT_FIRST
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
-from jrdb_avr.engine.validate.replay import Advance, compare_record, replay, run_compiled
-from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
+from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
+from jrdb_avr.engine.validate.validation import Validation
+from jrdb_avr.queries.display import Progress, step_counter
 from jrdb_avr.queries.store import Store, read_table
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice, Number
@@ -38,100 +39,9 @@ from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 from jrdb_avr.schema.templates import forms_of
 from jrdb_avr.schema.wording.text import parse, question_id, question_key, render
 
-CHECKS: Final = {
-    "files": "columns and metadata are right; public files have no private columns",
-    "ids": "each question is once in each file; its id is the hash of its public columns",
-    "choices": "a choice question has four different choices, and no two of them overlap; other questions have none",
-    "answers": "the stored answer is readable and inside the sequence",
-    "plans": "the plan is valid and fits the template of the question",
-    "text": "the text states the plan and nothing else; stated seconds are frame / fps",
-    "evidence": "the evidence has all boxes of the target and no other box",
-    "proofs": "all required proofs are present and hold; distractors and bindings fit",
-    "rules": "generation used the same rules",
-    "selection": "shares of answers and questions per person obey the rules; no two questions are alike",
-    "rederive": "the second program finds the same person, answer, needed boxes, measures and proofs",
-}
-"""Names of the checks of stored questions, each with what it checks, in the order of the report."""
-
-REPLAY_CHECKS: Final = {
-    "replay": "statements over the graph, run for each proof again, give the stored proofs",
-    "compiled": "the plan, compiled to Cypher, finds the stored people and answer in the graph",
-}
-"""Names of the further checks of `--replay`, each with what it checks."""
-
 _FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
 _STATED_TIME: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
 """Pattern of a time in the text of a question: its seconds and its frame."""
-
-
-class Validation(Displayed):
-    """Result of a validation.
-
-    Attributes:
-        checked: Number of checks by name.
-        faults: Messages by the name of the check, in the order of discovery.
-    """
-
-    def __init__(self) -> None:
-        """Make a result without checks."""
-        self.checked: Counter[str] = Counter()
-        self.faults: dict[str, list[str]] = defaultdict(list)
-
-    def check(self, name: str, holds: bool, fault: str) -> bool:
-        """Count one check.
-
-        Args:
-            name: Name of the check.
-            holds: Whether the check succeeds.
-            fault: Message that is recorded if the check fails.
-
-        Returns:
-            `holds`.
-        """
-        self.add(name, 1, [] if holds else [fault])
-        return holds
-
-    def add(self, name: str, count: int, faults: Iterable[object]) -> None:
-        """Count several checks.
-
-        Args:
-            name: Name of the checks.
-            count: Number of checks.
-            faults: Faults of the checks that failed.
-        """
-        self.checked[name] += count
-        for fault in faults:
-            self.faults[name].append(str(fault))
-
-    @property
-    def sound(self) -> bool:
-        """Whether all checks succeeded."""
-        return not self.faults
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return a row per kind of check: its name, the numbers of checks and faults, the first fault, what it checks.
-
-        Returns:
-            The rows in the order of CHECKS. Those of REPLAY_CHECKS follow if they ran.
-        """
-        replayed = REPLAY_CHECKS if REPLAY_CHECKS.keys() & self.checked.keys() else {}
-        return [
-            {
-                "check": name,
-                "checked": self.checked[name],
-                "faults": len(self.faults.get(name, ())),
-                "first fault": self.faults[name][0] if name in self.faults else "",
-                "what holds": statement,
-            }
-            for name, statement in (CHECKS | replayed).items()
-        ]
-
-    def _summary(self) -> str:
-        faults = sum(map(len, self.faults.values()))
-        return f"sound, {self.checked.total()} checks" if self.sound else f"{faults} faults"
-
-    def _tables(self) -> Tables:
-        return {"Checks": self.rows()}
 
 
 def validate(
@@ -187,8 +97,7 @@ def validate(
             check.run(boxes[sequence, record.target_track])
             advance(1)
     _check_selection(report, records, rules)
-    # Without ids, files that cannot be read are the only fault.
-    if replay_proofs and report.checked["ids"]:
+    if replay_proofs:
         check_replay(report, store, records, rules, step_counter(progress, "repeating proofs", 2 * count))
     return report
 
@@ -223,7 +132,7 @@ def check_replay(
     store: Store,
     records: Sequence[QuestionRecord],
     rules: Rules,
-    advance: Advance = lambda count: None,
+    advance: Callable[[int], None] = lambda count: None,
 ) -> None:
     """Repeat all proofs by statements over the graph, and run all plans as Cypher.
 
@@ -238,8 +147,10 @@ def check_replay(
         StoreError: If the graph is missing or damaged.
         LockedError: If another process writes the graph.
     """
-    report.add("replay", len(records), replay(store, records, rules, advance))
-    report.add("compiled", len(records), run_compiled(store, records, rules, advance))
+    plans, unreadable = read_plans(records)
+    advance(2 * len(unreadable))
+    report.add("replay", len(records), [*unreadable, *replay(store, plans, rules, advance)])
+    report.add("compiled", len(records), [*unreadable, *run_compiled(store, plans, rules, advance)])
 
 
 # -- files ------------------------------------------------------------------------------------------------------------
@@ -257,10 +168,12 @@ def _read(store: Store, table_name: str, report: Validation, training: bool) -> 
         f"{name} has the columns {_list_columns(table.schema)}; expected {_list_columns(schema)}",
     )
     metadata = {key: value for key, value in (pq.read_metadata(path).metadata or {}).items() if key != b"ARROW:schema"}
-    keys = {key.encode() for key in (GENERATION_KEY, *((PROFILE_KEY, DISJOINT_KEY) if training else ("canary",)))}
-    report.check("files", set(metadata) == keys, f"{name} has the metadata {sorted(metadata)}")
-    lacking = not training and metadata.get(b"canary") != CANARY.encode()
-    report.check("files", not lacking, f"{name} lacks the canary")
+    keys = {GENERATION_KEY, PROFILE_KEY, DISJOINT_KEY} if training else {GENERATION_KEY, "canary"}
+    report.check(
+        "files", set(metadata) == {key.encode() for key in keys}, f"{name} has the metadata {sorted(metadata)}"
+    )
+    marked = training or metadata.get(b"canary") == CANARY.encode()
+    report.check("files", marked, f"{name} lacks the canary")
     try:
         table.validate(full=True)
     except pa.ArrowException as error:
@@ -299,12 +212,9 @@ def _check_ids(report: Validation, tables: Mapping[str, pa.Table]) -> None:
 def _check_sequence(report: Validation, info: dict[str, Any], annotations: Annotations) -> None:
     frames, name = info["frames"], info["sequence"]
     images = annotations.layers.get("images") or annotations.layers.get("2d", [])
-    for holds, fault in (
-        (all(a < b for a, b in itertools.pairwise(frames)), "the frames of {} are not ascending"),
-        (set(frames) == set(images), "the frames of {} are not its annotated frames"),
-        (bool(frames) and frames[-1] < info["frame_count"], "{} has frames beyond its frame_count"),
-    ):
-        report.check("files", holds, f"sequences.parquet: {fault.format(name)}")
+    report.check("files", frames == sorted(images), f"sequences.parquet: not the annotated frames of {name}")
+    inside = bool(frames) and frames[-1] < info["frame_count"]
+    report.check("files", inside, f"sequences.parquet: {name} has frames beyond its frame_count")
 
 
 # -- one question -----------------------------------------------------------------------------------------------------
@@ -326,9 +236,7 @@ class _QuestionCheck:
     def run(self, boxes: Sequence[tuple[int, Box]]) -> None:
         """Run all checks. `boxes` are the boxes of the evidence by frame."""
         record, mode, count = self.record, self.record.answer_mode, len(self.record.choices)
-        evidence = dict(boxes)
-        self.check("evidence", len(boxes) == len(evidence) > 0, f"{len(boxes)} rows for {len(evidence)} frames")
-        same = evidence == self.annotations.boxes(record.target_track)
+        same = sorted(boxes) == sorted(self.annotations.boxes(record.target_track).items())
         self.check("evidence", same, f"the boxes differ from those of person {record.target_track}")
         self.check("rules", record.rules == rules_hash(self.rules), f"generated under the rules {record.rules}")
         complete = count == len(set(record.choices)) == (CHOICE_COUNT if MODES[mode].is_choice else 0)
@@ -345,7 +253,7 @@ class _QuestionCheck:
         self.check("plans", plan.answer.mode == mode, f"the answer of the plan has the mode {plan.answer.mode}")
         self.check("plans", family == record.family, f"template {record.template!r} belongs to the family {family!r}")
         self._check_text(plan)
-        self._check_proofs(plan, answer)
+        self._check_proofs(plan)
         outcome = rederive(self.annotations, plan, record.template, self.rules, record.choices)
         again = self._compute_columns(plan, outcome)
         faults = [f"{record.question_id}: {fault}" for fault in outcome.faults]
@@ -389,7 +297,7 @@ class _QuestionCheck:
         fitting = all(seconds == f"{int(frame) / self.info['fps']:.1f}" for seconds, frame in times)
         self.check("text", bool(times) and fitting, "stated seconds are not frame / fps")
 
-    def _check_proofs(self, plan: Plan, answer: Answer) -> None:
+    def _check_proofs(self, plan: Plan) -> None:
         record = self.record
         stored = [(proof.kind, proof.variant) for proof in record.proofs]
         required = expected(record.template, plan, self.rules)
@@ -398,30 +306,26 @@ class _QuestionCheck:
         self.check("proofs", complete, f"missing or unexpected proofs: {', '.join(map(' '.join, odd))}")
         broken = failing(record.template, record.proofs, self.rules)
         self.check("proofs", not broken, f"{', '.join(broken)} do not hold")
-        self.check("proofs", self._distractors_fit(answer), f"distractors {list(record.distractors)} do not fit")
+        self.check("proofs", self._distractors_fit(), f"distractors {list(record.distractors)} do not fit")
         bound = record.bindings.keys() == {node.id for node in plan.nodes} | set(plan.times)
         bound = bound and record.bindings[plan.target] == record.target_track
         self.check("proofs", bound, f"bindings {record.bindings} do not fit the plan")
 
-    def _distractors_fit(self, answer: Answer) -> bool:
-        """Return whether the names of wrong choices fit the proofs with these answers."""
+    def _distractors_fit(self) -> bool:
+        """Return whether each wrong choice with a name is the answer of its proof, and the true choice has no name."""
         record = self.record
-        if len(record.distractors) != len(record.choices):
-            return False
         proofs = {f"{proof.kind}({proof.variant})": proof for proof in record.proofs}
         proofs |= {f"{proof.kind} {proof.variant}": proof for proof in record.proofs}
-        for position, (choice, name) in enumerate(zip(record.choices, record.distractors, strict=True), start=1):
-            if name is None:
-                continue
-            if isinstance(answer, Choice) and answer.choice == position:
+        for choice, name in zip(record.choices, record.distractors, strict=False):
+            label = answer_of_choice(choice)
+            if name is not None and label == record.answer_text:
                 return False
-            # Actions at the time of the description and the answers of look-alikes are in no proof.
-            if name == AT_FIRST or name.startswith("look-alike without "):
-                continue
-            proof = proofs.get(name)
-            if proof is None or proof.outcome != "different" or proof.answer not in (None, answer_of_choice(choice)):
-                return False
-        return True
+            # No proof has the actions at the time of the description or the answers of look-alikes.
+            if name is not None and name != AT_FIRST and not name.startswith("look-alike "):
+                proof = proofs.get(name)
+                if proof is None or proof.outcome != "different" or proof.answer not in (None, label):
+                    return False
+        return len(record.distractors) == len(record.choices)
 
 
 def _is_inside(answer: Answer, choices: int, frame_count: int) -> bool:
@@ -436,14 +340,12 @@ def _is_inside(answer: Answer, choices: int, frame_count: int) -> bool:
 
 
 def _check_selection(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:
-    by_template = Counter((record.sequence, record.target_track, record.template) for record in records)
-    for (sequence, track, template), count in sorted(by_template.items()):
-        few = count <= rules.max_per_person
-        report.check("selection", few, f"{count} questions {template} of person {track} in {sequence}")
-    by_person = Counter((record.sequence, record.target_track) for record in records)
-    for (sequence, track), count in sorted(by_person.items()):
-        few = count <= rules.max_per_person_in_all
-        report.check("selection", few, f"{count} questions of person {track} in {sequence}")
+    persons: Counter[tuple[str, int, str]] = Counter()
+    for record in records:
+        persons.update((record.sequence, record.target_track, template) for template in (f" {record.template}", ""))
+    for (sequence, track, template), count in sorted(persons.items()):
+        few = count <= (rules.max_per_person if template else rules.max_per_person_in_all)
+        report.check("selection", few, f"{count} questions{template} of person {track} in {sequence}")
     _check_alike(report, records, rules)
     answers: dict[str, Counter[str]] = defaultdict(Counter)
     for record in records:

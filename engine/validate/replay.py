@@ -19,10 +19,11 @@ from jrdb_avr.engine.generate.perturb import (
     MissingFactsError,
     NoAnswerError,
     Program,
-    find_people,
+    find_tracks,
     make_program,
     prove_changes,
     prove_conditions,
+    require_all,
 )
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
@@ -43,27 +44,6 @@ _TOLERANCE: Final = 1e-9
 
 _SHORT: Final = 80
 """Maximum characters of a value in a message."""
-
-Advance = Callable[[int], None]
-"""Function that receives the number of questions that have just been finished."""
-
-
-class Difference(NamedTuple):
-    """A difference from a stored record.
-
-    Attributes:
-        question_id: Id of the question.
-        part: Name of the column, or kind and variant of the proof.
-        message: Text that says how the part differs.
-    """
-
-    question_id: str
-    part: str
-    message: str
-
-    def __str__(self) -> str:
-        """Return the difference as one line."""
-        return ": ".join(self)
 
 
 class StoredPlan(NamedTuple):
@@ -94,14 +74,15 @@ class StoredPlan(NamedTuple):
 # -- comparison -------------------------------------------------------------------------------------------------------
 
 
-def compare_record(stored: QuestionRecord, again: Mapping[str, Any]) -> Iterator[Difference]:
+def compare_record(stored: QuestionRecord, again: Mapping[str, Any]) -> Iterator[str]:
     """Compare a stored record with values that were computed again.
 
     Args:
         stored: Stored record.
         again: Values by column. An answer is a text. A set is compared with the items of the stored list.
 
-    Yields: A difference per column that differs, and per proof that is missing, surplus or different.
+    Yields: A line per column that differs, and per proof that is missing, surplus or different. The line begins with
+    the id of the question and the name of the column or proof.
     """
     for column, now in again.items():
         before: Any = stored.answer_text if column == "answer" else getattr(stored, column)
@@ -109,27 +90,23 @@ def compare_record(stored: QuestionRecord, again: Mapping[str, Any]) -> Iterator
             yield from _compare_proofs(stored, now)
         elif isinstance(now, float):
             if abs(before - now) > _TOLERANCE:
-                yield Difference(stored.question_id, column, f"stored {before}, now {now}")
+                yield f"{stored.question_id}: {column}: stored {before}, now {now}"
         elif now != (frozenset(before) if isinstance(now, frozenset) else before):
-            yield Difference(stored.question_id, column, f"stored {_shorten(before)}, now {_shorten(now)}")
+            yield f"{stored.question_id}: {column}: stored {_shorten(before)}, now {_shorten(now)}"
 
 
-def _compare_proofs(stored: QuestionRecord, again: Sequence[Proof]) -> Iterator[Difference]:
+def _compare_proofs(stored: QuestionRecord, again: Sequence[Proof]) -> Iterator[str]:
     before, now = ({(proof.kind, proof.variant): proof for proof in proofs} for proofs in (stored.proofs, again))
     for key in now | before:
         if before.get(key) != now.get(key):
-            message = f"stored {_describe(before.get(key))}, now {_describe(now.get(key))}"
-            yield Difference(stored.question_id, " ".join(key), message)
+            change = f"stored {_describe(before.get(key))}, now {_describe(now.get(key))}"
+            yield f"{stored.question_id}: {' '.join(key)}: {change}"
     if len(stored.proofs) != len(again) and before.keys() == now.keys():
-        yield Difference(stored.question_id, "proofs", f"{len(stored.proofs)} are stored, {len(again)} are run")
+        yield f"{stored.question_id}: proofs: {len(stored.proofs)} are stored, {len(again)} are run"
 
 
 def _describe(proof: Proof | None) -> str:
-    if proof is None:
-        return "nothing"
-    answer = f" ({_shorten(proof.answer)})" if proof.answer is not None else ""
-    holds = "" if proof.holds is None else ", holds" if proof.holds else ", does not hold"
-    return f"{proof.outcome}{answer}{holds}"
+    return "nothing" if proof is None else f"{proof.outcome}, answer {proof.answer}, holds {proof.holds}"
 
 
 def _shorten(value: Any) -> str:
@@ -137,22 +114,23 @@ def _shorten(value: Any) -> str:
     return text if len(text) <= _SHORT else f"{text[: _SHORT - 3]}..."
 
 
-def read_plans(records: Iterable[QuestionRecord]) -> tuple[list[StoredPlan], list[Difference]]:
+def read_plans(records: Iterable[QuestionRecord]) -> tuple[list[StoredPlan], list[str]]:
     """Read the plans of questions.
 
     Args:
         records: Records of the questions.
 
     Returns:
-        The plans that can be read, and a difference per question with another plan.
+        The plans that programs and the compiler can run, and a line per question with another plan.
     """
     plans, unreadable = [], []
     for record in records:
         try:
             plan = parse_plan(record.plan)
+            compile_find(plan, SCENE)
             plans.append(StoredPlan(record, plan, _find_form(record.template, plan)))
         except AvrError as error:
-            unreadable.append(Difference(record.question_id, "plan", str(error)))
+            unreadable.append(f"{record.question_id}: plan: {error}")
     return plans, unreadable
 
 
@@ -172,25 +150,24 @@ def _find_form(name: str, plan: Plan) -> Template:
 
 
 def replay(
-    store: Store, records: Sequence[QuestionRecord], rules: Rules, advance: Advance = lambda count: None
-) -> list[Difference]:
+    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Callable[[int], None] = lambda count: None
+) -> list[str]:
     """Prove questions again by statements over the graph, each statement for all questions at a time.
 
     Args:
         store: Store with the graph.
-        records: Questions.
+        plans: Questions.
         rules: Rules of the questions.
         advance: Function that receives the number of questions that have just been finished.
 
     Returns:
-        The differences from the stored proofs and people, in the order of the questions.
+        A line per difference from the stored proofs and people, as `compare_record` yields it.
 
     Raises:
         StoreError: If the graph is missing or damaged.
         LockedError: If another process writes the graph.
     """
-    plans, differences = read_plans(records)
-    advance(len(differences))
+    differences = []
     with Graph.open(store.graph_path, read_only=True) as graph:
         source = CypherFacts(graph, rules.load)
         while plans:
@@ -203,23 +180,19 @@ def replay(
             advance(len(plans) - len(waiting))
             plans = waiting
             source.fill()
-    position = {record.question_id: index for index, record in enumerate(records)}
-    return sorted(differences, key=lambda difference: position[difference.question_id])
+    return differences
 
 
-def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[Difference]:
+def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[str]:
     """Prove a question, and compare its record. Raise MissingFactsError if facts are missing."""
     record, plan = stored.record, stored.plan
     try:
-        people = find_people(stored.program, source)
-        proofs = list(iterate_stored_proofs(stored, source, source.keyframes(record.sequence), rules))
+        proofs = require_all(iterate_stored_proofs(stored, source, source.keyframes(record.sequence), rules))
+        people = find_tracks(stored.program, source)
     except NoAnswerError as reason:
-        return [Difference(record.question_id, "anchor match", f"stored same, now {reason}")]
-    if None in proofs:
-        raise MissingFactsError
+        return [f"{record.question_id}: anchor match: stored same, now {reason}"]
     stated = {name: time.frame for name, time in plan.times.items() if time.frame is not None}
-    bindings = record.bindings | people | stated
-    again = {"target_track": people[plan.target], "bindings": bindings, "proofs": proofs}
+    again = {"target_track": people[plan.target], "bindings": record.bindings | people | stated, "proofs": proofs}
     return list(compare_record(record, again))
 
 
@@ -243,7 +216,7 @@ def iterate_stored_proofs(
         MissingFactsError: If the facts that find the people are missing.
     """
     record, program = stored.record, stored.program
-    people = find_people(program, source)
+    people = find_tracks(program, source)
     yield Proof("anchor", "match", True, "same", record.answer_text)
     yield from prove_conditions(program, source)
     yield _prove_views_clear(record, source)
@@ -278,38 +251,31 @@ def _prove_crops(record: QuestionRecord, rules: Rules) -> Iterator[Proof]:
 
 
 def run_compiled(
-    store: Store, records: Sequence[QuestionRecord], rules: Rules, advance: Advance = lambda count: None
-) -> list[Difference]:
-    """Compile the plans of questions to Cypher, and run them on the graph.
+    store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Callable[[int], None] = lambda count: None
+) -> list[str]:
+    """Run the plans of questions on the graph, each compiled to Cypher.
 
     Args:
         store: Store with the graph.
-        records: Questions.
+        plans: Questions.
         rules: Rules of the questions.
         advance: Function that receives the number of questions that have just been finished.
 
     Returns:
-        The differences from the stored people, times and answers.
+        A line per difference from the stored people, times and answers, as `compare_record` yields it.
 
     Raises:
         StoreError: If the graph is missing or damaged.
         LockedError: If another process writes the graph.
     """
-    plans, differences = read_plans(records)
-    compiled: list[StoredPlan] = []
-    for stored in plans:
-        try:
-            compile_find(stored.plan, SCENE)
-            compiled.append(stored)
-        except PlanError as error:
-            differences.append(Difference(stored.record.question_id, "compiled", str(error)))
     with Graph.open(store.graph_path, read_only=True) as graph:
-        queries = [PlanQuery(stored.plan, stored.record.sequence) for stored in compiled]
+        queries = [PlanQuery(stored.plan, stored.record.sequence) for stored in plans]
         solutions = solve(SceneReader(graph, SCENE, rules.load), queries, rules, advance)
-    for (record, plan, _), solution in zip(compiled, solutions, strict=True):
+    differences = []
+    for (record, plan, _), solution in zip(plans, solutions, strict=True):
         if solution.outcome != "defined":
-            message = f"{solution.outcome}, stored {_shorten(record.answer_text)}"
-            differences.append(Difference(record.question_id, "compiled", message))
+            stored = _shorten(record.answer_text)
+            differences.append(f"{record.question_id}: compiled: stored {stored}, now {solution.outcome}")
             continue
         bindings = dict(solution.people) | dict(solution.times)
         again = {"answer": solution.answer, "target_track": solution.people[plan.target], "bindings": bindings}

@@ -170,12 +170,11 @@ def _measured(record: QuestionRecord, text: QuestionText) -> _Row:
 
 def _lacking(layers: Mapping[str, Sequence[str]]) -> list[_Row]:
     """Return a row per template and layer that the template needs and some sequences lack."""
-    rows = []
-    for name, forms in FORMS.items():
+    return [
+        {"family": forms[0].family, "template": name, "layer": layer, "sequences_without": without}
+        | {"sequences": len(layers)}
+        for name, forms in FORMS.items()
         # A template needs only the layers of its least demanding form.
-        for layer in min((form.layers for form in forms), key=len):
-            without = sum(layer not in present for present in layers.values())
-            if without:
-                row = {"family": forms[0].family, "template": name, "layer": layer}
-                rows.append(row | {"sequences_without": without, "sequences": len(layers)})
-    return rows
+        for layer in min((form.layers for form in forms), key=len)
+        if (without := sum(layer not in present for present in layers.values()))
+    ]

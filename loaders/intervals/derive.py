@@ -1,4 +1,4 @@
-"""Annotation tables of one sequence -> its interval tables: a pure function of tables and rules."""
+"""Conversion of the annotation tables of one sequence into its interval tables."""
 
 from __future__ import annotations
 
@@ -26,11 +26,20 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 _LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb"}
-"""Layers with labels of people to which the words of other labels may apply, and the column of the label."""
+"""Layers with labels that may also mean other labels in ordinary words, with the column of the label."""
 
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:
-    """Return the interval tables by kind. Layers that `annotations` lacks count as empty."""
+    """Derive the interval tables of one sequence. The result depends on the arguments only.
+
+    Args:
+        sequence: Name of the sequence.
+        annotations: Annotation tables by name. A missing table counts as empty.
+        rules: Thresholds.
+
+    Returns:
+        The interval tables, by name.
+    """
     tables = {layer: annotations.get(layer, schema.empty_table()) for layer, schema in ANNOTATIONS.items()}
     tables |= {layer: with_other_words(tables[layer], column) for layer, column in _LABELS.items()}
     people = read_people(tables, rules)
@@ -43,7 +52,7 @@ def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules)
     chosen = {name: chosen_values(demographics, name, tracks) for name in ("gender", "age", "ethnicity")}
     beside, views_listed = beside_table(line, boxes, people.located, rules)
     derived = {
-        "sequence": sequence_table(line, boxes.has_attributes, boxes.source),
+        "sequence": sequence_table(line, boxes.source),
         "frames": frames_table(line),
         "persons": line.table("persons", {"track": tracks, **chosen, "first_frame": first, "last_frame": last}),
         "sightings": sightings_table(line, people, rules, views_listed),

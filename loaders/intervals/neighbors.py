@@ -1,11 +1,13 @@
-"""Where people stand relative to each other, at keyframes: the interval table `beside`.
+"""Interval table `beside`: positions of people relative to each other, at keyframes.
 
-*Robot view*, from 2D boxes: the first person met when turning left or right from X. *Person frame*, from 3D boxes with
-lidar points: sector and distance word of another person in X's own heading frame, left being counter-clockwise. A pair
-of which one is not located has no person-frame row: that relation is unknown.
+The *robot view* is derived from 2D boxes. Its facts name the first person to the left or right of a person, as the
+robot sees them. The *person frame* is derived from 3D boxes with lidar points. Its facts name the sector and the
+distance word of another person, relative to the direction that the person faces. Left is counter-clockwise. If one of
+two people is not located, the relation is unknown, and there is no row.
 
-A view with more than `MAX_BESIDE` facts in the sequence has no rows either, and all its relations are unknown. The
-columns `robot_view_listed` and `person_view_listed` of the table `sightings` tell of whom a missing row means false.
+If a view has more than `MAX_BESIDE` facts in the sequence, it has no rows, and all its relations are unknown. If the
+column `robot_view_listed` or `person_view_listed` of the table `sightings` is true for a person, a missing row means
+that the relation is false.
 """
 
 from __future__ import annotations
@@ -29,8 +31,11 @@ from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, RELATIONS
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
 MAX_BESIDE: Final = 1_000_000
-"""Maximum number of facts of a view in a sequence, before they are joined to rows. Facts grow with the square of the
-people at a keyframe, and each takes half a kilobyte here and more in the graph."""
+"""Maximum number of facts of a view in a sequence, before facts are joined to rows.
+
+The number of facts grows with the square of the people at a keyframe. Each fact takes half a kilobyte of memory here,
+and more in the graph.
+"""
 
 _PERSON_LABELS: Final = tuple(row.label for row in RELATIONS.values() if row.kind == "person")
 _LABELS: Final = tuple(sorted((*_PERSON_LABELS, FIRST_LEFT, FIRST_RIGHT)))
@@ -42,24 +47,32 @@ _RANK: Final = np.array([_LABELS.index(label) for label in _PERSON_LABELS]).resh
 def beside_table(
     line: Timeline, boxes: Boxes, located: Located, rules: LoadRules
 ) -> tuple[pa.Table, tuple[bool, bool]]:
-    """Return the relations of a sequence, and whether those of the robot view and of the person frame are listed.
+    """Derive the relations of a sequence.
 
-    Rows are sorted by source, label, first frame, target and certainty. A view with more than `MAX_BESIDE` facts has no
-    rows.
+    Args:
+        line: Frames of the sequence.
+        boxes: Boxes of the people.
+        located: 3D boxes of the people.
+        rules: Thresholds.
+
+    Returns:
+        The table, sorted by source, label, first frame, target and certainty. And a pair that says whether the
+        relations of the robot view and those in the person frame are listed. A view with more than `MAX_BESIDE` facts
+        is not listed.
     """
-    # Those seen by the robot are one row per keyframe.
+    # Facts of the robot view get one row per keyframe.
     (frame, source, target, certain, label), robot_listed = _joined(robot_view(line, boxes, rules))
     columns = {"source": source, "target": target, "label": label, "first": frame, "last": frame, "certain": certain}
-    # Of the others, one row per fact and certainty: the pair and the label are the value of a run.
+    # The other facts are joined to intervals. The value of an interval encodes pair, label and certainty.
     (frame, source, target, certain, label), person_listed = _joined(person_frame(line, located, rules))
     pairs, pair = rank_values(paired(source, target))
-    none = np.zeros(len(frame), np.int64)
+    zeros = np.zeros(len(frame), np.int64)
     value = (pair * len(_LABELS) + label) * 2 + certain
-    runs = find_runs(Facts(frame, none, value, certain.astype(np.bool_), none), KEYFRAME_STEP)
+    runs = find_runs(Facts(frame, zeros, value, certain.astype(np.bool_), zeros), KEYFRAME_STEP)
     source, target = unpaired(pairs[runs.value // (2 * len(_LABELS))])
     label = runs.value // 2 % len(_LABELS)
     more = (source, target, label, runs.first, runs.last, runs.certain)
-    columns = {name: np.append(column, other) for (name, column), other in zip(columns.items(), more, strict=True)}
+    columns = {name: np.append(column, added) for (name, column), added in zip(columns.items(), more, strict=True)}
     order = ascending(*(columns[name] for name in ("source", "label", "first", "target", "certain")))
     columns = {name: column[order] for name, column in columns.items()}
     labels = {"label": texts(_LABELS, columns["label"]), "certain": columns["certain"].astype(np.bool_)}
@@ -68,7 +81,11 @@ def beside_table(
 
 
 def beside_warnings(sightings: pa.Table) -> list[str]:
-    """Return a warning for each view that `beside_table` left out, by the interval table `sightings`."""
+    """Return one warning for each view that `beside_table` left out.
+
+    Args:
+        sightings: Interval table `sightings`.
+    """
     tests = {
         "the first person to the left or right": len(sightings) and not pc.any(sightings["robot_view_listed"]).as_py(),
         "the place of a person as another one sees it": pc.any(sightings["located"]).as_py()
@@ -79,13 +96,14 @@ def beside_warnings(sightings: pa.Table) -> list[str]:
 
 
 _Facts = tuple[Ints, Ints, Ints, Bools, Ints]
-"""Columns frame, source track, target track, certain, label code."""
+"""Frame, source track, target track, certainty and code of the label of each fact."""
 
 
 def _joined(blocks: Iterator[_Facts]) -> tuple[list[Ints], bool]:
-    """Return the columns of all blocks and True. If there are more than `MAX_BESIDE` facts, return none and False.
+    """Join the facts of all blocks to columns, and return the columns and True.
 
-    Facts are counted block by block, so that memory is bounded by the maximum.
+    If there are more than `MAX_BESIDE` facts, return empty columns and False. Facts are counted after each block, so
+    the maximum limits the memory.
     """
     parts, count = [np.empty((5, 0), np.int64)], 0
     for block in blocks:
@@ -97,11 +115,20 @@ def _joined(blocks: Iterator[_Facts]) -> tuple[list[Ints], bool]:
 
 
 def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Facts]:
-    """First to the left and right of everybody at every keyframe, block by block.
+    """Find the first person to the left and right of each person at each keyframe. Covered people are left out.
 
-    Covered people are left out. Turning from X, the first person at least a degree away and clearly seen settles the
-    matter. Those met before, and those met less than a degree later, could be it as well; the fact is certain where
-    there is no such other. Where nobody settles it within reach, everybody within reach could be it.
+    One turns from a person to a side, up to `neighbor_max_deg`. The first person in clear view who is at least
+    `neighbor_margin_deg` away decides. All people before this person, and less than the margin behind it, may be the
+    first one too. The fact is certain if there is no such other person. If no person decides, everyone within reach may
+    be the first one.
+
+    Args:
+        line: Frames of the sequence.
+        boxes: Boxes of the people.
+        rules: Thresholds.
+
+    Yields:
+        Blocks of facts.
     """
     clear, angle = boxes.clear, boxes.angle
     rows = np.flatnonzero(np.isin(boxes.frame, line.keyframes) & ~boxes.covered)
@@ -126,14 +153,23 @@ def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Fact
 
 
 def person_frame(line: Timeline, located: Located, rules: LoadRules) -> Iterator[_Facts]:
-    """Sector and distance word of every located person for every other one near, block by block."""
+    """Find the sector and the distance word of each located person near another located person, at each keyframe.
+
+    Args:
+        line: Frames of the sequence.
+        located: 3D boxes of the people.
+        rules: Thresholds.
+
+    Yields:
+        Blocks of facts.
+    """
     reach = rules.pair_max_m + rules.pair_margin_m + SLACK
-    # Words that begin where the relation's reach ends are not of this relation.
+    # The relation has only distance words that begin within its reach.
     words_within = 1 + sum(bound < rules.pair_max_m for bound in DISTANCE_BOUNDS_M)
     ahead = np.ascontiguousarray(located.center[:, 0])
     rows = np.flatnonzero(np.isin(located.frame, line.keyframes))
     for a, b in pairs_of_equal(located.frame, rows):
-        # Most pairs are far apart already along one axis.
+        # Because most pairs are far apart along one axis, this cheap test leaves few pairs.
         close = np.flatnonzero(np.abs(ahead[b] - ahead[a]) <= reach)
         a, b = a[close], b[close]
         offset = located.center[b] - located.center[a]

@@ -1,7 +1,7 @@
-"""The people of one sequence as arrays: the annotation tables decoded once, for every derived table to read.
+"""The people of one sequence as arrays, decoded once from the annotation tables.
 
-All arrays are sorted by (frame, track). `Boxes` are 2D boxes in stitched pixels; `Located` are 3D boxes with lidar
-points, in metres in the robot frame (x forward, y left, z up).
+The rows of all arrays are sorted by frame and track. `Boxes` are 2D boxes in pixels of the stitched panorama. `Located`
+are 3D boxes with lidar points, in metres in the frame of the robot: x forward, y left, z up.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.loaders.intervals.visibility import Source, classify_boxes
-from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, whole_numbers
+from jrdb_avr.loaders.labelfiles.columns import Rows, ascending, begins, paired, ranked, rows_of, whole_numbers
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import ALSO, POSES
 from jrdb_avr.schema.panorama import center_angle
@@ -24,9 +24,9 @@ from jrdb_avr.schema.rules import LoadRules
 
 HARD = 3
 UNREADABLE = 9
-"""Stands for a missing difficulty in arrays: harder than hard."""
+"""Number that replaces an unreadable difficulty in arrays. It is harder than hard."""
 UNWRITTEN = 10
-"""Stands for the difficulty of a fact without a label of its own: harder than unreadable."""
+"""Number that replaces the difficulty of a fact without a label. It is harder than unreadable."""
 
 
 @dataclass(frozen=True)
@@ -38,51 +38,58 @@ class Sighted(Rows):
 
     @cached_property
     def keys(self) -> Ints:
-        """One number per (frame, track), which sorts as they do."""
+        """Return one number per row. The numbers sort like the pairs (frame, track)."""
         return paired(self.frame, self.track)
 
     def rows(self, frame: Ints, track: Ints) -> Ints:
-        """Row of each (frame, track), -1 where there is none; for rows sorted by (frame, track)."""
+        """Return the row of each pair (frame, track), or -1 if there is none.
+
+        The rows must be sorted by these pairs.
+        """
         return rows_of(self.keys, paired(frame, track))
 
 
 @dataclass(frozen=True)
 class Boxes(Sighted):
-    """2D boxes of people, one a row, with their attributes."""
+    """2D boxes of people with their attributes, one per row."""
 
     box: Floats
-    """(n, 4): x, y, w, h."""
+    """Left edge, top edge, width and height in stitched pixels, shape (n, 4)."""
     occlusion: pa.Array
     no_eval: Bools
     listed: Bools
-    has_attributes: bool
-    """Whether any record of the sequence carries attributes."""
     source: Source
-    """What the classes below are judged by."""
+    """Evidence for the masks `clear` and `covered`."""
     clear: Bools
     covered: Bools
 
     @cached_property
     def angle(self) -> Floats:
-        """Panorama angle of the box centres, degrees."""
+        """Return the panorama angle of the centre of each box, in degrees."""
         return center_angle(self.box[:, 0], self.box[:, 2])
 
 
 @dataclass(frozen=True)
 class Facts(Sighted):
-    """Facts (track, value) in frames: of actions the value is the action's place among the names, of groups the
-    cluster."""
+    """Facts (track, value) in frames.
+
+    The value of an action is the index of its name in `names`. The value of a group is the id of the cluster.
+    """
 
     value: Ints
     certain: Bools
-    """True of the person: easy or middle, not covered, and of poses the only one in a list that tells all."""
+    """Mask of the facts that are certainly true.
+
+    The label of such a fact is easy or medium, and the person is not covered. A pose is certain only if it is the only
+    pose in a complete list.
+    """
     difficulty: Ints
     names: tuple[str, ...] = ()
-    """Ascending, so that values sort as names do."""
+    """Names of the actions, ascending, so that values sort like names."""
 
     @cached_property
     def is_pose(self) -> Bools:
-        """Whether each name is one of a pose."""
+        """Return for each name whether it is a pose."""
         return np.array([name in POSES for name in self.names], np.bool_)
 
 
@@ -91,60 +98,71 @@ class Located(Sighted):
     """3D boxes with lidar points."""
 
     center: Floats
-    """(n, 3)."""
+    """Centres in metres in the frame of the robot, shape (n, 3)."""
     heading: Floats
-    """Radians in [-pi, pi), counter-clockwise from straight ahead of the robot."""
+    """Directions that the people face: radians in [-pi, pi), counter-clockwise from ahead of the robot."""
     distance: Floats
-    """Metres from the robot."""
+    """Distances from the robot in metres."""
 
 
 @dataclass(frozen=True)
 class Faces(Sighted):
-    """People with body keypoints, and whether their face is visible."""
+    """People with key points, and whether their faces are visible."""
 
     visible: Bools
-    """Whether the head or an eye is marked visible."""
+    """Mask of the people with a head or eye that is marked as visible."""
 
 
 @dataclass(frozen=True)
 class People:
-    """The people of one sequence, from its annotation tables."""
+    """The people of one sequence."""
 
     boxes: Boxes
     actions: Facts
-    """One row per (frame, track, action): spellings of one action are merged, the easier code counts."""
-    posed: Bools
-    """Per box, whether the list tells the pose, so that other poses are false. Also of covered people."""
+    """Actions, one row per (frame, track, action). If an action has several labels, the easiest label counts."""
+    pose: Ints
+    """Index of the certain pose in the list of each box, or -1. Covered people may have one too."""
     groups: Facts
-    """At most one row per (frame, track)."""
+    """Group labels, at most one row per (frame, track)."""
     located: Located
     faces: Faces
     listed: dict[str, Ints]
-    """Per layer, ascending keys of (frame, track) whose list was read."""
+    """By layer, the ascending keys of the pairs (frame, track) with a complete list."""
 
 
 def with_other_words(table: pa.Table, column: str) -> pa.Table:
-    """A table of labels with doubtful rows added: labels whose words may also be said of the same person."""
+    """Add rows for labels that also apply to a person, because the words of another label may mean them.
+
+    Args:
+        table: Table of labels.
+        column: Column that has the labels.
+
+    Returns:
+        The table, followed by the additional rows. Their difficulty is `UNWRITTEN`.
+    """
     tables = [table]
     names, written = ranked(table[column])
-    for label, other in ((label, other) for label, other in ALSO if label in names):
+    for label, also in ((label, also) for label, also in ALSO if label in names):
         rows = table.take(np.flatnonzero(written == names.index(label)))
-        for name, value in ((column, other), ("difficulty", UNWRITTEN)):
-            field = rows.schema.field(name)
-            column_of = pa.repeat(pa.scalar(value), len(rows)).cast(field.type)
-            rows = rows.set_column(rows.schema.get_field_index(name), field, column_of)
-        tables.append(rows)
+        added = {column: [also] * len(rows), "difficulty": [UNWRITTEN] * len(rows)}
+        tables.append(pa.table({name: added.get(name, rows[name]) for name in rows.column_names}, rows.schema))
     return pa.concat_tables(tables)
 
 
 def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
-    """Read the annotation tables, whose rows are sorted by (frame, track)."""
+    """Read the people of one sequence.
+
+    Args:
+        tables: Annotation tables by name, with rows sorted by frame and track.
+        rules: Thresholds.
+
+    Returns:
+        The people.
+    """
     boxes = _read_boxes(tables["boxes_2d"], tables["groups"], rules)
-    actions, posed = _read_actions(tables["actions"], boxes)
     return People(
         boxes,
-        actions,
-        posed,
+        *_read_actions(tables["actions"], boxes),
         read_groups(tables["groups"]),
         read_located(tables["boxes_3d"]),
         _read_faces(tables["poses"]),
@@ -152,30 +170,22 @@ def read_people(tables: Mapping[str, pa.Table], rules: LoadRules) -> People:
     )
 
 
-def rows_of(keys: Ints, wanted: Ints) -> Ints:
-    """Position of each wanted key in ascending `keys`, -1 where missing."""
-    if not len(keys):
-        return np.full(len(wanted), -1, np.int64)
-    place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[place] == wanted, place, -1)
-
-
 def _read_boxes(table: pa.Table, groups: pa.Table, rules: LoadRules) -> Boxes:
-    views = classify_boxes(table, groups, rules)
+    source, clear, covered = classify_boxes(table, groups, rules)
     return Boxes(
         *_person_columns(table),
         np.stack([table[name].to_numpy() for name in "xywh"], axis=1),
         table["occlusion"].combine_chunks(),
         table["no_eval"].fill_null(False).to_numpy(),
         table["has_actions"].to_numpy(),
-        bool(table["has_attributes"].to_numpy().any()),
-        views.source,
-        views.clear,
-        views.covered,
+        source,
+        clear,
+        covered,
     )
 
 
-def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
+def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Ints]:
+    """Return the actions, and for each box the index of the certain pose in its list (-1 if there is none)."""
     names, action = ranked(table["action"])
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(*_person_columns(table), action, difficulty < HARD, difficulty, tuple(names))
@@ -187,19 +197,34 @@ def _read_actions(table: pa.Table, boxes: Boxes) -> tuple[Facts, Bools]:
     row = boxes.rows(facts.frame, facts.track)
     whole = np.append(boxes.listed, False)[row]
     certain = facts.certain & (~pose | ((poses == 1) & whole))
-    posed = np.zeros(len(boxes.frame), np.bool_)
-    posed[row[certain & pose & (row >= 0)]] = True
-    return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), posed
+    pose_of_box = np.full(len(boxes.frame), -1, np.int64)
+    posed = certain & pose & (row >= 0)
+    pose_of_box[row[posed]] = facts.value[posed]
+    return replace(facts, certain=certain & ~np.append(boxes.covered, False)[row]), pose_of_box
 
 
 def read_groups(table: pa.Table) -> Facts:
-    """Clusters, from the annotation table `groups`."""
+    """Read the group labels.
+
+    Args:
+        table: Annotation table `groups`.
+
+    Returns:
+        The clusters of the people.
+    """
     certain = table["difficulty"].fill_null(UNREADABLE).to_numpy() < HARD
     return Facts(*_person_columns(table), whole_numbers(table, "cluster"), certain, np.zeros(len(certain), np.int64))
 
 
 def read_located(table: pa.Table) -> Located:
-    """From the annotation table `boxes_3d`: only the boxes with lidar points."""
+    """Read the 3D boxes that have lidar points.
+
+    Args:
+        table: Annotation table `boxes_3d`.
+
+    Returns:
+        The boxes.
+    """
     table = table.filter(pa.array(table["num_points"].fill_null(0).to_numpy() > 0))
     frame, track = _person_columns(table)
     center = np.stack([table[name].to_numpy() for name in ("cx", "cy", "cz")], axis=1)
@@ -209,15 +234,18 @@ def read_located(table: pa.Table) -> Located:
 
 
 def _listed_keys(table: pa.Table, interactions: pa.Table, boxed: Ints) -> dict[str, Ints]:
-    """Interactions with somebody without a box are facts that no table holds, so that no list tells all of either."""
+    """Return the keys of the complete lists of each layer.
+
+    An interaction with a person without a box is in no table. The lists of both people then count as incomplete.
+    """
     keys = paired(*_person_columns(table))
     layers = ("interactions", "handles")
     listed = {layer: np.sort(keys[pc.equal(table["layer"], layer).to_numpy()]) for layer in layers}
     frame = whole_numbers(interactions, "frame")
     pair = np.stack([paired(frame, whole_numbers(interactions, name)) for name in ("track", "partner")])
     unseen = (rows_of(boxed, pair.ravel()).reshape(pair.shape) < 0).any(axis=0)
-    known = listed["interactions"]
-    listed["interactions"] = known[rows_of(np.sort(pair[:, unseen], axis=None), known) < 0]
+    complete = listed["interactions"]
+    listed["interactions"] = complete[rows_of(np.sort(pair[:, unseen], axis=None), complete) < 0]
     return listed
 
 
@@ -229,7 +257,14 @@ def _read_faces(table: pa.Table) -> Faces:
 
 
 def wrap(radians: Floats) -> Floats:
-    """Angles in [-pi, pi)."""
+    """Reduce angles to one turn.
+
+    Args:
+        radians: Angles.
+
+    Returns:
+        The angles in [-pi, pi).
+    """
     return (radians + math.pi) % (2 * math.pi) - math.pi
 
 
@@ -238,9 +273,14 @@ def _person_columns(table: pa.Table) -> tuple[Ints, Ints]:
 
 
 def track_spans(tables: Mapping[str, pa.Table]) -> tuple[Ints, Ints, Ints]:
-    """Tracks of any box, 2D or 3D, ascending, with the first and last frame of each."""
-    flat, solid = (_person_columns(tables[layer]) for layer in ("boxes_2d", "boxes_3d"))
-    frame, track = np.append(flat[0], solid[0]), np.append(flat[1], solid[1])
-    order = ascending(track, frame)
-    tracks, start = np.unique(track[order], return_index=True)
-    return tracks, frame[order][start], frame[order][np.append(start, len(track))[1:] - 1]
+    """Find the tracks with a 2D or 3D box.
+
+    Args:
+        tables: Annotation tables by name.
+
+    Returns:
+        The tracks, ascending, and the first and the last frame of each track.
+    """
+    boxes = pa.concat_tables(tables[layer].select(["track", "frame"]) for layer in ("boxes_2d", "boxes_3d"))
+    spans = boxes.group_by("track").aggregate([("frame", "min"), ("frame", "max")]).sort_by("track")
+    return whole_numbers(spans, "track"), whole_numbers(spans, "frame_min"), whole_numbers(spans, "frame_max")

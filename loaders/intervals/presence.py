@@ -1,8 +1,8 @@
-"""When people are in the picture and when they are away: the interval tables `presences` and `absences`.
+"""Interval tables `presences` and `absences`: times with a person in the picture, and times between them.
 
-A person is present at a frame with a box, for certain where it is a clear view. Between the first and the last box, a
-person is absent at an annotated frame without one, for certain where the frames one second before and after are
-annotated without one too: what questions go by at keyframes. Frames that are not annotated end both; nothing is closed.
+A person is present at a frame with a box. The presence is certain if the box is a clear view. A person is absent at an
+annotated frame without a box, if the person has boxes before and after. The absence is certain if the frames one second
+before and after are annotated without a box too. A frame that is not annotated ends both.
 """
 
 from __future__ import annotations
@@ -19,18 +19,34 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 
 def presences_table(line: Timeline, boxes: Boxes) -> pa.Table:
-    """All presences of a sequence, by track and first frame."""
+    """Derive the presences of a sequence.
+
+    Args:
+        line: Frames of the sequence.
+        boxes: Boxes of the people.
+
+    Returns:
+        The interval table, sorted by track and first frame.
+    """
     return _table(line, "presences", boxes.frame, boxes.track, boxes.clear)
 
 
 def absences_table(line: Timeline, boxes: Boxes) -> pa.Table:
-    """All absences of a sequence, by track and first frame."""
+    """Derive the absences of a sequence.
+
+    Args:
+        line: Frames of the sequence.
+        boxes: Boxes of the people.
+
+    Returns:
+        The interval table, sorted by track and first frame.
+    """
     annotated = line.frames_of("2d")
     order = ascending(boxes.track)
     frame, track = boxes.frame[order], boxes.track[order]
     low, high = np.searchsorted(annotated, frame[:-1], "right"), np.searchsorted(annotated, frame[1:])
-    row, place = ragged(np.where(track[1:] == track[:-1], high - low, 0))
-    frame, track = annotated[low[row] + place], track[row]
+    row, offset = ragged(np.where(track[1:] == track[:-1], high - low, 0))
+    frame, track = annotated[low[row] + offset], track[row]
     certain = np.ones(len(row), np.bool_)
     for near in (frame - KEYFRAME_STEP, frame + KEYFRAME_STEP):
         certain &= np.isin(near, annotated) & (boxes.rows(near, track) < 0)

@@ -1,8 +1,7 @@
-"""The interval table `sightings`: everything known of a person in one frame, one row per 2D box.
+"""Interval table `sightings`, with one row per 2D box: the facts about a person in one frame.
 
-Sectors and distance words with their margins: which word is true, and which other it could be near an edge.
-
-All margins are inclusive.
+Sectors and distance words have margins. Near the edge of a sector, or near a bound between two distance words, a fact
+is unknown. All margins include their bounds.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import Boxes, Facts, People, rows_of
-from jrdb_avr.loaders.intervals.timeline import Timeline
-from jrdb_avr.loaders.labelfiles.columns import ascending, begins, distinct_of, nullable, paired, texts
+from jrdb_avr.loaders.intervals.people import Boxes, Facts, People
+from jrdb_avr.loaders.intervals.timeline import Grid, Timeline, step_of
+from jrdb_avr.loaders.labelfiles.columns import begins, group_rows, nullable, paired, rank_values, rows_of, texts
 from jrdb_avr.schema.arrays import Bools, Floats, Ints
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, ROBOT_SECTORS, PersonSector
 from jrdb_avr.schema.panorama import angle_error
@@ -23,53 +22,82 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules
 
 
 def robot_sector(angle_deg: Floats, rules: LoadRules) -> Ints:
-    """Of panorama angles: index into ROBOT_SECTORS of the sector that is true, -1 where none is."""
+    """Find the sector of the robot for each angle.
+
+    Args:
+        angle_deg: Panorama angles in degrees.
+        rules: Thresholds.
+
+    Returns:
+        Index in `ROBOT_SECTORS` of the true sector, or -1 if no sector is true.
+    """
     off = angle_error(angle_deg[:, None], np.array(list(ROBOT_SECTORS.values())))
     return np.where(off.min(axis=1) <= rules.sector_true_deg + SLACK, off.argmin(axis=1), -1)
 
 
 def in_person_sector(bearing_deg: Floats, sector: PersonSector) -> tuple[Bools, Bools]:
-    """Of bearings off a person's heading, [-180, 180], left positive: whether the sector is true, and may be."""
+    """Check whether directions are in a sector of a person.
+
+    Args:
+        bearing_deg: Directions in degrees in [-180, 180], counter-clockwise from the direction that the person faces.
+        sector: Sector.
+
+    Returns:
+        Two masks of directions: the sector is true, and the sector is true or unknown.
+    """
     size = np.abs(bearing_deg)
-    here = np.full(len(size), True)
+    on_side = np.full(len(size), True)
     if sector.side != "either":
         towards = bearing_deg if sector.side == "left" else -bearing_deg
-        # Straight ahead and straight behind lie on both sides.
-        here = (towards >= -SLACK) | (size >= 180.0 - SLACK)
+        # The directions straight ahead and straight behind are on both sides.
+        on_side = (towards >= -SLACK) | (size >= 180.0 - SLACK)
     within = [
-        here & (size >= low - SLACK) & (size <= high + SLACK)
+        on_side & (size >= low - SLACK) & (size <= high + SLACK)
         for low, high in ((sector.low, sector.high), (sector.least, sector.most))
     ]
     return within[0], within[1]
 
 
 def distance_word(metres: Floats, rules: LoadRules) -> tuple[Ints, Ints]:
-    """Of distances: index into DISTANCE_WORDS, and of the other possible word near a bound (else -1)."""
+    """Find the word for each distance.
+
+    Args:
+        metres: Distances in metres.
+        rules: Thresholds.
+
+    Returns:
+        Index in `DISTANCE_WORDS` of the word, and the index of the second possible word near a bound, or -1.
+    """
     bounds = np.array(DISTANCE_BOUNDS_M)
     word = np.searchsorted(bounds, metres, "left")
-    away = np.abs(metres[:, None] - bounds)
-    near = away <= rules.distance_margin * bounds + SLACK
+    near = np.abs(metres[:, None] - bounds) <= rules.distance_margin * bounds + SLACK
     bound = near.argmax(axis=1)
-    other = np.where(word == bound, bound + 1, bound)
-    return word, np.where(near.any(axis=1), other, -1)
+    second = np.where(word == bound, bound + 1, bound)
+    return word, np.where(near.any(axis=1), second, -1)
 
 
 N = TypeVar("N", bound=np.generic)
 
 
 def sightings_table(line: Timeline, people: People, rules: LoadRules, views_listed: tuple[bool, bool]) -> pa.Table:
-    """Return all sightings of a sequence, by frame and track. `views_listed` is from `beside_table`."""
+    """Derive all sightings of a sequence, sorted by frame and track.
+
+    Args:
+        line: Frames of the sequence.
+        people: People of the sequence.
+        rules: Thresholds.
+        views_listed: Second result of `beside_table`.
+
+    Returns:
+        The table.
+    """
     boxes, located = people.boxes, people.located
-    member, place, face = (rows_of(other.keys, boxes.keys) for other in (people.groups, located, people.faces))
-    judge = group_sizes if rules.visibility == "any" else group_sizes_in_view
-    least, most, known = judge(line, boxes, people.groups, member)
-    distance = _take(located.distance, place)
-    words = (np.where(place >= 0, word, -1) for word in distance_word(distance, rules))
-    metric = {
-        "distance": distance,
-        "heading": _take(located.heading, place),
-        **{name: _take(located.center[:, i], place) for i, name in enumerate(("cx", "cy", "cz"))},
-    }
+    member, solid, face = (rows_of(part.keys, boxes.keys) for part in (people.groups, located, people.faces))
+    least, most, sized = group_sizes(line, boxes, people.groups, member, rules)
+    codes = (np.where(solid >= 0, code, -1) for code in distance_word(_take(located.distance, solid), rules))
+    terms = zip(("distance_word", "distance_word_other"), (texts(DISTANCE_WORDS, code) for code in codes), strict=True)
+    metrics = {name: located.center[:, i] for i, name in enumerate(("cx", "cy", "cz"))}
+    metrics |= {"distance": located.distance, "heading": located.heading}
     columns = {
         **{name: boxes.box[:, i] for i, name in enumerate("xywh")},
         **{
@@ -78,129 +106,86 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
         },
         "face_visible": nullable(_take(people.faces.visible, face), face < 0, pa.bool_()),
         **{f"{layer}_listed": rows_of(keys, boxes.keys) >= 0 for layer, keys in people.listed.items()},
-        "pose": texts(people.actions.names, certain_pose(boxes, people.actions)),
-        "posed": people.posed,
+        "pose": texts(people.actions.names, np.where(boxes.covered, -1, people.pose)),
+        "posed": people.pose >= 0,
         "cluster": nullable(_take(people.groups.value, member), member < 0, pa.int64()),
-        "group_size": nullable(least, ~known | (least < most), pa.int32()),
-        "group_size_min": nullable(least, ~known, pa.int32()),
-        "group_size_max": nullable(most, ~known, pa.int32()),
+        "group_size": nullable(least, ~sized | (least < most), pa.int32()),
+        "group_size_min": nullable(least, ~sized, pa.int32()),
+        "group_size_max": nullable(most, ~sized, pa.int32()),
         "sector": texts(tuple(ROBOT_SECTORS), robot_sector(boxes.angle, rules)),
-        "located": place >= 0,
-        **{
-            name: texts(DISTANCE_WORDS, w)
-            for name, w in zip(("distance_word", "distance_word_other"), words, strict=True)
-        },
-        **{name: nullable(values, place < 0, pa.float64()) for name, values in metric.items()},
-        "robot_view_listed": np.full(len(place), views_listed[0]),
-        "person_view_listed": (place >= 0) & views_listed[1],
+        "located": solid >= 0,
+        **dict(terms),
+        **{name: nullable(_take(values, solid), solid < 0, pa.float64()) for name, values in metrics.items()},
+        "robot_view_listed": np.full(len(solid), views_listed[0]),
+        "person_view_listed": (solid >= 0) & views_listed[1],
     }
     return line.table("sightings", columns)
 
 
-def certain_pose(boxes: Boxes, actions: Facts) -> Ints:
-    """Per box: the action code of its one certain pose, -1 where the pose is unknown."""
-    poses = actions.at(actions.certain & np.append(actions.is_pose, False)[actions.value])
-    row = boxes.rows(poses.frame, poses.track)
-    result = np.full(len(boxes.frame), -1, np.int64)
-    result[row[row >= 0]] = poses.value[row >= 0]
-    return result
-
-
-def group_sizes_in_view(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> tuple[Ints, Ints, Bools]:
+def group_sizes(
+    line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints, rules: LoadRules
+) -> tuple[Ints, Ints, Bools]:
     """Return the minimum and the maximum of the size of each person's group, and whether they are known.
 
     The person counts one, and so does every other member in clear view. Uncertain members add to the maximum only.
-    A person who is not covered is an uncertain member of every group if the own membership is hard or missing.
+    A person who is not covered is an uncertain member of every group if the person's membership is hard or missing.
+
+    If the rules do not judge views, every member with a box counts, also by a hard label. A size is then known only if
+    all people of the frame have memberships, if the group has no hard one, and if no member may be absent for a moment.
 
     Args:
         line: Frames of the sequence.
         boxes: Boxes of the people.
         groups: Group labels.
         cluster_row: Row of each box's person in `groups`, -1 if there is no label.
+        rules: Rules that name the visibility.
 
     Returns:
-        One element per box. The size is unknown if the person is covered, if the own membership is hard or missing, or
-        if a record of the frame could not be read.
+        One element per box. The size is unknown if the person is covered, if the person's membership is hard or
+        missing, or if a record of the frame could not be read.
     """
-    member = (cluster_row >= 0) & _take(groups.certain, cluster_row) & ~boxes.covered
-    cluster = np.where(member, _take(groups.value, cluster_row), -1)
-    order = ascending(boxes.frame, cluster)
-    group = np.empty_like(order)
-    group[order] = np.cumsum(begins(boxes.frame[order], cluster[order])) - 1
+    everyone = rules.visibility == "any"
+    certain = _take(groups.certain, cluster_row)
+    member = (cluster_row >= 0) & (certain | everyone) & ~boxes.covered
+    group, _ = group_rows(boxes.frame, np.where(member, _take(groups.value, cluster_row), -1))
     frame = np.cumsum(begins(boxes.frame)) - 1
-    clear, members, doubts = (
+    counted = member & (boxes.clear | everyone)
+    counts, members, doubts, hard = (
         np.bincount(key, weights=people).astype(np.int64)[key]
-        for key, people in ((group, member & boxes.clear), (group, member), (frame, ~member & ~boxes.covered))
+        for key, people in ((group, counted), (group, member), (frame, ~member & ~boxes.covered), (group, ~certain))
     )
-    return 1 + clear - boxes.clear, members + doubts, member & np.isin(boxes.frame, line.frames_of("2d"))
+    sized = member & np.isin(boxes.frame, line.frames_of("2d"))
+    if everyone and sized.any():
+        sized &= (doubts + hard == 0) & ~_may_lack_members(line, boxes, groups, cluster_row)
+    return 1 + counts - counted, members + doubts, sized
 
 
-def group_sizes(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> tuple[Ints, Ints, Bools]:
-    """Per box: people of the frame in the same cluster, oneself included, twice, and whether that is known. Applies if
-    the rules do not judge who is in clear view.
+def _may_lack_members(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> Bools:
+    """Return for each box whether some member of the person's group may be absent for a moment.
 
-    It is known where every person of the frame could be read and has a cluster row, no row of the cluster is hard, and
-    nobody of the cluster is out of the picture for a moment. Somebody without a row might belong to any group, and so
-    might whoever is in a frame within a second that could not be read.
+    Such a member is seen within a second. People without a membership may be such members of any group, and so may
+    people in frames that could not be read.
     """
-    has_row = cluster_row >= 0
-    cluster, certain = _take(groups.value, cluster_row), _take(groups.certain, cluster_row)
-    # A person without a row takes part in no cluster; -1 - row keeps it apart from its neighbours.
-    order = ascending(boxes.frame, ~has_row, cluster)
-    frame, cluster, has_row, certain = boxes.frame[order], cluster[order], has_row[order], certain[order]
-    group = np.cumsum(begins(frame, cluster) | ~has_row) - 1
-    members = np.bincount(group)
-    hard = np.bincount(group, weights=~certain) > 0
-    complete = np.isin(frame, line.frames_of("2d")) & ~np.isin(frame, frame[~has_row])
-    sizes, known = np.empty(len(frame), np.int64), np.empty(len(frame), np.bool_)
-    sizes[order] = members[group]
-    away, doubtful = _away(line, boxes, groups, boxes.frame[cluster_row < 0], boxes.track[cluster_row < 0])
-    complete &= ~np.isin(frame, doubtful)
-    known[order] = complete & has_row & ~hard[group] & ~np.isin(paired(frame, cluster), away)
-    return sizes, sizes, known
-
-
-def _away(line: Timeline, boxes: Boxes, groups: Facts, bare_frame: Ints, bare_track: Ints) -> tuple[Ints, Ints]:
-    """Groups with a member out of the picture who is seen within a second, as keys of (frame, cluster); and frames at
-    which anybody might be such a member, of those within a second who could not be read or have no row (`bare`)."""
-    grid = line.grid("2d")
-    if grid is None or not len(groups.frame):
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    row, frame = _gone(line, boxes, groups.frame, groups.track)
-    _, doubtful = _gone(line, boxes, bare_frame, bare_track)
-    near = np.arange(grid.first - KEYFRAME_STEP, grid.last + KEYFRAME_STEP + 1, grid.step)
-    # Beyond the ends of the 2D layer only where boxes or groups show that labelling goes on.
-    labelled = np.concatenate([boxes.frame, *(line.frames_of(layer) for layer in ("2d", "groups"))])
-    near = near[(near >= labelled.min()) & (near <= labelled.max())]
-    unread = np.setdiff1d(near, line.frames_of("2d"))
-    around = unread[:, None] + np.arange(-KEYFRAME_STEP, KEYFRAME_STEP + 1)
-    keys = distinct_of(np.sort(paired(frame, groups.value[row])))
-    return keys, np.unique(np.append(doubtful, around.ravel()))
-
-
-def _gone(line: Timeline, boxes: Boxes, frame: Ints, track: Ints) -> tuple[Ints, Ints]:
-    """Of people seen at frames: their rows, and annotated frames within a second without a box of theirs."""
-    annotated = line.frames_of("2d")
-    # Most people are there all the time: they are left out first.
-    around = np.maximum(frame - KEYFRAME_STEP, 0), frame + KEYFRAME_STEP
-    whole = np.isin(boxes.frame, annotated)
-    by_person = np.sort(paired(boxes.track[whole], boxes.frame[whole]))
-    seen, frames = (
-        np.searchsorted(known, high, "right") - np.searchsorted(known, low, "left")
-        for known, low, high in ((by_person, *(paired(track, one) for one in around)), (annotated, *around))
-    )
-    rows = np.flatnonzero(seen < frames)
-    found = [np.empty((2, 0), np.int64)]
-    for away in range(-KEYFRAME_STEP, KEYFRAME_STEP + 1):
-        there = frame[rows] + away
-        gone = np.isin(there, annotated) & (boxes.rows(there, track[rows]) < 0)
-        found.append(np.stack([rows[gone], there[gone]]))
-    row, there = np.hstack(found)
-    return row, there
+    annotated, bare = line.frames_of("2d"), np.flatnonzero(cluster_row < 0)
+    _, code = rank_values(groups.value)
+    frame, track = np.append(groups.frame, boxes.frame[bare]), np.append(groups.track, boxes.track[bare])
+    cluster = np.append(code, np.full(len(bare), -1))
+    around = np.arange(-KEYFRAME_STEP, KEYFRAME_STEP + 1)
+    absences = []
+    for near in (frame + shift for shift in around):
+        absent = np.isin(near, annotated) & (boxes.rows(near, track) < 0)
+        absences.append(np.stack([near[absent], cluster[absent]]))
+    frame, cluster = np.hstack(absences)
+    grid = Grid(int(annotated[0]) - KEYFRAME_STEP, int(annotated[-1]) + KEYFRAME_STEP, step_of(annotated))
+    # Beyond the ends of the 2D layer, frames are unread only if boxes or groups show that labelling goes on.
+    labelled = np.concatenate([boxes.frame, annotated, line.frames_of("groups")])
+    unread = np.setdiff1d(np.arange(labelled.min(), labelled.max() + 1), annotated)
+    unread = unread[grid.holds(unread)]
+    doubtful = np.append(frame[cluster < 0], unread[:, None] + around)
+    lacking = paired(frame, cluster)[cluster >= 0]
+    return np.isin(paired(boxes.frame, _take(code, cluster_row)), lacking) | np.isin(boxes.frame, doubtful)
 
 
 def _take(values: npt.NDArray[N], row: Ints) -> npt.NDArray[N]:
-    """Values at rows; zero where the row is -1."""
-    if not len(values):
-        return np.zeros(len(row), values.dtype)
-    return np.where(row >= 0, values[row], np.zeros(1, values.dtype))
+    """Return the values at rows, and zero if the row is -1."""
+    return np.append(values, np.zeros(1, values.dtype))[row]

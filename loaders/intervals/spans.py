@@ -1,14 +1,13 @@
-"""Intervals of facts: consecutive frames with a fact become one row, and short gaps are closed by rows of their own.
+"""Intervals of facts: consecutive frames with a fact become one row, and rows of their own close short gaps.
 
-At one frame per step, up to `gap_frames` missing frames between two frames with the label are closed: inside, the fact
-is unknown. At one per second consecutive keyframes join and nothing is closed.
+If a layer has every frame, a gap of up to `gap_frames` frames between two frames with a label is closed. Inside the
+gap, the fact is unknown. If a layer has one frame per second, consecutive keyframes are joined, and no gap is closed.
 
-A table of labels, such as `actions`, holds written labels only. Closed gaps, and facts that follow from the words of
-other labels (`ALSO`), are rows of the table beside it, such as `possible_actions`.
+A table of labels, such as `actions`, has only facts with a label. Closed gaps, and facts that follow from the words of
+other labels (`ALSO`), are rows of a second table, such as `possible_actions`.
 
-A relation is true where a file states it with difficulty 1 or 2 and unknown where it does so with another code only. An
-interaction stated in one direction holds in both. Only people with a 2D box in the frame, of any quality, have
-relations.
+A relation is true if a file states it with difficulty 1 or 2. It is unknown if a file states it only with other codes.
+An interaction holds in both directions. Only people with a 2D box in the frame have relations.
 """
 
 from __future__ import annotations
@@ -20,17 +19,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, UNWRITTEN, Boxes, Facts, rows_of
+from jrdb_avr.loaders.intervals.people import HARD, UNREADABLE, UNWRITTEN, Boxes, Facts
 from jrdb_avr.loaders.intervals.persons import of_people
 from jrdb_avr.loaders.intervals.timeline import Timeline
 from jrdb_avr.loaders.labelfiles.columns import (
     Rows,
     ascending,
     begins,
+    group_rows,
     nullable,
     paired,
-    rank_values,
     ranked,
+    rows_of,
     texts,
     whole_numbers,
 )
@@ -49,11 +49,20 @@ class Runs(Rows):
     certain: Bools
     gap: Bools
     difficulty: Ints
-    """Highest difficulty inside; UNWRITTEN for gaps and for what follows from other labels."""
+    """Highest difficulty inside each interval. `UNWRITTEN` for gaps and for facts that follow from other labels."""
 
 
 def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
-    """Runs of facts, unique, in any order. `gap_frames`: missing frames that are closed, 0 for none."""
+    """Join the frames of each fact to intervals.
+
+    Args:
+        facts: Facts in any order, without duplicates.
+        step: Distance between consecutive frames.
+        gap_frames: Maximum number of missing frames in a gap that is closed. 0 closes no gap.
+
+    Returns:
+        The intervals, with a row of its own for each closed gap.
+    """
     facts = facts.at(ascending(facts.track, facts.value, facts.frame))
     frame, track, value, certain = facts.frame, facts.track, facts.value, facts.certain
     # Certain, doubtful, hard, not written: frames of one kind make one run.
@@ -75,7 +84,17 @@ def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
 
 
 def layer_runs(line: Timeline, layer: str, facts: Facts, rules: LoadRules) -> Runs:
-    """Runs at the step of a layer; gaps are closed where the layer has every frame."""
+    """Join the facts of a layer to intervals at the step of the layer.
+
+    Args:
+        line: Frames of the sequence.
+        layer: Name of the layer.
+        facts: Facts of the layer.
+        rules: Thresholds. Gaps are closed only if the layer has every frame.
+
+    Returns:
+        The intervals.
+    """
     grid = line.grid(layer)
     step = grid.step if grid else 1
     return find_runs(facts, step, rules.gap_frames if step == 1 else 0)
@@ -84,7 +103,18 @@ def layer_runs(line: Timeline, layer: str, facts: Facts, rules: LoadRules) -> Ru
 def runs_table(
     line: Timeline, kind: str, runs: Runs, keys: Mapping[str, Ints], names: Sequence[str] | None = None
 ) -> pa.Table:
-    """The interval table of runs, sorted by the key columns and the first frame. `names`: texts of the last key."""
+    """Return the interval table of intervals.
+
+    Args:
+        line: Frames of the sequence.
+        kind: Name of the table.
+        runs: Intervals.
+        keys: Key columns by name, with one element per interval.
+        names: Strings for the codes in the last key column. None keeps the numbers.
+
+    Returns:
+        The table, sorted by its key columns and the first frame.
+    """
     order = ascending(*keys.values(), runs.first)
     runs = runs.at(order)
     columns: dict[str, Any] = {name: key[order] for name, key in keys.items()}
@@ -99,7 +129,18 @@ def runs_table(
 def label_tables(
     line: Timeline, kind: str, runs: Runs, keys: Mapping[str, Ints], names: Sequence[str] | None = None
 ) -> dict[str, pa.Table]:
-    """The interval tables `<kind>`, of written labels, and `possible_<kind>`, of facts that were not written."""
+    """Return the tables of facts with a label and of facts without one.
+
+    Args:
+        line: Frames of the sequence.
+        kind: Name of the table of facts with a label.
+        runs: Intervals.
+        keys: Key columns by name, with one element per interval.
+        names: Strings for the codes in the last key column. None keeps the numbers.
+
+    Returns:
+        The interval tables `<kind>` and `possible_<kind>`, by name.
+    """
     written = runs.difficulty < UNWRITTEN
     return {
         half: runs_table(line, half, runs.at(rows), {name: key[rows] for name, key in keys.items()}, names)
@@ -108,7 +149,17 @@ def label_tables(
 
 
 def interactions_tables(line: Timeline, table: pa.Table, boxes: Boxes, rules: LoadRules) -> dict[str, pa.Table]:
-    """The interval tables of interactions, from the annotation table `interactions`."""
+    """Derive the interval tables of interactions.
+
+    Args:
+        line: Frames of the sequence.
+        table: Annotation table `interactions`.
+        boxes: Boxes of the people.
+        rules: Thresholds.
+
+    Returns:
+        The tables by name.
+    """
     table = table.filter(pa.array(_both_boxed(table, boxes.keys)))
     names, label = ranked(table["label"])
     source, target = whole_numbers(table, "track"), whole_numbers(table, "partner")
@@ -121,7 +172,12 @@ def interactions_tables(line: Timeline, table: pa.Table, boxes: Boxes, rules: Lo
 
 
 def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
-    """Rows of the annotation table `interactions` that give no fact, as one of the two has no 2D box in the frame."""
+    """Count the interactions that give no fact, because one of the two people has no 2D box in the frame.
+
+    Args:
+        table: Annotation table `interactions`.
+        boxes: Annotation table `boxes_2d`.
+    """
     keys = paired(whole_numbers(boxes, "frame"), whole_numbers(boxes, "track"))
     return int((~_both_boxed(table, keys)).sum())
 
@@ -129,9 +185,17 @@ def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
 def handles_tables(
     line: Timeline, table: pa.Table, categories: pa.Table, boxes: Boxes, rules: LoadRules
 ) -> dict[str, pa.Table]:
-    """The interval tables of handling, from the annotation tables `handles` and `categories`.
+    """Derive the interval tables of handled things. People are not things, so handled people are left out.
 
-    What is done with people is not among them: they are no things.
+    Args:
+        line: Frames of the sequence.
+        table: Annotation table `handles`.
+        categories: Annotation table `categories`.
+        boxes: Boxes of the people.
+        rules: Thresholds.
+
+    Returns:
+        The tables by name.
     """
     boxed = boxes.rows(whole_numbers(table, "frame"), whole_numbers(table, "track")) >= 0
     table = table.filter(pa.array(boxed & ~of_people(whole_numbers(table, "category_id"), categories)))
@@ -142,34 +206,24 @@ def handles_tables(
 
 
 def _both_boxed(table: pa.Table, keys: Ints) -> Bools:
-    """Rows whose two people have a 2D box in the frame; `keys` are those of the boxes, ascending."""
+    """Return the mask of the rows with a 2D box of both people. `keys` has the ascending keys of all boxes."""
     frame = whole_numbers(table, "frame")
-    source, target = (rows_of(keys, paired(frame, whole_numbers(table, name))) for name in ("track", "partner"))
-    return np.asarray((source >= 0) & (target >= 0))
+    boxed = (rows_of(keys, paired(frame, whole_numbers(table, name))) >= 0 for name in ("track", "partner"))
+    return np.logical_and(*boxed)
 
 
 def _relation_runs(
     line: Timeline, layer: str, table: pa.Table, rules: LoadRules, columns: tuple[Ints, ...]
 ) -> tuple[Runs, tuple[Ints, ...]]:
-    """Runs of the relations that equal columns state, and the columns of each run.
+    """Join relations to intervals. Rows with equal `columns` state the same relation.
 
-    Statements of one fact in one frame are merged: the easier code counts.
+    If several rows state a relation in one frame, the easiest code counts. Return the intervals, and the columns of
+    each interval.
     """
-    fact, columns = _distinct(columns)
+    fact, row = group_rows(*columns)
     none = np.zeros(len(fact), np.int64)
     difficulty = table["difficulty"].fill_null(UNREADABLE).to_numpy().astype(np.int64)
     facts = Facts(whole_numbers(table, "frame"), none, fact, difficulty < HARD, difficulty)
     facts = facts.at(ascending(facts.value, facts.frame, facts.difficulty))
     runs = layer_runs(line, layer, facts.at(begins(facts.value, facts.frame)), rules)
-    return runs, tuple(column[runs.value] for column in columns)
-
-
-def _distinct(columns: tuple[Ints, ...]) -> tuple[Ints, tuple[Ints, ...]]:
-    """Numbers the distinct rows of columns; per number, the values of each column."""
-    code = np.zeros(len(columns[0]), np.int64)
-    for column in columns:
-        values, place = rank_values(column)
-        _, code = rank_values(code * max(len(values), 1) + place)
-    row = np.empty(int(code.max(initial=-1)) + 1, np.int64)
-    row[code] = np.arange(len(code))
-    return code, tuple(column[row] for column in columns)
+    return runs, tuple(column[row][runs.value] for column in columns)

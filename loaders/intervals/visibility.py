@@ -7,7 +7,6 @@ whole numbers of 1/256 pixel, so that no rounding decides. `docs/definitions.md`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -24,22 +23,13 @@ UNIT: Final = 256
 """Number of length units in a pixel."""
 _TURN: Final = WIDTH * UNIT
 _LOWEST: Final = (HEIGHT - 2) * UNIT
-"""Bottom from which two boxes are compared by their tops, because the image cuts off both people."""
+"""Minimum bottom of two boxes that are compared by their tops, because the image cuts off both people."""
 
 Source = Literal["attributes", "geometry", "nothing"]
 """Evidence for the classes of a sequence: degrees of occlusion, nearer boxes and group labels, or none of them."""
 
 
-@dataclass(frozen=True)
-class Views:
-    """Classes of the boxes of a sequence, with one element per box. A box that is in neither class is uncertain."""
-
-    source: Source
-    clear: Bools
-    covered: Bools
-
-
-def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> Views:
+def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> tuple[Source, Bools, Bools]:
     """Judge the boxes of one sequence.
 
     Args:
@@ -48,26 +38,30 @@ def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> Views
         rules: Thresholds.
 
     Returns:
-        The class of each row of `boxes`.
+        The evidence, the mask of the boxes in clear view, and the mask of the covered boxes. The other boxes are
+        uncertain.
     """
     frame, track = whole_numbers(boxes, "frame"), whole_numbers(boxes, "track")
     box = np.stack([boxes[name].to_numpy() for name in "xywh"], axis=1)
     usable = _has_legal_size(box, rules) & ~boxes["no_eval"].fill_null(False).to_numpy()
-    seen, hidden = (_has_occlusion(boxes, values) for values in (CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS))
+    visible, hidden = (
+        np.asarray(pc.is_in(boxes["occlusion"], pa.array(sorted(values), pa.string())).to_numpy())
+        for values in (CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS)
+    )
     nobody = np.zeros(len(frame), np.bool_)
     if rules.visibility == "any":
         attributes = bool(boxes["has_attributes"].to_numpy().any())
-        return Views("attributes", usable & seen, nobody) if attributes else Views("nothing", usable, nobody)
+        return ("attributes", usable & visible, nobody) if attributes else ("nothing", usable, nobody)
     if boxes["occlusion"].null_count < len(frame):
-        return Views("attributes", usable & seen, hidden)
+        return "attributes", usable & visible, hidden
     if not len(frame):
-        return Views("nothing", nobody, nobody)
+        return "nothing", nobody, nobody
     least, most = rules.covered_thousandths()
     covered, area = covered_areas(frame, box)
     drawn = area > 0
     uncovered = drawn & (1000 * covered < least * area)
     clear = usable & uncovered & _has_group(frame, track, groups)
-    return Views("geometry", clear, drawn & (1000 * covered >= most * area))
+    return "geometry", clear, drawn & (1000 * covered >= most * area)
 
 
 def covered_areas(frame: Ints, box: Floats) -> tuple[Ints, Ints]:
@@ -78,7 +72,7 @@ def covered_areas(frame: Ints, box: Floats) -> tuple[Ints, Ints]:
         box: Left, top, width and height of each box in stitched pixels, shape (n, 4).
 
     Returns:
-        The area of each box that lies in the union of the nearer boxes, and the area of each box. The unit is
+        The area of each box inside the union of the nearer boxes, and the area of each box. The unit is
         1/65536 square pixel. Boxes are cut to the rows of the panorama and to one turn.
     """
     edges = np.rint(UNIT * np.stack([box[:, 0], box[:, 0] + box[:, 2], box[:, 1], box[:, 1] + box[:, 3]]))
@@ -93,13 +87,11 @@ def covered_areas(frame: Ints, box: Floats) -> tuple[Ints, Ints]:
         high, low = np.maximum(top[a], top[b]), np.minimum(bottom[a], bottom[b])
         near = np.flatnonzero(nearer & (high < low))
         a, b, high, low = a[near], b[near], high[near], low[near]
-        parts = [np.empty((5, 0), np.int64)]
         # Because the panorama repeats every turn, a box can reach another one from either side.
-        for shift in (-_TURN, 0, _TURN):
-            start = np.maximum(left[a], left[b] + shift)
-            end = np.minimum(left[a] + width[a], left[b] + shift + width[b])
-            parts.append(np.stack([a, start, end, high, low])[:, start < end])
-        _add_unions(covered, np.hstack(parts))
+        begin = left[b] + np.array([[-_TURN], [0], [_TURN]])
+        start, end = np.maximum(left[a], begin), np.minimum(left[a] + width[a], begin + width[b])
+        parts = np.stack([np.broadcast_to(part, start.shape) for part in (a, start, end, high, low)])
+        _add_unions(covered, parts[:, start < end])
     return covered, width * (bottom - top)
 
 
@@ -130,12 +122,6 @@ def _has_legal_size(box: Floats, rules: LoadRules) -> Bools:
     return np.asarray(sized & (y >= 0) & (y + h <= HEIGHT))
 
 
-def _has_occlusion(boxes: pa.Table, values: frozenset[str]) -> Bools:
-    """Return whether the occlusion of each box is one of the values."""
-    found = pc.is_in(boxes["occlusion"], pa.array(sorted(values), pa.string()))
-    return np.asarray(found.to_numpy())
-
-
 def _has_group(frame: Ints, track: Ints, groups: pa.Table) -> Bools:
     """Return whether each person has a certain group label in the nearest frame with any group label.
 
@@ -145,9 +131,9 @@ def _has_group(frame: Ints, track: Ints, groups: pa.Table) -> Bools:
     labelled = distinct_of(np.sort(whole_numbers(groups, "frame")))
     if not len(labelled):
         return np.ones(len(frame), np.bool_)
-    place = np.searchsorted(labelled, frame)
-    before, after = labelled[np.maximum(place - 1, 0)], labelled[np.minimum(place, len(labelled) - 1)]
+    row = np.searchsorted(labelled, frame)
+    before, after = labelled[np.maximum(row - 1, 0)], labelled[np.minimum(row, len(labelled) - 1)]
     nearest = np.where(np.abs(frame - before) <= np.abs(after - frame), before, after)
     easy = groups.filter(pc.less(groups["difficulty"], 3))
-    told = np.isin(paired(nearest, track), paired(whole_numbers(easy, "frame"), whole_numbers(easy, "track")))
-    return np.asarray(told & (np.abs(nearest - frame) <= KEYFRAME_STEP))
+    certain = np.isin(paired(nearest, track), paired(whole_numbers(easy, "frame"), whole_numbers(easy, "track")))
+    return np.asarray(certain & (np.abs(nearest - frame) <= KEYFRAME_STEP))

@@ -12,7 +12,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
-from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
@@ -121,8 +120,7 @@ def _id_of(raw: msgspec.Raw) -> str:
 class Images:
     """Map from image ids to frames, for the images that are frames of the sequence.
 
-    ids: image ids, ascending.
-    frame: frames of the images, in the order of `ids`. No two images have the same frame.
+    frame: frames of the images, ascending. No two images have the same frame.
     """
 
     def __init__(self, file: CocoFile, sequence: str, problems: Problems) -> None:
@@ -144,19 +142,15 @@ class Images:
                 problems.add("frame", reason, frame=name, field=field, value=image.id)
             elif frame is not None:
                 number_of[frame] = image.id
-        pairs = np.array(sorted((image_id, frame) for frame, image_id in number_of.items()), np.int64).reshape(-1, 2)
-        self.ids, self.frame = np.ascontiguousarray(pairs.T)
+        self.frame = np.array(sorted(number_of), np.int64)
+        self._frame_of = {image_id: frame for frame, image_id in number_of.items()}
 
     def frames_of(self, annotations: list[Any], problems: Problems) -> Ints:
         """Return the frame of each annotation's image, or -1 if the image is missing or was refused.
 
         Annotations without a frame are counted as problems.
         """
-        image_id = np.fromiter(map(attrgetter("image_id"), annotations), np.int64, len(annotations))
-        frame = np.full(len(image_id), -1, np.int64)
-        if len(self.ids):
-            row = np.minimum(np.searchsorted(self.ids, image_id), len(self.ids) - 1)
-            frame = np.where(self.ids[row] == image_id, self.frame[row], -1)
+        frame = np.array([self._frame_of.get(annotation.image_id, -1) for annotation in annotations], np.int64)
         if len(lost := np.flatnonzero(frame < 0)):
             first = annotations[lost[0]]
             reason, name = "image of the annotation is missing or refused", f"annotation {shorten(bytes(first.id), 30)}"

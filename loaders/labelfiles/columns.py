@@ -89,9 +89,7 @@ def rank_values(values: Ints) -> tuple[Ints, Ints]:
     coded = pa.array(values).dictionary_encode()
     distinct = coded.dictionary.to_numpy()
     order = np.argsort(distinct)
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return distinct[order], rank[coded.indices.to_numpy()]
+    return distinct[order], np.argsort(order)[coded.indices.to_numpy()]
 
 
 def constant(value: str, n: int) -> pa.Array:
@@ -244,6 +242,26 @@ def first_of_equal(*columns: Ints) -> tuple[Ints, Bools]:
     """
     order = ascending(*columns)
     return order, begins(*(column[order] for column in columns))
+
+
+def group_rows(*columns: Ints) -> tuple[Ints, Ints]:
+    """Assign the numbers 0, 1, 2, ... to the distinct rows of columns, in sorted order.
+
+    Returns:
+        The number of each row, and for each number the index of the first row that has it.
+    """
+    order, first = first_of_equal(*columns)
+    group = np.empty_like(order)
+    group[order] = np.cumsum(first) - 1
+    return group, order[first]
+
+
+def rows_of(keys: Ints, wanted: Ints) -> Ints:
+    """Return for each element of `wanted` its index in the ascending `keys`, or -1 if `keys` lacks it."""
+    if not len(keys):
+        return np.full(len(wanted), -1, np.int64)
+    row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[row] == wanted, row, -1)
 
 
 def distinct_of(ascending: Ints) -> Ints:

@@ -311,8 +311,7 @@ def facts_table(
     by_value = sorted(
         range(len(facts.values)), key=lambda i: tuple((part is None, part or 0) for part in facts.values[i])
     )
-    rank = np.empty(len(by_value), np.int64)
-    rank[by_value] = np.arange(len(by_value))
+    rank = np.argsort(np.array(by_value, np.int64))
     order = ascending(facts.row, *(ends or {}).values(), rank[facts.code])
     columns: dict[str, Any] = {name: column[order] for name, column in rows.items()}
     code = facts.code[order]

@@ -11,6 +11,7 @@ the frames with at least one group label.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable
 from itertools import chain
@@ -36,6 +37,10 @@ SUFFIXES: Final = ("jpg", "jpeg", "png")
 
 StitchedBox = tuple[float, float, float, float]
 """Left edge, top edge, width and height of a box in pixels of the stitched panorama."""
+
+
+NO_BOX: Final[StitchedBox] = (math.nan,) * 4
+"""Value that stands for a missing box."""
 
 
 class Attributes2D(msgspec.Struct, gc=False, frozen=True):

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.loaders.intervals.people import read_located, rows_of, wrap
+from jrdb_avr.loaders.intervals.people import read_located, wrap
 from jrdb_avr.loaders.labelfiles import records
 from jrdb_avr.loaders.labelfiles.columns import (
     Columns,
@@ -28,6 +28,7 @@ from jrdb_avr.loaders.labelfiles.columns import (
     nullable,
     numbered,
     paired,
+    rows_of,
 )
 from jrdb_avr.loaders.labelfiles.facts import keep_people
 from jrdb_avr.loaders.labelfiles.frames import Fields, RecordReader, gather, take_fields

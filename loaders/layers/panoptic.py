@@ -8,7 +8,6 @@ files also annotate people. The rows of people are kept in the table, but people
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from operator import attrgetter
@@ -30,10 +29,10 @@ from jrdb_avr.loaders.labelfiles.coco import (
     read_categories,
     read_chunks,
 )
-from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, ascending, known_frames, mask_of, nullable
+from jrdb_avr.loaders.labelfiles.columns import LayerTables, Refusals, first_of_equal, known_frames, mask_of, nullable
 from jrdb_avr.loaders.labelfiles.frames import RecordReader
 from jrdb_avr.loaders.labelfiles.records import ABSENT, BROKEN, NOTHING
-from jrdb_avr.loaders.layers.boxes_2d import StitchedBox, usable_boxes
+from jrdb_avr.loaders.layers.boxes_2d import NO_BOX, StitchedBox, usable_boxes
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Ints
 
@@ -41,8 +40,6 @@ MAX_SEGMENTATION: Final = 1 << 20
 """Maximum bytes of a mask. A mask that contains every second pixel of the panorama has about this size."""
 NO_TRACK: Final = -1
 """Track of a record without a usable track. Some files write this value for a missing track."""
-
-_NO_BOX: Final = (math.nan,) * 4
 
 Track = int | float | str | None
 """Track as written in a file."""
@@ -107,11 +104,8 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
     frame, track, category = (columns[name] for name in ("frame", "object", "category_id"))
     refusals = Refusals(frame, problems)
     # Records of the same thing must be neighbours, so rows are sorted by frame, category and track.
-    rows = ascending(frame, category, track == NO_TRACK, track)
-    same = np.zeros(len(rows), np.bool_)
-    same[1:] = track[rows[1:]] != NO_TRACK
-    for column in (frame, category, track):
-        same[1:] &= column[rows[1:]] == column[rows[:-1]]
+    rows, first = first_of_equal(frame, category, track == NO_TRACK, track)
+    same = ~first & (track[rows] != NO_TRACK)
     again = mask_of(rows[same], len(track))
     refusals.count(again, "record", "same thing twice in a frame, the first is kept", "tracking_id", _item(track))
     wrong = ~np.isin(category, list(categories))
@@ -132,7 +126,7 @@ def load_panoptic(path: Path, problems: Problems) -> LayerTables:
             "segmentation": texts.take(pa.array(rows)),
         }
     )
-    frames = known_frames(np.sort(images.frame), frame[rows])
+    frames = known_frames(images.frame, frame[rows])
     return LayerTables({"panoptic": table, "categories": categories_table(categories)}, {"panoptic": frames}, unknown)
 
 
@@ -160,7 +154,7 @@ def _take(chunk: list[SegmentAnnotation], frame: Ints, problems: Problems) -> di
         "frame": frame[rows],
         "category_id": np.fromiter(map(attrgetter("category_id"), chunk), np.int64, len(chunk)),
         "object": np.array([_track(row, annotation, refusals) for row, annotation in enumerate(chunk)], np.int64),
-        "box": np.array([annotation.bbox or _NO_BOX for annotation in chunk], np.float64).reshape(-1, 4),
+        "box": np.array([annotation.bbox or NO_BOX for annotation in chunk], np.float64).reshape(-1, 4),
         "area": np.array([annotation.area for annotation in chunk], np.float64),
         "segmentation": _segmentations(chunk, refusals),
     }

@@ -74,7 +74,7 @@ def load_pose(path: Path, problems: Problems) -> LayerTables:
     reason = "same person twice in a frame, the first is kept"
     Refusals(frame, problems).count(again, "record", reason, "track_id", lambda row: int(track[row]))
     rows = order[first]
-    frames = known_frames(np.sort(images.frame), frame[rows])
+    frames = known_frames(images.frame, frame[rows])
     points = pa.FixedSizeListArray.from_arrays(pa.array(values[rows].ravel()), VALUES)
     table = pa.table({"frame": frame[rows], "track": track[rows], "keypoints": points})
     return LayerTables({"poses": table}, {"pose": frames})

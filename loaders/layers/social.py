@@ -12,7 +12,6 @@ person, no list in the record's frame is whole (see `relation_lists`), and the a
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,7 +27,7 @@ from jrdb_avr.loaders.labelfiles.columns import Columns, Distinct, LayerTables, 
 from jrdb_avr.loaders.labelfiles.facts import Decoded, KeptRecords, expand, facts_table, keep_people
 from jrdb_avr.loaders.labelfiles.frames import Fields, RecordReader, gather
 from jrdb_avr.loaders.labelfiles.records import NOTHING
-from jrdb_avr.loaders.layers.boxes_2d import SUFFIXES, StitchedBox, take_people, usable_boxes
+from jrdb_avr.loaders.layers.boxes_2d import NO_BOX, SUFFIXES, StitchedBox, take_people, usable_boxes
 from jrdb_avr.loaders.layers.relation_lists import Entry, RelationKind, Relations, person_of, take_lists, thing_of
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.arrays import Bools
@@ -44,8 +43,6 @@ HANDLING: Final = RelationKind("handles", "HOI", thing_of, ("object", "category_
 
 ATTRIBUTES: Final = (("demographics", "demographics_info", DEMOGRAPHICS), ("group_info", "group_info", GROUP_INFO))
 """Layers of attributes: name, key of the layer's list in a record, and the attributes by their key in this list."""
-
-_NO_BOX: Final = (math.nan,) * 4
 
 
 class HandlingRecord(msgspec.Struct, gc=False):
@@ -120,7 +117,7 @@ def _load(path: Path, problems: Problems, kinds: tuple[RelationKind, ...], absen
     coded = ("label_id", *(name for _, name, _ in layers))
 
     def take(fields: Fields) -> Columns:
-        boxes = tuple(box or _NO_BOX for box in fields["box"])
+        boxes = tuple(box or NO_BOX for box in fields["box"])
         columns = take_people(fields | {"box": boxes}, coded, codes)
         for kind in kinds:
             columns |= take_lists(_lists(fields, kind), kind, codes)

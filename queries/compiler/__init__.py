@@ -1,7 +1,6 @@
-"""The compiler from graph plan to Cypher, and the solver that runs it.
+"""The compiler from graph plans to Cypher, and the solver that runs the statements.
 
-`clauses` holds the Cypher of each kind of condition and edge, `mapping` fills it with the names of the scene's schema,
-`find` joins both into the statement that finds a plan's people, and `reads` queries what the plan reads of them.
-`beliefs` is the counterpart of `find` and `reads` over an agent's beliefs. `solve` runs all of it for many plans at
-once.
+`clauses` has the Cypher of each kind of condition and edge, and `mapping` fills in the names of the scene's schema.
+`find` joins both to the statement that finds the people of a plan. `reads` reads the answer of a plan. `beliefs` and
+`believed` do the same as `reads` and `find` for the beliefs of an agent. `solve` runs many plans together.
 """

@@ -1,9 +1,9 @@
-"""Clauses: each kind of condition and edge of a plan as two boolean expressions of Cypher.
+"""Clauses: the Cypher of each kind of condition and edge of a plan, as two boolean expressions.
 
-Facts have three values, so each clause comes twice: `sure` is true where the fact certainly holds, `could` where it is
-not certainly false. Both are templates over variables that the caller binds: `n` a person and `s` the person's sighting
-at the time (`m` and `z` those of the other person of an edge), `t` the frame, `scope` the sequence or episode, and `v`,
-`w` the wanted values. Values are variables, never text: nothing of a plan enters a statement.
+Because facts have three values, each clause has two texts. `sure` is true if the fact is certain, and `could` is true
+if the fact is not certainly false. Both are templates over variables that the caller binds: a person `n` with the
+sighting `s` at the time, the other person `m` of an edge with the sighting `z`, the frame `t`, the sequence or episode
+`scope`, and the requested values `v` and `w`. Values are variables, so that no text of a plan is part of a statement.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 Variables = dict[str, str]
-"""Names of bound variables by the letters above."""
+"""Names of bound variables, by the letters above."""
 
 
 class Clause(NamedTuple):
-    """A condition of a person, or an edge between two: when it certainly holds, and when it is possible."""
+    """Cypher of a condition of a person, or of an edge between two people."""
 
     sure: str
     could: str
@@ -31,20 +31,27 @@ def in_rows(
     span: str = "r",
     then: Clause | None = None,
 ) -> Clause:
-    """Facts stored as rows over intervals of frames, inclusive; a row that is not certain makes the fact possible.
+    """Return the clause of facts that are rows over intervals of frames.
 
-    pattern: what to match; may: a relationship whose rows make the fact possible too; equal: columns of it with the
-    variables they must equal; nullable: the same of columns whose null may stand for any value; span: the row's
-    variable, with columns `first`, `last` and `certain`; then: the clause of a row that must lead on from this one. (As
-    one pattern the two would close a circle, on which the engine loses rows.)
+    A row that is not certain makes the fact possible.
+
+    Args:
+        pattern: Pattern of a row.
+        equal: Columns of the row with the variables that they must equal.
+        nullable: The same for columns with a null if any value is possible.
+        may: Relationship with further rows that make the fact possible, or "".
+        span: Variable of the row, which has the columns `first`, `last` and `certain`.
+        then: Clause of a row that must follow this row, or None. It is a separate pattern, because the two rows would
+            form
+            a cycle, and the engine loses rows of cycles.
     """
     same = [f"{column} = {{{variable}}}" for column, variable in (equal or {}).items()]
-    wanted = (nullable or {}).items()
-    # The engine loses rows of a subquery where a column that is compared with a variable holds nulls.
-    known = [f"{column} IS NOT NULL AND {column} = {{{variable}}}" for column, variable in wanted]
-    possible = [f"({column} = {{{variable}}} OR {column} IS NULL)" for column, variable in wanted]
+    optional = (nullable or {}).items()
+    # IS NOT NULL is needed, because the engine loses rows of a subquery that compares a column with nulls.
+    present = [f"{column} IS NOT NULL AND {column} = {{{variable}}}" for column, variable in optional]
+    possible = [f"({column} = {{{variable}}} OR {column} IS NULL)" for column, variable in optional]
     covers = f"{span}.first <= {{t}} AND {span}.last >= {{t}}"
-    sure = [*same, *known, f"{span}.certain", covers, *(then[:1] if then else ())]
+    sure = [*same, *present, f"{span}.certain", covers, *(then[:1] if then else ())]
     could = [*same, *possible, covers, *(then[1:] if then else ())]
     either = pattern.replace("]", f"|{may}]") if may else pattern
     texts = ((pattern, sure), (either, could))
@@ -52,10 +59,13 @@ def in_rows(
 
 
 def in_column(value: str, other: str = "", rows: Clause | None = None, near: str = "") -> Clause:
-    """A fact stored as one value, null where it is unknown.
+    """Return the clause of a fact that is one value, or null if the value is unknown.
 
-    value: the column; other: one with a second possible value, or ""; rows: a clause that makes another value possible;
-    near: a test that does so, or "".
+    Args:
+        value: Column of the value.
+        other: Column of a second possible value, or "".
+        rows: Clause that makes another value possible, or None.
+        near: Condition that makes another value possible, or "".
     """
     alone, second = (f" AND {other} IS NULL", f" OR {other} = {{v}}") if other else ("", "")
     listed = f" OR {rows.could}" if rows else ""
@@ -64,21 +74,61 @@ def in_column(value: str, other: str = "", rows: Clause | None = None, near: str
     return Clause(f"coalesce({value} = {{v}}{alone}, false)", could)
 
 
+def in_range(least: str, most: str) -> Clause:
+    """Return the clause of a number between two columns, which are null if the number is unknown.
+
+    Args:
+        least: Column of the minimum.
+        most: Column of the maximum.
+    """
+    could = f"({least} IS NULL OR ({least} <= {{v}} AND {most} >= {{v}}))"
+    return Clause(f"coalesce({least} = {{v}} AND {most} = {{v}}, false)", could)
+
+
 def unless_listed(rows: Clause, listed: str) -> Clause:
-    """A fact stored as rows: without a row it is false where `listed` holds, else unknown."""
+    """Return the clause of facts that are rows. Without a row, the fact is false if the list of the person is complete.
+
+    Args:
+        rows: Clause of the rows.
+        listed: Condition that the list is complete.
+    """
     return Clause(rows.sure, f"({rows.could} OR NOT {listed})")
 
 
+def unless_labelled_near(fact: Clause, pattern: str) -> Clause:
+    """Return the clause of a condition that is unknown, not false, if a flickering label is near.
+
+    The label `v` flickers if it is one of `$flickering`. It is near if the person has it one keyframe before or after.
+
+    Args:
+        fact: Clause of the condition.
+        pattern: Pattern of a row `r` of the label `x.name`.
+    """
+    near = " OR ".join(f"(r.first <= {{t}} {step} AND r.last >= {{t}} {step})" for step in ("- 15", "+ 15"))
+    rows = f"EXISTS {{{{ MATCH {pattern} WHERE x.name = {{v}} AND ({near}) }}}}"
+    return Clause(fact.sure, f"({fact.could} OR (list_contains($flickering, {{v}}) AND {rows}))")
+
+
 def unless_both_listed(rows: Clause, listed: str) -> Clause:
-    """An edge stored as rows between two people: without a row it is false where `listed` holds of both."""
+    """Return the clause of edges that are rows.
+
+    Without a row, the edge is false if the lists of both people are complete.
+
+    Args:
+        rows: Clause of the rows.
+        listed: Condition that the list of a person is complete.
+    """
     return unless_listed(rows, f"({listed} AND {listed.replace('{n}', '{m}').replace('{s}', '{z}')})")
 
 
 def within(here: str, there: str) -> Clause:
-    """An edge by the panorama angles of two people: the other one is less than `v` degrees to the left.
+    """Return the clause of an edge by panorama angles: the other person is less than `v` degrees to the left.
 
-    One turns left from `there` to `here`. Whoever is within the margin of the edge, or of the person's own direction,
-    could be inside.
+    The edge is unknown if the other person is within a margin of the limit, or of the direction of the person.
+
+    Args:
+        here: Angle of the person, to which one turns left.
+        there: Angle of the other person, from which one turns.
     """
     turn = f"({here} - {there})"
     left = f"({turn} - 360.0 * floor({turn} / 360.0))"
@@ -89,19 +139,37 @@ def within(here: str, there: str) -> Clause:
 
 
 def seen_with(pattern: str, there: str, edge: Clause) -> Clause:
-    """An edge to a thing: it holds with a sighting `z` of the thing by `pattern` that is `there`."""
+    """Return the clause of an edge to a thing, which holds with a sighting of the thing.
+
+    Args:
+        pattern: Pattern of a sighting `z` of the thing.
+        there: Condition that the sighting is at the time.
+        edge: Clause of the edge with the sighting.
+    """
     return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {there} AND {text} }}}}" for text in edge))
 
 
 def towards(angle: str) -> Clause:
-    """A condition by the panorama angle of a person: it lies near the axis `v` of a sector."""
+    """Return the clause of a condition that a person is near the axis `v` of a sector.
+
+    Args:
+        angle: Panorama angle of the person.
+    """
     off = f"({angle} - {{v}} + 180.0)"
     off = f"abs({off} - 360.0 * floor({off} / 360.0) - 180.0)"
     return Clause(f"({off} <= $sector_true)", f"({off} <= $sector_false)")
 
 
 def to_anybody(edge: Clause, pattern: str) -> Clause:
-    """A condition: an edge of this kind leads to anybody who matches `pattern`, a template over `n` and `s`."""
+    """Return the clause of a condition that holds if an edge leads to anybody else who matches a pattern.
+
+    The condition is certain only if such a person is in clear view, or if the rules do not judge views (`$in_view`).
+
+    Args:
+        edge: Clause of the edge.
+        pattern: Pattern of a person, a template over `n` and `s`.
+    """
     match = pattern.replace("{n}", "other").replace("{s}", "seen")
-    holds = (text.replace("{m}", "other").replace("{z}", "seen") for text in edge)
-    return Clause(*(f"EXISTS {{{{ MATCH {match} AND other.id <> {{n}}.id AND {text} }}}}" for text in holds))
+    texts = (text.replace("{m}", "other").replace("{z}", "seen") for text in edge)
+    sure, could = (f"EXISTS {{{{ MATCH {match} AND other.id <> {{n}}.id AND {text}" for text in texts)
+    return Clause(f"{sure} AND (seen.clear OR NOT $in_view) }}}}", f"{could} }}}}")

@@ -1,9 +1,9 @@
-"""The statement that finds the people of a plan: its conditions and edges as one Cypher pattern.
+"""The statement that finds the people of a plan: its conditions and edges as one Cypher statement.
 
-Every row binds the plan's nodes to different people that no condition and no edge excludes; its columns `sure0`,
-`sure1`, ... are whether each condition and edge certainly holds. The rows of a plan decide its outcome. The text
-depends on the plan's shape alone, so plans of one text run together: their times and values are rows of the parameter
-`$plans`. Names in the statement are the compiler's own.
+Each row binds the plan's nodes to different people that no condition and no edge excludes. The columns `sure0`,
+`sure1`, ... say whether each condition and edge is certain. The rows of a plan decide its outcome. The text of the
+statement depends only on the shape of the plan, so plans of one shape run together. Their times and values are rows of
+the parameter `$plans`. All names in the statement are made by the compiler.
 """
 
 from __future__ import annotations
@@ -31,8 +31,10 @@ from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Plan, validate
 class Find:
     """The Cypher statement that finds the people of a plan.
 
-    cypher: gives columns id, who0, who1, ... and sure0, sure1, ..., ordered; nodes: the plan's nodes in the order of
-    `who`; row: the plan's values in `$plans`, without `id` and `scope`.
+    Attributes:
+        cypher: Statement. It returns the columns id, who0, who1, ... and sure0, sure1, ..., ordered.
+        nodes: Nodes of the plan, in the order of the columns `who`.
+        row: Values of the plan in `$plans`, without `id` and `scope`.
     """
 
     cypher: str
@@ -41,9 +43,14 @@ class Find:
 
 
 def compile_find(plan: Plan, mapping: SchemaMapping) -> Find:
-    """Compile a plan's conditions and edges.
+    """Compile the conditions and edges of a plan.
 
-    Raises PlanError where the plan is invalid, not of stated times, or names an attribute without labels.
+    Args:
+        plan: Plan.
+        mapping: Namespace to search.
+
+    Raises:
+        PlanError: If the plan is invalid, has conditions or edges at an event, or names an attribute without labels.
     """
     validate(plan)
     if plan.answer.attribute not in (None, *mapping.conditions):
@@ -52,7 +59,7 @@ def compile_find(plan: Plan, mapping: SchemaMapping) -> Find:
 
 
 class _Pattern:
-    """Builds the statement, a person at a time, in the order in which edges reach them."""
+    """Builder of the statement. It adds one person after the other, in the order of `search_order`."""
 
     def __init__(self, plan: Plan, mapping: SchemaMapping) -> None:
         self.plan = plan
@@ -76,20 +83,20 @@ class _Pattern:
             sure += holds
         things = [i for i, node in enumerate(self.nodes) if node in self.things]
         who = [f"{self._space(node).who.format(n=f'n{i}')} AS who{i}" for i, node in enumerate(self.nodes)]
-        # Each by itself: the engine cannot put the results of several EXISTS together.
+        # Each result has a column of its own, because the engine cannot join the results of several EXISTS.
         certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
         lines.append(f"RETURN {', '.join(['id', *who, *certain])}")
-        # Names last: the engine orders numbers after a text wrongly.
+        # Names of things come last, because the engine orders numbers after a string wrongly.
         order = [i for i in range(len(self.nodes)) if i not in things] + things
         lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in order)])}")
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def _person(self, node: str, edges: Edges) -> tuple[str, str, list[str], dict[str, str]]:
-        """The parts of a node's MATCH: pattern, tests that unsure facts pass, sightings, named tests of certainty."""
+        """Return the parts of the MATCH of a node: pattern, conditions, sightings, and tests of certainty by name."""
         self.nodes.append(node)
         place, space = len(self.nodes) - 1, self._space(node)
         times = times_of(self.plan, node)
-        # Nothing is asked of a thing at a time alone.
+        # A thing has no sighting, so only the first time is needed.
         bound = [self._at(node, time) for time in (times[:1] if node in self.things else times)]
         where = [space.there.format(**at) for at in reversed(bound)]
         where += [text for time, at in zip(times, bound, strict=False) for text in self._begun(node, time, at)]
@@ -102,7 +109,7 @@ class _Pattern:
         return match, " AND ".join(where), [] if node in self.things else [at["s"] for at in bound], holds
 
     def _space(self, node: str) -> SchemaMapping | ThingMapping:
-        """The mapping of people, or that of things."""
+        """Return the mapping of people, or the mapping of things."""
         if node not in self.things:
             return self.mapping
         if self.mapping.things is None:
@@ -110,7 +117,7 @@ class _Pattern:
         return self.mapping.things
 
     def _clauses(self, node: str, edges: Edges) -> Iterator[tuple[str, Clause, Variables]]:
-        """Clauses of a node's conditions and of the edges to earlier nodes, by name, with their variables."""
+        """Yield name, clause and variables of the conditions of a node, and of its edges to earlier nodes."""
         for i, condition in enumerate(conditions_of(self.plan, node)):
             name = f"c{self.nodes.index(node)}_{i}"
             if condition.kind not in self.mapping.conditions:
@@ -136,12 +143,12 @@ class _Pattern:
         if limits(self.plan, time) is None:
             self.row[t] = stated_frame(self.plan, time)
         elif node not in self.things or time in self.moments:
-            # The sighting of the first person at a moment says which frame it is.
+            # The sighting of the first person at a moment decides the frame.
             bound["t"] = self.moments.setdefault(time, f"{bound['s']}.frame")
         return bound
 
     def _begun(self, node: str, time: str, at: Variables) -> list[str]:
-        """The tests of the frame of a moment that a sighting of the node decides."""
+        """Return the conditions for the frame of a moment that a sighting of the node decides."""
         within = limits(self.plan, time)
         if within is None or node in self.things or at["t"] != f"{at['s']}.frame":
             return []
@@ -157,28 +164,47 @@ class _Pattern:
 _LABELLED: Final = f"use one of {', '.join(ATTRIBUTES)}, or an action, object or interaction"
 
 Edges = list[tuple[int, Edge]]
-"""Edges by their places in a plan."""
+"""Edges, each with its index in the plan."""
 
 
 def conditions_of(plan: Plan, node: str) -> tuple[Condition, ...]:
-    """The conditions of a node."""
-    return next(one.conditions for one in plan.nodes if one.id == node)
+    """Return the conditions of a node.
+
+    Args:
+        plan: Plan.
+        node: Id of the node.
+    """
+    return next(row.conditions for row in plan.nodes if row.id == node)
 
 
 def search_order(plan: Plan) -> list[tuple[str, Edges]]:
-    """Nodes from the root on, each with the edges, by their places, that join it to those before.
+    """Order the nodes from the root on, so that edges lead to each node from earlier ones.
 
-    A node to which nothing leads comes where nothing else does, as in a plan from which things were taken.
+    A node without edges comes last.
+
+    Args:
+        plan: Plan.
+
+    Returns:
+        Each node, with the edges that join it to earlier nodes.
     """
-    known = [plan.root]
-    while len(known) < len(plan.nodes):
-        reached = [target for source, target in plan.ways if source in known]
-        known.append(next(node for node in (*reached, *(one.id for one in plan.nodes)) if node not in known))
-    return joined(plan, known)
+    order = [plan.root]
+    while len(order) < len(plan.nodes):
+        reached = [target for source, target in plan.ways if source in order]
+        order.append(next(node for node in (*reached, *(node.id for node in plan.nodes)) if node not in order))
+    return joined(plan, order)
 
 
 def joined(plan: Plan, order: Sequence[str]) -> list[tuple[str, Edges]]:
-    """Nodes in this order, each with the edges, by their places, that join it to those before."""
+    """Find the edges that join each node to earlier nodes.
+
+    Args:
+        plan: Plan.
+        order: Ids of the nodes.
+
+    Returns:
+        Each node, with its edges.
+    """
     edges = list(enumerate(plan.edges))
     return [
         (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*order[: k + 1]}])
@@ -187,7 +213,15 @@ def joined(plan: Plan, order: Sequence[str]) -> list[tuple[str, Edges]]:
 
 
 def stated_frame(plan: Plan, time: str) -> int:
-    """The frame of a time at which conditions or edges hold. Raises PlanError where it is an event."""
+    """Return the frame of a time of conditions or edges.
+
+    Args:
+        plan: Plan.
+        time: Name of the time.
+
+    Raises:
+        PlanError: If the time is an event.
+    """
     frame = plan.times[time].frame
     if frame is None:
         raise PlanError(f"times.{time}", "conditions and edges hold at stated frames; an event is only read")
@@ -195,7 +229,12 @@ def stated_frame(plan: Plan, time: str) -> int:
 
 
 def limits(plan: Plan, time: str) -> tuple[int, int] | None:
-    """The frames after which and before which a moment is; None for a time that is none."""
+    """Return the frames before and after a moment, or None if the time is not a moment.
+
+    Args:
+        plan: Plan.
+        time: Name of the time.
+    """
     moment = plan.times[time]
     if not moment.is_moment:
         return None
@@ -204,9 +243,14 @@ def limits(plan: Plan, time: str) -> tuple[int, int] | None:
 
 
 def times_of(plan: Plan, node: str) -> list[str]:
-    """Names of the times at which something holds of a node; where nothing does, the first stated one.
+    """Return the names of the times of a node's conditions and edges, or the first stated time if it has neither.
 
-    Raises PlanError where there is none either.
+    Args:
+        plan: Plan.
+        node: Id of the node.
+
+    Raises:
+        PlanError: If the plan states no time.
     """
     times = [condition.at for condition in conditions_of(plan, node) if condition.at is not None]
     times += [edge.at for edge in plan.edges if node in (edge.source, edge.target)]
@@ -219,21 +263,31 @@ def times_of(plan: Plan, node: str) -> list[str]:
 Outcome = Literal["defined", "ambiguous", "empty", "unknown"]
 
 Agreed = tuple[Outcome, Mapping[str, PersonId]]
-"""An outcome, and the people of the plan's nodes where it is defined."""
+"""Outcome, and the people of the plan by node if the outcome is defined."""
 
 
 def people_of(find: Find, row: Mapping[str, Any]) -> dict[str, PersonId]:
-    """The people of a row of a plan's statement, by node."""
+    """Return the people of a row of a plan's statement, by node.
+
+    Args:
+        find: Statement.
+        row: Row of the statement.
+    """
     return {node: row[f"who{place}"] for place, node in enumerate(find.nodes)}
 
 
 def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
-    """The outcome where one binding must be certain, and no other one possible."""
-    # Several rows of the same people are of different moments, of which one is enough.
+    """Return the outcome if one binding must be certain, and no other binding possible.
+
+    Args:
+        find: Statement.
+        rows: Rows of the statement.
+    """
+    # Several rows of the same people are of different moments. One certain moment is enough.
     sure: dict[tuple[PersonId, ...], bool] = {}
     for row in rows:
-        who = tuple(people_of(find, row).values())
-        sure[who] = sure.get(who, False) or all(row[name] for name in row if name.startswith("sure"))
+        people = tuple(people_of(find, row).values())
+        sure[people] = sure.get(people, False) or all(row[name] for name in row if name.startswith("sure"))
     certain = sum(sure.values())
     if certain > 1:
         return "ambiguous", {}
@@ -243,7 +297,16 @@ def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
 
 
 def outcome_of_target(plan: Plan, people: Sequence[Mapping[str, PersonId]]) -> Agreed:
-    """The outcome of certain bindings that must share one target, with the nodes bound identically in all of them."""
-    if len({one[plan.target] for one in people}) != 1:
+    """Return the outcome if all bindings are certain and must have the same target.
+
+    Args:
+        plan: Plan.
+        people: People of each binding, by node.
+
+    Returns:
+        The outcome, with the nodes that have the same person in all bindings.
+    """
+    if len({binding[plan.target] for binding in people}) != 1:
         return "ambiguous" if people else "empty", {}
-    return "defined", {node: who for node, who in people[0].items() if all(one[node] == who for one in people)}
+    same = {node: person for node, person in people[0].items() if all(b[node] == person for b in people)}
+    return "defined", same

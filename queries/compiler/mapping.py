@@ -1,7 +1,7 @@
-"""The mapping from plans to the graph's schema: patterns, clauses of conditions and edges, and their values.
+"""Mapping from plans to the graph's schema: patterns, clauses of conditions and edges, and their values.
 
-Another namespace of facts with three values is another `SchemaMapping`; the compiler stays as it is. (Beliefs of an
-agent are never false, so `beliefs` compiles them in its own way.)
+A further namespace of facts with three values is a further `SchemaMapping`. The compiler does not change. Beliefs of an
+agent are never false, so `believed` compiles them differently.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from typing import Final
 from jrdb_avr.queries.compiler.clauses import (
     Clause,
     in_column,
+    in_range,
     in_rows,
     seen_with,
     to_anybody,
     towards,
     unless_both_listed,
+    unless_labelled_near,
     unless_listed,
     within,
 )
@@ -28,19 +30,27 @@ from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
 from jrdb_avr.schema.things import VERBS
 
 PersonId = int | str
-"""A person in a scope: the number of a track, or the name of an entity."""
+"""Person in a scope: the number of a track, or the name of an entity."""
 
 
 @dataclass(frozen=True)
 class SchemaMapping:
-    """A namespace of the graph. The property `id` identifies its people.
+    """Namespace of the graph. The property `id` identifies a person in it.
 
-    pattern, there: a person `n` with a sighting `s`, and the condition for one at frame `t` of `scope`; who: the
-    person's number or name in its scope; conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`;
-    reads: folder of the statements that read answers; things: the things `n` of `scope`, None where there are none.
+    Attributes:
+        pattern: Pattern of a person `n` with a sighting `s`.
+        boxed: Condition that the sighting is at frame `t` of `scope`.
+        there: Condition that the sighting is at frame `t` of `scope`, and that the person counts. A covered person does
+            not count.
+        who: Number or name of the person in the scope.
+        conditions: Clauses of conditions by kind, as in `Condition.kind`.
+        edges: Clauses of edges by kind, as in `edge_kind`.
+        reads: Folder of the statements that read answers.
+        things: Things of the namespace, or None if there are none.
     """
 
     pattern: str
+    boxed: str
     there: str
     who: str
     conditions: Mapping[str, Clause]
@@ -51,9 +61,14 @@ class SchemaMapping:
 
 @dataclass(frozen=True)
 class ThingMapping:
-    """The things of a namespace: pattern, condition and name as those of people, but without a sighting.
+    """Things of a namespace.
 
-    kind: the clause of a thing's kind `v`; edges: clauses of edges from a person to a thing, by kind.
+    Attributes:
+        pattern: Pattern of a thing `n`.
+        there: Condition that the thing is in `scope`.
+        who: Name of the thing.
+        kind: Clause of the kind `v` of a thing.
+        edges: Clauses of edges from a person to a thing, by kind.
     """
 
     pattern: str
@@ -64,21 +79,32 @@ class ThingMapping:
 
 
 def condition_values(condition: Condition) -> dict[str, str | float | list[str]]:
-    """The values a condition's clause compares with, by variable. Raises PlanError for an unknown sector."""
+    """Return the values that the clause of a condition compares with, by variable.
+
+    Args:
+        condition: Condition of a plan.
+
+    Raises:
+        PlanError: If the sector is unknown.
+    """
     if condition.attribute == "sector":
         if condition.value not in ROBOT_SECTORS:
             raise PlanError("conditions", f"{condition.value!r} is no sector")
         return {"v": ROBOT_SECTORS[str(condition.value)]}
-    wanted = (condition.value, condition.action, condition.object, condition.interaction)
-    values: dict[str, str | float | list[str]] = {"v": next(value for value in wanted if value is not None)}
+    given = (condition.value, condition.action, condition.object, condition.interaction)
+    values: dict[str, str | float | list[str]] = {"v": next(value for value in given if value is not None)}
     if condition.attribute == "age":
         values["w"] = sorted(may_be_called(str(condition.value)))
     return values if condition.verb is None else values | {"w": condition.verb}
 
 
 def edge_kind(relation: str) -> str:
-    """Kind of an edge: that of its relation, or the side of a window. A label that names no relation counts as a
-    person's place, of which there is no row.
+    """Return the kind of an edge between two people: the kind of its relation, or the side of a window.
+
+    An unknown relation has the kind "person". There are no rows with its label, so the edge is never true.
+
+    Args:
+        relation: Relation of the edge.
     """
     row = RELATIONS.get(relation)
     if row is None:
@@ -87,7 +113,15 @@ def edge_kind(relation: str) -> str:
 
 
 def thing_edge_kind(field: str, relation: str) -> str:
-    """Kind of an edge to a thing. Raises PlanError for a relation that nothing is labelled with."""
+    """Return the kind of an edge to a thing.
+
+    Args:
+        field: Name of the field, for the error message.
+        relation: Relation of the edge.
+
+    Raises:
+        PlanError: If no label has the relation to a thing.
+    """
     if relation in VERBS:
         return "handles"
     row = RELATIONS.get(relation)
@@ -98,8 +132,12 @@ def thing_edge_kind(field: str, relation: str) -> str:
 
 
 def edge_values(relation: str) -> dict[str, str | float]:
-    """The values that an edge's clause compares with, by variable: none for the same group, a window's degrees, and
-    otherwise the label.
+    """Return the values that the clause of an edge compares with, by variable.
+
+    The same group has no value. A window has its degrees. Other relations have their label.
+
+    Args:
+        relation: Relation of the edge.
     """
     if relation == SAME_GROUP:
         return {}
@@ -108,9 +146,10 @@ def edge_values(relation: str) -> dict[str, str | float]:
 
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
-_THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
+_BOXED: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
 
-_PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"}, may="MayPerform")
+_LABELLED: Final = "({n})-[r:Performs]->(x:Action)"
+_PERFORMS: Final = in_rows(_LABELLED, {"x.name": "v"}, may="MayPerform")
 _HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"}, may="MayHandle")
 _BESIDE: Final = in_rows("({n})-[r:Beside]->({m})", {"r.label": "v"})
 _GROUPED: Final = in_rows(
@@ -121,24 +160,25 @@ _GROUPED: Final = in_rows(
 _MEMBER: Final = (
     "EXISTS {{ MATCH ({n})-[r:MemberOf|MayBelong]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
 )
-_THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", _THERE.replace("{s}", "{z}"))
+_THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", _BOXED.replace("{s}", "{z}"))
 _SOCIAL: Final = unless_both_listed(
     in_rows("({n})-[r:Interacts]->({m})", {"r.label": "v"}, may="MayInteract"), "{s}.interactions_listed"
 )
 
 SCENE: Final = SchemaMapping(
     pattern=_PATTERN,
-    there=_THERE,
+    boxed=_BOXED,
+    there=f"{_BOXED} AND NOT {{s}}.covered",
     who="{n}.track",
     conditions={
         "gender": in_column("{n}.gender"),
         "age": in_column("{n}.age", near="list_contains({w}, {n}.age)"),
         # A closed gap of a pose leaves it possible beside the pose that is listed.
         "pose": in_column("{s}.pose", rows=_PERFORMS),
-        "action": unless_listed(_PERFORMS, "{s}.listed"),
+        "action": unless_labelled_near(unless_listed(_PERFORMS, "{s}.listed"), _LABELLED),
         "object": unless_listed(_HANDLES, "{s}.handles_listed"),
-        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_THERE}"),
-        "group_size": in_column("{s}.group_size"),
+        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_BOXED}"),
+        "group_size": in_range("{s}.group_size_min", "{s}.group_size_max"),
         "sector": towards("{s}.angle"),
         "distance": in_column("{s}.distance_word", "{s}.distance_word_other"),
     },
@@ -165,4 +205,4 @@ SCENE: Final = SchemaMapping(
         },
     ),
 )
-"""The scene namespace: the annotations. `scope` is the sequence, `who` the track, or the key of a thing."""
+"""Namespace of the annotations. `scope` is the sequence, and `who` is the track of a person or the key of a thing."""

@@ -1,8 +1,8 @@
-"""Reads of found people: one statement per kind of fact, each for many people at once.
+"""Reads of found people. One statement per kind of fact reads many people together.
 
-The statements lie in `queries/reads/<namespace>/*.cypher`; only counts are compiled here, from an edge's clauses.
-Results are by the number of the question; unknown ones are left out. The solver queries a `Reader`: `SceneReader` reads
-the annotations, `beliefs.BeliefReader` the beliefs of an agent.
+The statements are in `queries/reads/<namespace>/*.cypher`. Only counts are compiled here, from the clauses of an edge.
+Results are by id of the plan, and unknown results are missing. The solver uses a `Reader`: `SceneReader` reads the
+annotations, and `beliefs.BeliefReader` reads the beliefs of an agent.
 """
 
 from __future__ import annotations
@@ -19,35 +19,50 @@ from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS
+from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
 
 _TIMEOUT_S: Final = 60.0
-"""For each statement."""
+"""Maximum seconds of each statement."""
 
 
 Queryable = Graph | WorldGraph
-"""A graph that answers statements."""
+"""Graph that runs statements."""
 
 
 @dataclass(frozen=True)
 class Person:
-    """A found person: the number of the question, the sequence or episode, and the person's identity there."""
+    """A found person.
+
+    Attributes:
+        id: Id of the plan.
+        scope: Name of the sequence, or key of the episode.
+        who: Track or name of the person in the scope.
+    """
 
     id: int
     scope: str
     who: PersonId
 
     def row(self, **more: Any) -> dict[str, Any]:
+        """Return a row of `$plans` for the person, with further values."""
         return {"id": self.id, "scope": self.scope, "who": self.who, **more}
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of an action: the frames with it, its start and end as answers have them, whether it is known to end
-    there, and the panorama angle at the first frame."""
+    """A segment of an action.
+
+    Attributes:
+        first: First frame with the action.
+        last: Last frame with the action.
+        start: Start as in answers.
+        end: End as in answers.
+        closed: Whether the end is known.
+        angle: Panorama angle of the person at the first frame, in degrees.
+    """
 
     first: int
     last: int
@@ -59,7 +74,12 @@ class Segment:
 
 @dataclass(frozen=True)
 class Seen:
-    """Whether somebody is present, None where it is unknown; and how far away, in metres."""
+    """Presence of a person at a frame.
+
+    Attributes:
+        present: Whether the person is present, or None if it is unknown.
+        distance: Distance from the robot in metres, or None if it is unknown.
+    """
 
     present: bool | None
     distance: float | None
@@ -69,13 +89,16 @@ Rows = Sequence[Mapping[str, Any]]
 """Rows of a statement, or of its parameter `$plans`."""
 
 Looks = Sequence[tuple[Person, int]]
-"""People, each with a frame."""
+"""Pairs of a person and a frame."""
 
 
 class Reader(Protocol):
-    """Facts of people in a graph.
+    """Reader of facts about people in a graph.
 
-    timeout_s: of each statement; values: of the statements' parameters beside `$plans`, by name.
+    Attributes:
+        graph: Graph.
+        timeout_s: Maximum seconds of each statement.
+        values: Values of the parameters of statements, except `$plans`, by name.
     """
 
     graph: Queryable
@@ -83,43 +106,59 @@ class Reader(Protocol):
     values: Mapping[str, Any]
 
     def find(self, plan: Plan) -> Find:
-        """The statement that finds a plan's people. Raises PlanError for a plan that cannot be compiled."""
+        """Return the statement that finds the people of a plan.
+
+        Raises:
+            PlanError: If the plan cannot be compiled.
+        """
 
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
-        """The outcome of that statement's rows."""
+        """Return the outcome of the rows of a statement of `find`."""
 
     def run(self, cypher: str, rows: Rows) -> list[dict[str, Any]]:
-        """The rows of a compiled statement for the rows of `$plans`. Raises QueryError, as after the timeout."""
+        """Run a compiled statement.
+
+        Args:
+            cypher: Statement.
+            rows: Rows of `$plans`.
+
+        Raises:
+            QueryError: If the statement fails or takes too long.
+        """
         return self.query(cypher, {"plans": list(rows)}) if rows else []
 
     def query(self, cypher: str, params: Mapping[str, Any], *, ordered: bool = True) -> list[dict[str, Any]]:
-        """The rows of a statement under these parameters and the reader's own. Raises QueryError likewise."""
-        own = {name: self.values[name] for name in parameters(cypher) if name not in params}
-        found = self.graph.query(cypher, {**params, **own}, ordered=ordered, timeout_s=self.timeout_s)
-        rows: list[dict[str, Any]] = found.to_pylist()
+        """Run a statement with parameters. Parameters that are missing in `params` get the values of the reader.
+
+        Raises:
+            QueryError: If the statement fails or takes too long.
+        """
+        fixed = {name: self.values[name] for name in parameters(cypher) if name not in params}
+        table = self.graph.query(cypher, {**params, **fixed}, ordered=ordered, timeout_s=self.timeout_s)
+        rows: list[dict[str, Any]] = table.to_pylist()
         return rows
 
     def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
-        """The posture, or the value of an attribute by its name, of people at frames at which they are seen."""
+        """Return the posture or an attribute of people, at frames that show them."""
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
-        """Presence and distance, by question and frame."""
+        """Return presence and distance, by id of the plan and frame."""
 
     def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
-        """The first start of an action after a frame."""
+        """Return the first start of an action after a frame."""
 
     def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
-        """The last frame before, and the first one after, the first absence after a frame."""
+        """Return the frames before and after the first absence after a frame."""
 
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
-        """The posture that follows the one at a frame, and the last frame with the one before."""
+        """Return the next posture after the one at a frame, and the last frame with the earlier posture."""
 
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
-        """The number of different people in a relation with a person at any frame of a stretch."""
+        """Return the number of people in a relation with a person at any frame from the first to the last."""
 
 
 class SceneReader(Reader):
-    """Reads the annotations, under the rules of their load."""
+    """Reader of the annotations."""
 
     def __init__(
         self, graph: Queryable, mapping: SchemaMapping, rules: LoadRules, timeout_s: float = _TIMEOUT_S
@@ -133,15 +172,19 @@ class SceneReader(Reader):
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
             "in_view": rules.visibility == "clear",
+            "flickering": sorted(FLICKERING) if rules.visibility == "clear" else [""],
         }
 
     def find(self, plan: Plan) -> Find:
+        """See `Reader.find`."""
         return compile_find(plan, self.mapping)
 
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
+        """See `Reader.agreed`."""
         return outcome_of_people(find, rows)
 
     def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
+        """See `Reader.values_at`."""
         names = {person.id: name for person, _, name in queries}
         found: dict[int, str] = {}
         for row in self._read("value", [person.row(t=frame) for person, frame, _ in queries]):
@@ -152,6 +195,7 @@ class SceneReader(Reader):
         return found
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
+        """See `Reader.seen`."""
         found = {}
         for row in self._read("seen", [person.row(t=frame) for person, frame in queries]):
             absent = row["annotated"] == len(_NEIGHBOURS) and not row["boxes"]
@@ -160,15 +204,17 @@ class SceneReader(Reader):
         return found
 
     def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
+        """See `Reader.starts`."""
         rows = [person.row(action=action, posture=action in POSES, after=after) for person, action, after in queries]
         return {row.pop("id"): Segment(**row) for row in self._read("start", self.rows_on_grid(rows))}
 
     def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
+        """See `Reader.absences`."""
         rows = self.rows_on_grid(person.row(after=after) for person, after in queries)
         return {row["id"]: (row["leaves"], row["returns"]) for row in self._read("absence", rows)}
 
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
-        """The posture that follows by a clear start, and the last keyframe with the one before."""
+        """See `Reader.next_poses`. The next posture must have a certain start."""
         people = {person.id: person for person, _ in queries}
         found = self._read("next_action", [person.row(after=after) for person, after in queries])
         follows = {row["id"]: (row["pose"], row["until"] - KEYFRAME_STEP) for row in found if row["pose"] is not None}
@@ -180,6 +226,7 @@ class SceneReader(Reader):
         }
 
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
+        """See `Reader.counts`."""
         rows = self.rows_on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
         known = {row["id"] for row in self._read("company", rows)}
         by_text: dict[str, list[dict[str, Any]]] = defaultdict(list)
@@ -191,14 +238,17 @@ class SceneReader(Reader):
         does: dict[int, set[int]] = {i: set() for i in known}
         for text, members in by_text.items():
             for row in self.run(text, members):
-                (does if row["sure"] else could)[row["id"]].add(row["other"])
+                (does if row["clear"] and row["holds"] else could)[row["id"]].add(row["other"])
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
         return self.run(read_statement(f"{self.mapping.reads}/{name}.cypher"), rows)
 
     def rows_on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-        """The rows, each with the frames of its sequence that have action labels; without sequences that have none."""
+        """Add the frames with action labels of the sequence to each row.
+
+        Rows of sequences without such frames are left out.
+        """
         return [row | self._grids[row["scope"]] for row in rows if row["scope"] in self._grids]
 
     @cached_property
@@ -210,7 +260,12 @@ _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
 
 
 def compile_count(relation: str, mapping: SchemaMapping) -> str:
-    """The statement for everybody who is, or could be, in a relation with a person at any frame from t1 to t2."""
+    """Compile the statement that counts the people in a relation with a person at any frame from t1 to t2.
+
+    Args:
+        relation: Relation.
+        mapping: Namespace to search.
+    """
     values = edge_values(relation)
     clause = mapping.edges[edge_kind(relation)]
     carried = ", ".join(["id", "scope", *values])
@@ -222,20 +277,25 @@ def compile_count(relation: str, mapping: SchemaMapping) -> str:
             f"WITH {', '.join(f'q.{name} AS {name}' for name in ('id', 'scope', 'who', 't1', 't2', *values))}",
             "UNWIND range(t1, t2) AS t",
             f"MATCH {mapping.pattern.format(**at)}",
-            f"WHERE {mapping.there.format(**at)} AND {mapping.who.format(**at)} = who",
+            f"WHERE {mapping.boxed.format(**at)} AND {mapping.who.format(**at)} = who",
             f"WITH {carried}, t, n, s",
             f"MATCH {mapping.pattern.format(**other)}",
             f"WHERE {mapping.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
-            f"WITH {carried}, t, n, s, m, z",
-            f"WITH id, m, {clause.sure.format(**at)} AS sure",
-            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, sure",
-            "ORDER BY id, other, sure",
+            f"WITH {carried}, t, n, s, m, z, s.clear AND z.clear OR NOT $in_view AS clear",
+            # The engine cannot evaluate EXISTS together with columns.
+            f"WITH id, m, clear, {clause.sure.format(**at)} AS holds",
+            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, clear, holds",
+            "ORDER BY id, other, clear, holds",
         ]
     )
 
 
 def events_of(plan: Plan) -> list[str]:
-    """Names of a plan's events, those after the times they wait for."""
+    """Return the names of the events of a plan. An event comes after the times that it follows.
+
+    Args:
+        plan: Plan.
+    """
     placed = [name for name, time in plan.times.items() if time.event is None]
     waiting = [name for name in plan.times if name not in placed]
     order: list[str] = []

@@ -1,7 +1,9 @@
-"""The solver: it compiles plans and runs them on a graph, for their people, the frames of their events, and answers.
+"""The solver.
 
-A plan is solved where exactly one binding of its nodes certainly matches while no other could, and what it reads is
-known. Plans whose statements are alike run together.
+It compiles plans and runs them on a graph to find their people, the frames of their events, and the answers.
+
+A plan is solved if exactly one binding of its nodes is certain, no other binding is possible, and the requested value
+is known. Plans with equal statements run together.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from jrdb_avr.schema.rules import FPS, Rules
 
 @dataclass(frozen=True)
 class PlanQuery:
-    """A plan and its scope: a sequence, or an episode."""
+    """A plan and its scope, which is a sequence or an episode."""
 
     plan: Plan
     scope: str
@@ -32,10 +34,12 @@ class PlanQuery:
 class Solution:
     """Result of one plan.
 
-    outcome: defined where its people are found and the answer is known; ambiguous: two or more bindings certainly
-    match (over beliefs: with different targets); empty: none could; else unknown. people: by node, once they are found
-    (over beliefs those that are the same in all bindings); times: the known frames by name; answer: a choice's text or
-    another answer's stored JSON, None unless the outcome is defined.
+    Attributes:
+        outcome: defined: the people are found and the answer is known. ambiguous: several bindings are certain (over
+            beliefs: with different targets). empty: no binding is possible. unknown: otherwise.
+        people: People by node, if they are found. Over beliefs, only nodes with the same person in all bindings.
+        times: Known frames by name of the time.
+        answer: Text of a choice, or stored JSON of another answer. None unless the outcome is defined.
     """
 
     outcome: Outcome
@@ -47,14 +51,25 @@ class Solution:
 def solve(
     reader: Reader, queries: Sequence[PlanQuery], rules: Rules, advance: Callable[[int], None] = lambda steps: None
 ) -> list[Solution]:
-    """Solve plans by the reader of a namespace, in their order; `advance` receives the number of plans searched.
+    """Solve plans with the reader of a namespace.
 
-    Raises PlanError for a plan that cannot be compiled, QueryError where a statement takes too long.
+    Args:
+        reader: Reader.
+        queries: Plans with their scopes.
+        rules: Thresholds.
+        advance: Function that is called with the number of plans after each search.
+
+    Returns:
+        The solutions, in the order of `queries`.
+
+    Raises:
+        PlanError: If a plan cannot be compiled.
+        QueryError: If a statement takes too long.
     """
-    # A plan's number, by which the reader refers to it, is its place.
-    finds = [reader.find(one.plan) for one in queries]
+    # The id of a plan is its index. The reader returns results by this id.
+    finds = [reader.find(bound.plan) for bound in queries]
     solutions: dict[int, Solution] = {}
-    found: list[_Found] = []
+    plans: list[_BoundPlan] = []
     together: dict[str, list[int]] = defaultdict(list)
     for i, find in enumerate(finds):
         together[find.cypher].append(i)
@@ -65,27 +80,31 @@ def solve(
         for i in members:
             outcome, people = reader.agreed(queries[i].plan, finds[i], bindings[i])
             if outcome == "defined":
-                found.append(_Found(i, queries[i], people))
+                plans.append(_BoundPlan(i, queries[i], people))
             else:
                 solutions[i] = Solution(outcome)
         advance(len(members))
-    solutions |= _read_all(reader, found, rules)
+    solutions |= _read_all(reader, plans, rules)
     return [solutions[i] for i in range(len(queries))]
 
 
 def read_with(reader: Reader, query: PlanQuery, people: Mapping[str, PersonId], rules: Rules) -> Solution:
-    """Read one plan with these people as its nodes, whatever its conditions and edges.
+    """Read a plan with given people, without a test of its conditions and edges.
 
-    Nothing is read of nodes that are not in `people`: what waits for their events is unknown.
+    Args:
+        reader: Reader.
+        query: Plan with its scope.
+        people: People by node. Events of nodes without a person are unknown.
+        rules: Thresholds.
     """
-    return _read_all(reader, [_Found(0, query, people)], rules)[0]
+    return _read_all(reader, [_BoundPlan(0, query, people)], rules)[0]
 
 
-class _Found:
-    """A plan with its people; the frames of its events are added as they become known."""
+class _BoundPlan:
+    """A plan with its people. The frames of its events are added as they become known."""
 
-    def __init__(self, number: int, query: PlanQuery, people: Mapping[str, PersonId]) -> None:
-        self.id = number
+    def __init__(self, plan_id: int, query: PlanQuery, people: Mapping[str, PersonId]) -> None:
+        self.id = plan_id
         self.plan = query.plan
         self.scope = query.scope
         self.people = people
@@ -101,89 +120,89 @@ class _Found:
 
     @property
     def frames(self) -> list[int]:
-        """The known frames among those at which the answer is read."""
+        """The known frames of the times at which the answer is read."""
         return [self.times[name] for name in self.plan.answer.times if name in self.times]
 
 
-def _read_all(reader: Reader, found: Sequence[_Found], rules: Rules) -> dict[int, Solution]:
+def _read_all(reader: Reader, plans: Sequence[_BoundPlan], rules: Rules) -> dict[int, Solution]:
     solutions = {}
-    _read_events(reader, found)
-    by_read: dict[str, list[_Found]] = defaultdict(list)
-    for one in found:
-        by_read[one.plan.answer.read].append(one)
-    for read, ones in by_read.items():
-        answers = _answers(reader, read, [one for one in ones if one.plan.answer.of in one.people], rules)
-        for one in ones:
-            answer = answers.get(one.id)
-            solutions[one.id] = Solution("defined" if answer else "unknown", one.people, one.times, answer)
+    _read_events(reader, plans)
+    by_read: dict[str, list[_BoundPlan]] = defaultdict(list)
+    for bound in plans:
+        by_read[bound.plan.answer.read].append(bound)
+    for read, group in by_read.items():
+        answers = _answers(reader, read, [bound for bound in group if bound.plan.answer.of in bound.people], rules)
+        for bound in group:
+            answer = answers.get(bound.id)
+            solutions[bound.id] = Solution("defined" if answer else "unknown", bound.people, bound.times, answer)
     return solutions
 
 
-def _read_events(reader: Reader, found: Sequence[_Found]) -> None:
-    """Find the frames of all events, those first that others wait for."""
-    events = {one.id: events_of(one.plan) for one in found}
+def _read_events(reader: Reader, plans: Sequence[_BoundPlan]) -> None:
+    """Find the frames of all events. An event that follows another event comes later."""
+    events = {bound.id: events_of(bound.plan) for bound in plans}
     for turn in range(max(map(len, events.values()), default=0)):
-        starts: dict[int, tuple[_Found, str, tuple[Person, str, int]]] = {}
-        absences: dict[int, tuple[_Found, str, tuple[Person, int]]] = {}
-        for one in found:
-            if turn >= len(events[one.id]):
+        starts: dict[int, tuple[_BoundPlan, str, tuple[Person, str, int]]] = {}
+        absences: dict[int, tuple[_BoundPlan, str, tuple[Person, int]]] = {}
+        for bound in plans:
+            if turn >= len(events[bound.id]):
                 continue
-            name = events[one.id][turn]
-            time = one.plan.times[name]
-            before, after = time.after or "", one.times.get(time.after or "")
-            if after is None or time.of is None or time.of not in one.people:
+            name = events[bound.id][turn]
+            time = bound.plan.times[name]
+            before, after = time.after or "", bound.times.get(time.after or "")
+            if after is None or time.of is None or time.of not in bound.people:
                 continue
             if time.event == "start" and time.action is not None:
-                starts[one.id] = one, name, (one.person(time.of), time.action, after)
-            elif time.event == "end" and before in one.segments and one.plan.times[before].action == time.action:
-                # Only what starts at a time of the plan ends at one.
-                if one.segments[before].closed:
-                    one.times[name] = one.segments[before].end
+                starts[bound.id] = bound, name, (bound.person(time.of), time.action, after)
+            elif time.event == "end" and before in bound.segments and bound.plan.times[before].action == time.action:
+                # The plan must have the start of the segment too.
+                if bound.segments[before].closed:
+                    bound.times[name] = bound.segments[before].end
             elif time.event == "leaves":
-                absences[one.id] = one, name, (one.person(time.of), after)
-        for number, segment in reader.starts([query for _, _, query in starts.values()]).items():
-            one, name, _ = starts[number]
-            one.segments[name], one.times[name] = segment, segment.start
-        for number, (leaves, returns) in reader.absences([query for _, _, query in absences.values()]).items():
-            one, name, _ = absences[number]
+                absences[bound.id] = bound, name, (bound.person(time.of), after)
+        for i, segment in reader.starts([query for _, _, query in starts.values()]).items():
+            bound, name, _ = starts[i]
+            bound.segments[name], bound.times[name] = segment, segment.start
+        for i, (leaves, returns) in reader.absences([query for _, _, query in absences.values()]).items():
+            bound, name, _ = absences[i]
             if leaves is not None:
-                one.times[name] = leaves
-            for other, time in one.plan.times.items():
-                comes_back = time.event == "returns" and time.after == name and time.of == one.plan.times[name].of
+                bound.times[name] = leaves
+            for later, time in bound.plan.times.items():
+                comes_back = time.event == "returns" and time.after == name and time.of == bound.plan.times[name].of
                 if comes_back and returns is not None:
-                    one.times[other] = returns
+                    bound.times[later] = returns
 
 
 # -- answers ----------------------------------------------------------------------------------------------------------
 
 
-def _answers(reader: Reader, read: str, found: Sequence[_Found], rules: Rules) -> Mapping[int, str | None]:
-    """Answers to plans of one kind of read, by number of the plan; an unknown answer is left out or None."""
+def _answers(reader: Reader, read: str, plans: Sequence[_BoundPlan], rules: Rules) -> Mapping[int, str | None]:
+    """Return the answers to plans with one kind of read, by id of the plan. Unknown answers are missing or None."""
     if read == "next_action":
-        return _next_actions(reader, found)
-    stated = [(one, one.frames) for one in found if len(one.frames) == len(one.plan.answer.times)]
+        return _next_actions(reader, plans)
+    stated = [(bound, bound.frames) for bound in plans if len(bound.frames) == len(bound.plan.answer.times)]
     if read in ("action", "attribute"):
-        asked = [(one.target, frames[0], one.plan.answer.attribute or "posture") for one, frames in stated]
+        asked = [(bound.target, frames[0], bound.plan.answer.attribute or "posture") for bound, frames in stated]
         return reader.values_at(asked)
     if read == "count":
-        stretches = [(one.target, one.plan.answer.relation or "", first, last) for one, (first, last) in stated]
+        stretches = [(bound.target, bound.plan.answer.relation or "", first, last) for bound, (first, last) in stated]
         return {i: encode_answer(Number(float(count))) for i, count in reader.counts(stretches).items()}
     if read in _CHANGES:
-        seen = reader.seen([(one.target, frame) for one, frames in stated for frame in frames])
+        looks = reader.seen([(bound.target, frame) for bound, frames in stated for frame in frames])
         change = _CHANGES[read]
-        return {one.id: change(seen[one.id, first], seen[one.id, second], rules) for one, (first, second) in stated}
-    return {one.id: encode_answer(_BY_FRAMES[read](one, frames)) for one, frames in stated}
+        return {b.id: change(looks[b.id, first], looks[b.id, second], rules) for b, (first, second) in stated}
+    return {bound.id: encode_answer(_BY_FRAMES[read](bound, frames)) for bound, frames in stated}
 
 
-def _next_actions(reader: Reader, found: Sequence[_Found]) -> dict[int, str | None]:
-    """The postures that follow; their frames become known with them."""
-    event = {one.id: one.plan.answer.times[0] for one in found}
-    after = {one.id: one.times.get(one.plan.times[event[one.id]].after or "") for one in found}
-    follows = reader.next_poses([(one.target, frame) for one in found if (frame := after[one.id]) is not None])
-    for one in found:
-        if one.id in follows:
-            one.times[event[one.id]] = follows[one.id][1]
-    return {number: pose for number, (pose, _) in follows.items()}
+def _next_actions(reader: Reader, plans: Sequence[_BoundPlan]) -> dict[int, str | None]:
+    """Return the next postures, and add their frames to the plans."""
+    event = {bound.id: bound.plan.answer.times[0] for bound in plans}
+    after = {bound.id: bound.times.get(bound.plan.times[event[bound.id]].after or "") for bound in plans}
+    follows = reader.next_poses([(bound.target, frame) for bound in plans if (frame := after[bound.id]) is not None])
+    for bound in plans:
+        if bound.id in follows:
+            bound.times[event[bound.id]] = follows[bound.id][1]
+    return {i: pose for i, (pose, _) in follows.items()}
 
 
 def _presence_change(first: Seen, second: Seen, rules: Rules) -> str | None:
@@ -210,10 +229,10 @@ _CHANGES: Final[Mapping[str, Callable[[Seen, Seen, Rules], str | None]]] = {
     "distance_change": _distance_change,
 }
 
-_BY_FRAMES: Final[Mapping[str, Callable[[_Found, list[int]], Answer]]] = {
-    "start": lambda one, frames: FrameAnswer(frames[0]),
-    "span": lambda one, frames: Span(*frames),
-    "start_view": lambda one, frames: FrameViewpoint(frames[0], one.segments[one.plan.answer.times[0]].angle),
-    "seconds_between": lambda one, frames: Number((frames[1] - frames[0]) / FPS),
+_BY_FRAMES: Final[Mapping[str, Callable[[_BoundPlan, list[int]], Answer]]] = {
+    "start": lambda bound, frames: FrameAnswer(frames[0]),
+    "span": lambda bound, frames: Span(*frames),
+    "start_view": lambda bound, frames: FrameViewpoint(frames[0], bound.segments[bound.plan.answer.times[0]].angle),
+    "seconds_between": lambda bound, frames: Number((frames[1] - frames[0]) / FPS),
 }
-"""Answers that the frames of the events alone decide."""
+"""Answers that depend only on the frames of the events."""

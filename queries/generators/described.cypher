@@ -1,4 +1,3 @@
-// The descriptions of people in clear view, with which questions of presence and counts begin.
-MATCH (n:Name)-[:Describes]->(m:Moment)
-WHERE n.sequence = $sequence AND n.general AND m.clear AND m.image
+// Descriptions of people in clear view, with which questions of presence and counts begin.
+MATCH (n:Name)-[:Describes]->(m:Moment) WHERE n.sequence = $sequence AND n.general AND m.clear AND m.image
 RETURN n.id AS name, m.track AS a, m.frame AS t0, m.ahead AS ahead ORDER BY name

@@ -1,8 +1,8 @@
-// Return who performs, or may perform, which action once per second in a sequence, and whether a label of it is written.
-// $phase: number of any keyframe of the sequence modulo 15.
-// param phase: integer = 0
-MATCH (f:Frame), (p:Person)-[r:Performs|MayPerform]->(x:Action)
-WHERE f.sequence = $sequence AND f.frame % 15 = $phase AND r.sequence = $sequence AND r.first <= f.frame
-  AND r.last >= f.frame
-RETURN DISTINCT f.frame AS frame, p.track AS who, coalesce(r.certain, false) AS certain, x.name AS value,
-       label(r) = 'Performs' AS written, coalesce(r.difficulty < 3, false) AS easy ORDER BY frame, who
+// Return who performs, or may perform, which action at each keyframe (`now`), or is labelled so one second away.
+MATCH (f:Frame), (p:Person)-[r:Performs|MayPerform]->(x:Action) WHERE f.sequence = $sequence AND f.keyframe
+  AND r.sequence = $sequence AND (r.first <= f.frame AND r.last >= f.frame OR label(r) = 'Performs'
+  AND (r.first <= f.frame - 15 AND r.last >= f.frame - 15 OR r.first <= f.frame + 15 AND r.last >= f.frame + 15))
+WITH f.frame AS frame, p.track AS who, x, r.certain AS sure, r.first <= f.frame AND r.last >= f.frame AS now,
+     label(r) = 'Performs' AS labelled, r.difficulty < 3 AS easy
+RETURN frame, who, x.name AS value, now, coalesce(sure AND now, false) AS certain, labelled AND now AS written,
+       coalesce(easy, false) AS easy ORDER BY frame, who

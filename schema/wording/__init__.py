@@ -1,7 +1,7 @@
-"""The words of the questions, and their exact inverse.
+"""Texts of questions, and the reverse conversion.
 
-`render` writes a plan as plain English, `parse` reads such a text back: `canonical(parse(render(t, p, key))[1])` is
-`canonical(p)`. Both work from the rows of `schema.templates`. The phrases
-in their slots are tables too: of actions, interactions and things (`schema.labels`, `schema.things`), of people
-(`people`) and of relations between two people (`relations`).
+`render` converts a plan into English, and `parse` reads the text: `canonical(parse(render(t, p, key))[1])` is
+`canonical(p)`. Both use the rows of `schema.templates`. The slots of a text have phrases from other tables: actions,
+interactions and things (`schema.labels`, `schema.things`), people (`people`), and relations between two people
+(`relations`).
 """

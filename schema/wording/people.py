@@ -1,7 +1,7 @@
-"""Descriptions of people: conditions as a noun phrase, and that phrase read back.
+"""Descriptions of people: conversion of conditions into a noun phrase, and the reverse conversion.
 
-Left and right of a description are the robot's, and it says so. Conditions stand in the order of `in_order`, whatever
-order the rules use to choose among descriptions.
+Left and right in a description are seen from the robot, and the phrase says so. The conditions are in the order of
+`in_order`, not in the order of preference among descriptions.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _HEADS: Final[dict[tuple[str | None, str | None], str]] = {
     ("female", "late adulthood"): "elderly woman",
     ("male", "late adulthood"): "elderly man",
 }
-"""(gender, age) -> noun."""
+"""Noun for each pair (gender, age)."""
 
 _SECTORS: Final = {
     "ahead": "ahead of {robot}",
@@ -50,7 +50,6 @@ _SECTORS: Final = {
 _DISTANCES: Final = {word: phrase.replace("{x}", "{robot}") for word, phrase in FAR_AWAY.items()}
 
 _NUMBERS: Final = ("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-# Sizes count who has a box in that frame: a member who is out of sight does not make the words wrong.
 _SEEN: Final = " in the picture"
 _ALONE: Final = "in no group" + _SEEN
 _GROUP: Final = "in a group of "
@@ -58,12 +57,22 @@ _SIZE: Final = re.compile(rf"{_GROUP}({'|'.join(_NUMBERS)}|[1-9][0-9]{{0,5}}){_S
 
 
 def in_order(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
-    """The conditions in the order in which plans hold them: gender, age, pose, other actions, interaction, ..."""
-    return tuple(sorted(conditions, key=lambda one: (CONDITION_KINDS.index(one.kind), msgspec.json.encode(one))))
+    """Sort conditions as plans do: by kind (gender, age, pose, ...), then by their JSON.
+
+    Args:
+        conditions: Conditions of a person.
+    """
+    return tuple(sorted(conditions, key=lambda c: (CONDITION_KINDS.index(c.kind), msgspec.json.encode(c))))
 
 
 def describe(conditions: Sequence[Condition]) -> str:
-    """A noun phrase, as in "the only person to the robot's left who is sitting". Raises PlanError if there is none.
+    """Return the noun phrase of conditions, such as "the only person to the robot's left who is sitting".
+
+    Args:
+        conditions: Conditions of a person.
+
+    Raises:
+        PlanError: If there is no phrase for the conditions.
 
     >>> describe((Condition(action="sitting", at="t0"), Condition(attribute="distance", value="far", at="t0")))
     'the only person far from the robot who is sitting'
@@ -84,11 +93,11 @@ def describe(conditions: Sequence[Condition]) -> str:
     head = _HEADS.get((_text(values, "gender"), _text(values, "age")))
     if head is None:
         raise PlanError("conditions", f"there are no words for {values.get('gender')}, {values.get('age')}")
-    place = _place(_text(values, "sector"), _text(values, "distance"))
+    position = _position(_text(values, "sector"), _text(values, "distance"))
     if "group_size" in values:
         doing.append(_group(values["group_size"]))
     clause = f"who is {_listed(doing)}" if doing else ""
-    return " ".join(part for part in ("the only", head, place, clause) if part)
+    return " ".join(part for part in ("the only", head, position, clause) if part)
 
 
 def _text(values: dict[str, str | int], name: str) -> str | None:
@@ -108,7 +117,7 @@ def _group(size: str | int) -> str:
     return _GROUP + (_NUMBERS[size - 2] if size - 2 < len(_NUMBERS) else str(size)) + _SEEN
 
 
-def _place(sector: str | None, distance: str | None) -> str:
+def _position(sector: str | None, distance: str | None) -> str:
     if (sector is not None and sector not in _SECTORS) or (distance is not None and distance not in _DISTANCES):
         raise PlanError("conditions", f"there are no words for the place {sector}, {distance}")
     first = _SECTORS[sector] if sector else ""
@@ -121,30 +130,38 @@ def _place(sector: str | None, distance: str | None) -> str:
 
 ACTION_OF: Final = {phrase: action for action, phrase in ACTION_PHRASES.items()}
 _INTERACTION_OF: Final = {phrase: label for label, phrase in INTERACTION_PHRASES.items()}
-_PLACES: Final = {
-    _place(sector, distance): (sector, distance) for sector in (None, *_SECTORS) for distance in (None, *_DISTANCES)
+_POSITIONS: Final = {
+    _position(sector, distance): (sector, distance) for sector in (None, *_SECTORS) for distance in (None, *_DISTANCES)
 }
 
 
 def _alternatives(phrases: Sequence[str]) -> str:
-    # Longest first: "middle-aged person" must not stop at a shorter phrase that begins alike.
+    # Longer phrases come first, because a shorter phrase may be the beginning of a longer one.
     return "|".join(re.escape(phrase) for phrase in sorted(phrases, key=lambda phrase: (-len(phrase), phrase)))
 
 
 _PERSON: Final = re.compile(
     rf"the only (?P<head>{_alternatives(list(_HEADS.values()))})"
-    rf"(?: (?P<place>{_alternatives([place for place in _PLACES if place])}))?"
+    rf"(?: (?P<position>{_alternatives([position for position in _POSITIONS if position])}))?"
     r"(?: who is (?P<state>.+))?"
 )
 
 
 def read_description(text: str, at: str) -> tuple[Condition, ...]:
-    """The conditions of a noun phrase, holding at the time named `at`. Raises PlanError for any other text."""
+    """Read the conditions of a noun phrase.
+
+    Args:
+        text: Noun phrase.
+        at: Name of the time of the conditions.
+
+    Raises:
+        PlanError: If the text is not a noun phrase of `describe`.
+    """
     match = _PERSON.fullmatch(text)
     if match is None:
         raise PlanError("question", f"{text[:80]!r} describes nobody")
     gender, age = next(key for key, head in _HEADS.items() if head == match["head"])
-    sector, distance = _PLACES[match["place"] or ""]
+    sector, distance = _POSITIONS[match["position"] or ""]
     values: dict[Attribute, str | None] = {"gender": gender, "age": age, "sector": sector, "distance": distance}
     conditions = [
         Condition(attribute=name, value=value, at=None if name in TIMELESS else at)
@@ -166,7 +183,7 @@ def _read_state(phrase: str, at: str) -> Condition:
         return Condition(object=thing, verb=verb, at=at)
     if phrase == _ALONE:
         return Condition(attribute="group_size", value=1, at=at)
-    if found := _SIZE.fullmatch(phrase):
-        size = _NUMBERS.index(found[1]) + 2 if found[1] in _NUMBERS else int(found[1])
+    if match := _SIZE.fullmatch(phrase):
+        size = _NUMBERS.index(match[1]) + 2 if match[1] in _NUMBERS else int(match[1])
         return Condition(attribute="group_size", value=size, at=at)
     raise PlanError("question", f"{phrase[:80]!r} is nothing a person is in a question")

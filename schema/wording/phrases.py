@@ -15,7 +15,7 @@ _PAIR_PHRASES: Final[dict[tuple[str, str], str]] = {
     # "using a door" is the action "interaction with door"; this is a verb and a thing.
     ("using", "door"): "making use of a door",
 }
-"""(verb, category) -> phrase, where the phrases of verb and thing do not join well."""
+"""Phrases for pairs (verb, category), if the separate phrases do not fit together."""
 
 POSES_OF_VERBS: Final[dict[str, tuple[str, ...]]] = {
     "sitting": ("sitting",),
@@ -27,7 +27,7 @@ POSES_OF_VERBS: Final[dict[str, tuple[str, ...]]] = {
     "going up": ("going upstairs",),
     "going down": ("going downstairs",),
 }
-"""The poses that handling a thing implies; riding may be any of three."""
+"""Poses that a verb implies, by verb. The verb "riding" may imply any of three poses."""
 
 _BOUNDS: Final = tuple(f"{bound:g}" for bound in DISTANCE_BOUNDS_M)
 
@@ -38,23 +38,43 @@ FAR_AWAY: Final[dict[str, str]] = {
     "far": f"far from {{x}} ({_BOUNDS[2]} to {_BOUNDS[3]} m)",
     "very far": f"very far from {{x}} (over {_BOUNDS[3]} m)",
 }
-"""Each distance word, seen from `{x}`, with its metres: what is close to one reader is far for another."""
+"""Phrase for each distance word, seen from `{x}`.
+
+The phrase states the metres, because readers disagree about the meaning of "close".
+"""
 
 
 def phrase_of(table: dict[str, str], name: str, kind: str) -> str:
-    """A table's words. Raises PlanError where it has none."""
+    """Return a phrase from a table.
+
+    Args:
+        table: Phrases by name.
+        name: Name of an action, interaction, verb or object.
+        kind: Kind of the name, for the error message.
+
+    Raises:
+        PlanError: If the table lacks the name.
+    """
     if name not in table:
         raise PlanError("conditions", f"there are no words for the {kind} {name!r}")
     return table[name]
 
 
 def handling(verb: str, category: str) -> str:
-    """A thing handled, as in "carrying a bag". Raises PlanError for an unknown verb or thing."""
-    words = phrase_of(VERB_PHRASES, verb, "verb"), phrase_of(OBJECT_PHRASES, category, "object")
-    return _PAIR_PHRASES.get((verb, category), " ".join(words))
+    """Return the phrase for a handled thing, such as "carrying a bag".
+
+    Args:
+        verb: Verb.
+        category: Category of the thing.
+
+    Raises:
+        PlanError: If the verb or the category is unknown.
+    """
+    phrases = phrase_of(VERB_PHRASES, verb, "verb"), phrase_of(OBJECT_PHRASES, category, "object")
+    return _PAIR_PHRASES.get((verb, category), " ".join(phrases))
 
 
 @cache
 def handled() -> dict[str, tuple[str, str]]:
-    """The phrase of every pair of a verb and a thing -> (verb, category)."""
+    """Return the pair (verb, category) by its phrase, for all pairs."""
     return {handling(verb, category): (verb, category) for verb in VERB_PHRASES for category in OBJECT_PHRASES}

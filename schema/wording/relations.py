@@ -1,9 +1,9 @@
-"""Relations between two people in words, and read back.
+"""Phrases for relations between two people, and the reverse conversion.
 
-A hop is certain and single, so it introduces its target: as a sentence of two named people (`says`), or as the only
-person who fits (`the`). Where several may fit, `holds` says what is true of the target, after "is". Left and right
-always say whose they are: a person's own, or as seen from the robot. Nobody is ever "next to" anybody: the order of
-angles says nothing about depth.
+A hop is certain and leads to one person. Its phrase is a sentence with both people (`says`), or a noun phrase for the
+target (`the`). If several people may have the relation, the phrase is a predicate of the target (`holds`), after "is".
+A phrase with left or right always names the point of view. No phrase says "next to", because the order of angles
+does not show the depth.
 """
 
 from __future__ import annotations
@@ -22,9 +22,14 @@ Style = Literal["says", "the", "holds"]
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """A relation's phrases about `{y}`, seen from `{x}`; an empty one where the relation is not used so.
+    """Phrases of a relation.
 
-    says: a sentence without its full stop; the: a noun phrase for y; holds: what y is.
+    `{x}` is the source, and `{y}` is the target. A phrase is empty if it is not used.
+
+    Attributes:
+        says: Sentence without a full stop.
+        the: Noun phrase for the target.
+        holds: Predicate of the target.
     """
 
     says: str = ""
@@ -61,9 +66,9 @@ def _words(relation: Relation) -> Words:
         case "window":
             return Words(holds=f"within {relation.degrees} degrees {side}")
         case "person":
-            places = {"front": "in front of {x}", "back": "behind {x}"}
-            place = places.get(relation.sector, f"to {{x}}'s {relation.sector}")
-            both = f"{FAR_AWAY[relation.distance]} and {place}"
+            front_and_back = {"front": "in front of {x}", "back": "behind {x}"}
+            direction = front_and_back.get(relation.sector, f"to {{x}}'s {relation.sector}")
+            both = f"{FAR_AWAY[relation.distance]} and {direction}"
             whose = "from {x}'s own point of view"
             return Words(
                 f"{{y}} is the only person who is {both}, {whose}",
@@ -76,7 +81,18 @@ _WORDS: Final = {label: _words(RELATIONS[label]) for label in QUESTION_RELATIONS
 
 
 def relate(relation: str, use: Use, style: Style, x: str, y: str) -> str:
-    """A relation's phrase for two named people. Raises PlanError where there is none for this use."""
+    """Return the phrase of a relation between two named people.
+
+    Args:
+        relation: Label of the relation.
+        use: Use of the relation.
+        style: Form of the phrase.
+        x: Name of the source.
+        y: Name of the target.
+
+    Raises:
+        PlanError: If the relation has no phrase for the use.
+    """
     if relation not in RELATIONS_OF[use]:
         raise PlanError("edges", f"there are no words for the relation {relation!r} as a {use}")
     phrase: str = getattr(_WORDS[relation], style)
@@ -85,5 +101,12 @@ def relate(relation: str, use: Use, style: Style, x: str, y: str) -> str:
 
 @cache
 def read_relations(use: Use, style: Style, x: str, y: str) -> dict[str, str]:
-    """phrase -> relation, for all relations of this use."""
+    """Return the relation by its phrase, for all relations of a use.
+
+    Args:
+        use: Use of the relations.
+        style: Form of the phrases.
+        x: Name of the source.
+        y: Name of the target.
+    """
     return {relate(relation, use, style, x, y): relation for relation in RELATIONS_OF[use]}

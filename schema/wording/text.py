@@ -1,6 +1,6 @@
-"""Questions as text, and the text read back: `render` and its exact inverse `parse`, both over the template table.
+"""Text of questions from plans (`render`), and the reverse conversion (`parse`). Both use the table of templates.
 
-Also the id of a question and the facts that its text states.
+The module also computes the id of a question and the facts that its text states.
 """
 
 from __future__ import annotations
@@ -27,10 +27,13 @@ from jrdb_avr.schema.wording.relations import Style, read_relations, relate
 
 _EXACT: Final = {"At": "At", "at": "at", "When": "When", "How": "How", "about": ""}
 _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How": "About how", "about": "about "}
-"""Words for events: the second set where an action is annotated once a second."""
+"""Words for events. The second table is used if actions are annotated once per second."""
 
 _SIDES: Final = " For left and right, go by the middle of each person."
-"""Follows where people are sought on a side as the robot sees it: boxes that overlap could be read in two ways."""
+"""Sentence after questions with a side that the robot sees.
+
+Without it, the order of two overlapping boxes would have two readings.
+"""
 
 _IN_VIEW: Final = " Only people in clear view count (at least half of the person can be seen)."
 """Last sentence of a question if the rules judge who is in clear view."""
@@ -43,18 +46,27 @@ _VIEW_WORDS: Final = (
     (". How many are there?", ", in clear view at that moment. How many are there?"),
     (" are at some moment ", " are at some moment, in clear view at that moment, "),
 )
-"""Words of questions without and with the last sentence. The first pairs contain later ones, so the order matters."""
+"""Phrases without and with the last sentence about clear view.
+
+The order matters, because the first pairs contain later ones.
+"""
 
 _COUNTED: Final = "that person"
-"""What the described person is called where a relation is counted, and nobody has a letter."""
+"""Name of the described person in questions that count people, which have no letters."""
 
 
 LONGEST: Final = 4000
-"""The most characters of a question: several times what any needs, and few enough that any text is read quickly."""
+"""Maximum number of characters of a question.
+
+It is several times what any question needs, and small enough to read any text quickly.
+"""
 
 
 def moment(frame: int) -> str:
-    """A stated time: seconds from frame 0, and the frame.
+    """Return the text of a stated time: seconds after frame 0, and the frame.
+
+    Args:
+        frame: Frame.
 
     >>> moment(150)
     '10.0 s (frame 150)'
@@ -66,13 +78,18 @@ _MOMENT: Final = re.compile(r"[0-9]{1,7}\.[0-9] s \(frame ([0-9]{1,7})\)")
 
 
 def render(template: str, plan: Plan, key: str, about: bool = False, in_view: bool = False) -> str:
-    """The question's text; `key` (hex, as `question_key` gives it) picks the paraphrase.
+    """Return the text of a question.
 
-    `in_view` adds that only people in clear view count: True if the rules judge who is in clear view.
+    Args:
+        template: Name of the template.
+        plan: Plan of the question.
+        key: Hexadecimal digits of `question_key`, which choose the paraphrase.
+        about: Whether the time in the answer is approximate, because actions are annotated once per second. It does not
+            change templates that ask for no event.
+        in_view: Whether only people in clear view count, because the load rules judge views. The text says so.
 
-    `about` marks a time that the answer names as approximate: True where the action layer is annotated once a second.
-    Templates that ask for no event do not change with it. Raises PlanError for a plan that is not of the template,
-    or for which there are no words.
+    Raises:
+        PlanError: If the plan is not of the template, or has no phrase for a part.
     """
     row, slots = form_of(template, plan)
     _check(row, slots)
@@ -84,7 +101,18 @@ def render(template: str, plan: Plan, key: str, about: bool = False, in_view: bo
 
 
 def form_of(template: str, plan: Plan) -> tuple[Template, Slots]:
-    """The form of a template that a plan is of, and its slots. Raises PlanError where it is of none."""
+    """Find the form of a template that a plan has.
+
+    Args:
+        template: Name of the template.
+        plan: Plan of a question.
+
+    Returns:
+        The form and its slots.
+
+    Raises:
+        PlanError: If the plan has no form of the template.
+    """
     for row in forms_of(template):
         slots = row.slots(plan)
         if slots is not None and canonical(row.build(slots)) == canonical(plan):
@@ -93,7 +121,7 @@ def form_of(template: str, plan: Plan) -> tuple[Template, Slots]:
 
 
 def _check(row: Template, slots: Slots) -> None:
-    """Refuse plans that say what another plan should say, or that none should: a question has exactly one plan."""
+    """Refuse plans with the same meaning as another plan, and plans without a meaning. A question has only one plan."""
     if in_order(slots.conditions) != slots.conditions:
         raise PlanError("nodes[0].conditions", "must stand in the order that in_order gives")
     if any(condition.at not in (None, row.described) for condition in slots.conditions):
@@ -113,13 +141,16 @@ def _check(row: Template, slots: Slots) -> None:
 
 @cache
 def _pieces(paraphrase: str, about: bool) -> tuple[tuple[str, str], ...]:
-    """(text, slot after it) of a paraphrase, with the words for events filled in; the last slot is empty."""
-    words = _ABOUT if about else _EXACT
+    """Split a paraphrase into pairs of a text and the slot after it. The last slot is "".
+
+    Words for events are part of the texts.
+    """
+    phrases = _ABOUT if about else _EXACT
     pieces, text = [], ""
     for literal, slot, _, _ in Formatter().parse(paraphrase):
         text += literal
-        if slot in words:
-            text += words[slot]
+        if slot in phrases:
+            text += phrases[slot]
         elif slot is not None:
             pieces.append((text, slot))
             text = ""
@@ -130,15 +161,15 @@ _STYLES: Final[dict[str, Style]] = {"says": "says", "Says": "says", "the": "the"
 
 
 def _numbered(slot: str) -> tuple[str, int]:
-    """`says2` -> ("says", 1)."""
+    """Split the name of a slot with a number. `says2` gives ("says", 1)."""
     return slot[:-1], int(slot[-1]) - 1
 
 
-def _names(row: Template, number: int) -> tuple[str, str]:
-    """What the two people of a relation are called in the text."""
+def _names(row: Template, index: int) -> tuple[str, str]:
+    """Return the names of the two people of a relation in the text."""
     if row.counts:
         return _COUNTED, ""
-    source, target = row.edges[number]
+    source, target = row.edges[index]
     return source.upper(), target.upper()
 
 
@@ -157,10 +188,10 @@ def _word(row: Template, slots: Slots, slot: str) -> str:
         return describe(slots.conditions)
     if slot in slots.frames:
         return moment(slots.frames[slot])
-    kind, number = _numbered(slot)
+    kind, index = _numbered(slot)
     if kind == "action":
-        return phrase_of(ACTION_PHRASES, slots.actions[number], "action")
-    phrase = relate(slots.relations[number], row.uses[number], _STYLES[kind], *_names(row, number))
+        return phrase_of(ACTION_PHRASES, slots.actions[index], "action")
+    phrase = relate(slots.relations[index], row.uses[index], _STYLES[kind], *_names(row, index))
     return _raised(phrase) if kind == "Says" else phrase
 
 
@@ -169,9 +200,9 @@ def _raised(phrase: str) -> str:
 
 
 def _with_view(text: str) -> str:
-    """Return the text of a question in which only people in clear view count."""
-    for words, view_words in _VIEW_WORDS:
-        text = text.replace(words, view_words)
+    """Change the text of a question so that only people in clear view count."""
+    for phrase, view_phrase in _VIEW_WORDS:
+        text = text.replace(phrase, view_phrase)
     return text + _IN_VIEW
 
 
@@ -179,23 +210,32 @@ def _with_view(text: str) -> str:
 
 
 def parse(text: str) -> tuple[str, Plan]:
-    """The template and the plan of a question's text. Raises PlanError for a text that `render` cannot have written."""
+    """Read the text of a question.
+
+    Args:
+        text: Text.
+
+    Returns:
+        The name of the template, and the plan.
+
+    Raises:
+        PlanError: If `render` cannot have written the text.
+    """
     if text.endswith(_IN_VIEW) and len(text) <= LONGEST:
         plain = text.removesuffix(_IN_VIEW)
-        for words, view_words in _VIEW_WORDS:
-            plain = plain.replace(view_words, words)
-        if _with_view(plain) != text:
-            raise PlanError("question", f"{text[:80]!r} is no question of this benchmark")
-        return parse(plain)
+        for phrase, view_phrase in _VIEW_WORDS:
+            plain = plain.replace(view_phrase, phrase)
+        if _with_view(plain) == text:
+            return parse(plain)
     body = text.removesuffix(_SIDES)
     for row in TEMPLATES.values() if len(text) <= LONGEST else ():
         for paraphrase in row.paraphrases:
             for about in (False, True):
                 if not body.endswith(_pieces(paraphrase, about)[-1][0]):
                     continue
-                for found in _readings(row, _pieces(paraphrase, about), body):
-                    slots = _slots(row, found)
-                    # What was read must be what would be written; a list in another order, for example, would not be.
+                for values in _readings(row, _pieces(paraphrase, about), body):
+                    slots = _slots(row, values)
+                    # The text must be the one of `render`. For example, a list must have the right order.
                     if _written(row, paraphrase, slots, about) == text:
                         return row.name, row.build(slots)
     raise PlanError("question", f"{text[:80]!r} is no question of this benchmark")
@@ -209,18 +249,18 @@ def _written(row: Template, paraphrase: str, slots: Slots, about: bool) -> str |
     return _fill(row, paraphrase, slots, about) + _note(slots)
 
 
-def _slots(row: Template, found: dict[str, Any]) -> Slots:
-    relations = {slot[-1]: value for slot, value in found.items() if slot[:-1] in _STYLES}
+def _slots(row: Template, values: dict[str, Any]) -> Slots:
+    relations = {slot[-1]: value for slot, value in values.items() if slot[:-1] in _STYLES}
     return Slots(
-        conditions=found["who"],
-        frames={name: found[name] for name in row.stated},
-        actions=tuple(value for slot, value in sorted(found.items()) if slot.startswith("action")),
+        conditions=values["who"],
+        frames={name: values[name] for name in row.stated},
+        actions=tuple(value for slot, value in sorted(values.items()) if slot.startswith("action")),
         relations=tuple(value for _, value in sorted(relations.items())),
     )
 
 
 def _readings(row: Template, pieces: tuple[tuple[str, str], ...], text: str) -> Iterator[dict[str, Any]]:
-    """Every way to read a text along the pieces of a paraphrase: slot -> what stands there."""
+    """Yield each assignment of words to slots that makes the text fit the pieces of a paraphrase."""
     literal, slot = pieces[0]
     if not text.startswith(literal):
         return
@@ -237,53 +277,73 @@ def _readings(row: Template, pieces: tuple[tuple[str, str], ...], text: str) -> 
 
 
 def _ends(text: str, literal: str) -> Iterator[int]:
-    """Where a slot's words may end: before each place where the text that follows them stands."""
-    place = text.find(literal, 1) if literal else len(text)
-    while place > 0:
-        yield place
-        place = text.find(literal, place + 1) if literal else -1
+    """Yield each possible end of a slot's words: the positions before the text that follows the slot."""
+    end = text.find(literal, 1) if literal else len(text)
+    while end > 0:
+        yield end
+        end = text.find(literal, end + 1) if literal else -1
 
 
 @lru_cache(maxsize=1024)
-def _person(words: str, at: str) -> tuple[Condition, ...] | None:
-    """A description read, or None; remembered, as many paraphrases begin alike."""
+def _person(phrase: str, at: str) -> tuple[Condition, ...] | None:
+    """Return the conditions of a description, or None. Results are cached, because many paraphrases begin alike."""
     try:
-        return read_description(words, at)
+        return read_description(phrase, at)
     except PlanError:
         return None
 
 
-def _read(row: Template, slot: str, words: str) -> Any:
-    """What a slot's words say, or None where they say nothing."""
+def _read(row: Template, slot: str, phrase: str) -> Any:
+    """Return the value of the words in a slot, or None if they have no meaning."""
     if slot == "who":
-        return _person(words, row.described)
+        return _person(phrase, row.described)
     if slot in row.stated:
-        stated = _MOMENT.fullmatch(words)
-        return int(stated[1]) if stated and moment(int(stated[1])) == words else None
-    kind, number = _numbered(slot)
+        stated = _MOMENT.fullmatch(phrase)
+        return int(stated[1]) if stated and moment(int(stated[1])) == phrase else None
+    kind, index = _numbered(slot)
     if kind == "action":
-        return ACTION_OF.get(words)
-    table = read_relations(row.uses[number], _STYLES[kind], *_names(row, number))
+        return ACTION_OF.get(phrase)
+    table = read_relations(row.uses[index], _STYLES[kind], *_names(row, index))
     if kind == "Says":
-        words = next((phrase for phrase in table if _raised(phrase) == words), "")
-    return table.get(words)
+        phrase = next((text for text in table if _raised(text) == phrase), "")
+    return table.get(phrase)
 
 
 def question_key(sequence: str, target: int, plan: Plan) -> str:
-    """64 hex digits that decide among paraphrases and near-duplicates: sha256 of sequence, target and plan."""
+    """Return 64 hexadecimal digits that choose among paraphrases and near-duplicates.
+
+    Args:
+        sequence: Name of the sequence.
+        target: Track of the target.
+        plan: Plan of the question.
+    """
     return hashlib.sha256(f"{sequence}\n{target}\n{canonical(plan)}".encode()).hexdigest()
 
 
 def question_id(
     sequence: str, family: str, template: str, question: str, choices: Sequence[str], answer_mode: str
 ) -> str:
-    """16 hex digits of the public columns of a question, and of nothing else."""
+    """Return the id of a question: 16 hexadecimal digits that depend only on the public columns.
+
+    Args:
+        sequence: Name of the sequence.
+        family: Name of the family.
+        template: Name of the template.
+        question: Text of the question.
+        choices: Texts of the choices.
+        answer_mode: Name of the answer mode.
+    """
     public = msgspec.json.encode([sequence, family, template, question, list(choices), answer_mode])
     return hashlib.sha256(public).hexdigest()[:16]
 
 
 def actions_of(condition: Condition) -> tuple[str, ...]:
-    """The actions that a condition's words name: its own, or the poses that go with an interaction or a verb.
+    """Return the actions that the words of a condition name.
+
+    These are the action of the condition, or the poses that an interaction or verb implies.
+
+    Args:
+        condition: Condition of a description.
 
     >>> actions_of(Condition(interaction="sitting together", at="t0"))
     ('sitting',)
@@ -296,16 +356,24 @@ def actions_of(condition: Condition) -> tuple[str, ...]:
 
 
 def poses_of(relation: str) -> tuple[str, ...]:
-    """The pose that a relation gives away, if any: people who are "walking together" walk."""
+    """Return the pose that a relation implies, if any. For example, people who are "walking together" walk.
+
+    Args:
+        relation: Label of the relation.
+    """
     return (POSES_OF_INTERACTIONS[relation],) if relation in POSES_OF_INTERACTIONS else ()
 
 
 def stated_actions(plan: Plan) -> tuple[str, ...]:
-    """The action words of the question: of descriptions, events and relations, sorted, each once."""
-    words = {word for node in plan.nodes for condition in node.conditions for word in actions_of(condition)}
-    words |= {word for edge in plan.edges for word in poses_of(edge.relation)}
-    words |= {time.action for time in plan.times.values() if time.action is not None}
-    return tuple(sorted(words | set(poses_of(plan.answer.relation or ""))))
+    """Return the different actions that the words of a question name, sorted.
+
+    Args:
+        plan: Plan of the question.
+    """
+    actions = {action for node in plan.nodes for condition in node.conditions for action in actions_of(condition)}
+    actions |= {pose for edge in plan.edges for pose in poses_of(edge.relation)}
+    actions |= {time.action for time in plan.times.values() if time.action is not None}
+    return tuple(sorted(actions | set(poses_of(plan.answer.relation or ""))))
 
 
 def implied_choices(plan: Plan) -> frozenset[str]:
@@ -323,5 +391,9 @@ def implied_by(conditions: Iterable[Condition]) -> frozenset[str]:
 
 
 def stated_frames(plan: Plan) -> tuple[int, ...]:
-    """The frames stated in the question, by the names of their times."""
+    """Return the frames that a question states, sorted by the names of their times.
+
+    Args:
+        plan: Plan of the question.
+    """
     return tuple(time.frame for _, time in sorted(plan.times.items()) if time.frame is not None)

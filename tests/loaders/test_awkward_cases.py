@@ -284,13 +284,13 @@ def test_case_21_3d_boxes_without_points(tmp_path):
 
 
 def test_case_23_rot_z_beyond_pi(tmp_path):
-    turns = (3.509, -2.171, 3.509 + 2 * math.pi, math.pi / 2)
-    solid = [person_3d(i, 3.0, 0.0) for i in range(4)]
+    turns = (3.509, -2.171, 3.509 + 2 * math.pi, math.pi / 2, 0.0)
+    solid = [person_3d(i, 3.0, 0.0) for i in range(5)]
     for record, rot_z in zip(solid, turns, strict=True):
         record["box"]["rot_z"] = rot_z
-    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in range(4)]}, solid={0: solid})
-    headings = column(store, "sightings", "heading")
-    assert headings == pytest.approx([math.pi - 3.509, math.pi + 2.171 - 2 * math.pi, math.pi - 3.509, math.pi / 2])
+    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in range(5)]}, solid={0: solid})
+    headings = [math.pi - 3.509, math.pi + 2.171 - 2 * math.pi, math.pi - 3.509, math.pi / 2, -math.pi]
+    assert column(store, "sightings", "heading") == pytest.approx(headings)
     assert report.problems == []
 
 

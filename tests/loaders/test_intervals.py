@@ -1,9 +1,8 @@
 """Interval tables of small sequences, worked out by hand: segments, keyframes, poses, groups and sectors."""
 
 import pytest
-from readings import HARD, SEQUENCE, World, toward
+from readings import HARD, World, intervals_of, toward
 
-from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.schema.rules import LoadRules, Rules
 
 ANY = LoadRules(visibility="any")
@@ -12,13 +11,7 @@ SECONDS = range(0, 301, 15)
 
 
 def derived(world, kind, rules=LoadRules()):  # noqa: B008 - frozen
-    tables = {
-        name: table.sort_by([("frame", "ascending"), ("track", "ascending")])
-        if "track" in table.column_names
-        else table
-        for name, table in world.tables().items()
-    }
-    return derive(SEQUENCE, tables, rules)[kind].to_pylist()
+    return intervals_of(world, rules)[kind].to_pylist()
 
 
 def reader(frames, on, hard=(), missing=(), occluded=()):
@@ -120,11 +113,12 @@ def test_a_hard_label_stays_a_label_beside_a_fact_without_one():
     ]
 
 
-def test_a_group_has_a_size_where_everybody_certainly_is_in_or_out():
+@pytest.mark.parametrize("rules", [LoadRules(), ANY])
+def test_a_group_has_a_size_where_everybody_certainly_is_in_or_out(rules):
     world = World([0, 15, 30, 45])
     for frame, third in ((0, 8), (15, 7), (30, (7, HARD)), (45, None)):
         world.see(1, [frame], group=7).see(2, [frame], group=7).see(3, [frame], group=third)
-    sizes = [row["group_size"] for row in derived(world, "sightings")]
+    sizes = [row["group_size"] for row in derived(world, "sightings", rules)]
     # A hard label leaves its own group open, a person without a group every group.
     assert sizes == [2, 2, 1] + [3, 3, 3] + [None] * 3 + [None] * 3
 

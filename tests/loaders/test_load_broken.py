@@ -201,7 +201,7 @@ def test_whoever_may_be_excluded_from_the_evaluation_is_not_clear(tmp_path):
 def test_a_world_without_attributes_is_clear(tmp_path):
     store, _ = loaded(tmp_path, {0: [person(1, (1, 60, 50, 200), attributes=None)]})
     assert store.interval("sightings", NAME)["clear"].to_pylist() == [True]
-    assert store.interval("sequence", NAME)["has_attributes"].to_pylist() == [False]
+    assert store.interval("sequence", NAME)["visibility"].to_pylist() == ["geometry"]
 
 
 @pytest.mark.parametrize("value", [[], 5, {"cluster_ID": "x"}, {"cluster_ID": 1.5}, {}, {"cluster_ID": 10**30}, "a"])

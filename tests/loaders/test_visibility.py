@@ -10,12 +10,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from loaded_stores import load_root
 from oracle_covering import hidden_share
-from readings import HARD, SEQUENCE, World, toward
+from readings import HARD, World, intervals_of, toward
 from text_reader import Recording
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN
 from jrdb_avr.engine.rederive.covering import covered_area, outline_of
-from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.intervals.visibility import UNIT, covered_areas
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
@@ -34,13 +33,7 @@ def shares(boxes):
 
 
 def rows(world, kind="sightings", rules=CLEAR):
-    tables = {
-        name: table.sort_by([("frame", "ascending"), ("track", "ascending")])
-        if "track" in table.column_names
-        else table
-        for name, table in world.tables().items()
-    }
-    return derive(SEQUENCE, tables, rules)[kind].to_pylist()
+    return intervals_of(world, rules)[kind].to_pylist()
 
 
 def views(world, rules=CLEAR):

@@ -15,7 +15,7 @@ import pytest
 from jrdb_avr.engine.generate import question, run
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.layer import read_layer
-from jrdb_avr.engine.generate.perturb import MissingFactsError, make_program, prove, read_answer
+from jrdb_avr.engine.generate.perturb import make_program, parse_answer, prove
 from jrdb_avr.engine.generate.pool import Prover
 from jrdb_avr.engine.generate.propose import Search, make_proposal, propose, propose_presence
 from jrdb_avr.engine.generate.run import SearchJob, search_sequence
@@ -81,13 +81,9 @@ def all_proofs(search, one):
     """The proofs of a proposal about conditions, hops and times, whether they hold or not."""
     program = make_program(one.sequence, one.plan, one.template)
     program = msgspec.structs.replace(program, conditions=one.conditions)
-    answer, cypher = read_answer(one.template.spec.mode, one.answer), CypherFacts(search.graph, search.rules.load)
+    answer, cypher = parse_answer(one.template.spec.mode, one.answer), CypherFacts(search.graph, search.rules.load)
     source = Prover(search, cypher)
-    while True:
-        try:
-            return prove(program, answer, search.layer.facts.keyframes, search.rules, source)
-        except MissingFactsError:
-            cypher.fill()
+    return cypher.complete(lambda: prove(program, answer, search.layer.facts.keyframes, search.rules, source))
 
 
 def search_one(store, sequence, rules):

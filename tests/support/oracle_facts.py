@@ -290,7 +290,6 @@ class Oracle:
                 "layers": [name for name in LAYERS if self.found.frames.get(name)],
                 "action_step": step_of(leading),
                 "keyframes": self.keyframes,
-                "has_attributes": self.has_attributes,
                 "visibility": self._evidence(),
             }
         ]
@@ -500,13 +499,14 @@ class Oracle:
         box = self.located[frame, track]
         distance = math.hypot(box["cx"], box["cy"]) if box["distance"] is None else box["distance"]
         words = distance_words(distance)
-        heading = math.pi - box["rot_z"]
+        # A heading of half a turn is -pi, as headings lie in [-pi, pi).
+        turned = math.remainder(-box["rot_z"], 2 * math.pi)
         return row | {
             "distance": distance,
             "distance_word": words[0],
             "distance_word_other": words[1],
             **{name: box[name] for name in ("cx", "cy", "cz")},
-            "heading": math.atan2(math.sin(heading), math.cos(heading)),
+            "heading": turned + math.pi if turned < 0 else turned - math.pi,
         }
 
     def _action_intervals(self):

@@ -17,6 +17,7 @@ from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.perception.support import rank
 from jrdb_avr.agent.perception.votes import Tracks
 from jrdb_avr.engine.rederive import Annotations, rederive
+from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.schema.labels import AGES, GENDERS, answer_of_choice, may_be_called
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, angle_of_azimuth, column_of_angle
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
@@ -132,6 +133,15 @@ class World:
             for number, name in CATEGORIES.items()
         ]
         return {name: pa.Table.from_pylist(self.rows[name], schema) for name, schema in ANNOTATIONS.items()}
+
+
+def intervals_of(world, rules):
+    """The interval tables of a world, by name."""
+    order = [("frame", "ascending"), ("track", "ascending")]
+    tables = {
+        name: table.sort_by(order) if "track" in table.column_names else table for name, table in world.tables().items()
+    }
+    return derive(SEQUENCE, tables, rules)
 
 
 def toward(degrees, w=50):

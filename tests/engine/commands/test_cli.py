@@ -89,7 +89,7 @@ def store(tmp_path_factory):
             graph.execute(statement)
         graph.copy("Action", pa.table({"name": ["sitting", "\x1b[31mred"], "pose": [True, False]}))
     sequence = {"sequence": "s", "fps": 15.0, "frame_count": 31, "layers": ["2d"], "action_step": 15}
-    sequence |= {"keyframes": [0, 15, 30], "has_attributes": False, "visibility": "nothing"}
+    sequence |= {"keyframes": [0, 15, 30], "visibility": "nothing"}
     place.write_interval("sequence", "s", pa.Table.from_pylist([sequence], schema=INTERVALS["sequence"]))
     frames = [
         {"sequence": "s", "frame": f, "seconds": f / 15, "keyframe": True, "annotated": True, "image": f == 15}

@@ -67,7 +67,7 @@ def test_a_question_whose_proofs_the_statements_do_not_give_makes_way(store, mon
         return [first, *others]
 
     made = confirm._program
-    monkeypatch.setattr(confirm, "_program", lambda name, line: note(made(name, line), line["plan"] == wrong, changed))
+    monkeypatch.setattr(confirm, "_program", lambda line: note(made(line), line["plan"] == wrong, changed))
     monkeypatch.setattr(confirm, "prove", prove)
     report, after = questions(store)
     (fault,) = report.faults

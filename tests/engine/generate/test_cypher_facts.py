@@ -10,8 +10,9 @@ from worlds import load_world
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.perturb import MissingFactsError
+from jrdb_avr.loaders.intervals import neighbors
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.relations import QUESTION_RELATIONS
+from jrdb_avr.schema.relations import FIRST_LEFT, QUESTION_RELATIONS, RELATIONS
 from jrdb_avr.schema.rules import CONDITION_KINDS, LoadRules
 
 RULES = LoadRules()
@@ -41,7 +42,7 @@ def keys_of(facts, sequence, rng, most=300):
         for who in facts.uncovered[frame]:
             for relation in QUESTION_RELATIONS:
                 key = ("follow", sequence, relation, who, frame)
-                keys.setdefault(statement_of(key), []).append(key)
+                keys.setdefault(RELATIONS[relation].kind, []).append(key)
         for who in tracks:
             keys.setdefault("seen", []).append(("seen", sequence, who, frame))
             keys.setdefault("pose", []).append(("pose", sequence, who, frame))
@@ -71,10 +72,26 @@ def test_each_fact_by_statement_equals_that_of_the_sets(worlds):
     manifest = worlds.manifest()
     with Graph.open(worlds.graph_path, read_only=True) as graph:
         compared = check_facts(graph, sorted(manifest.sequences), random.Random(5), manifest.load_rules)
-    relations = ("social", "group", "first", "person", "window")
+    kinds = {"word", *CONDITION_KINDS} - {"gender", "age"}
+    relations = ("pair", "group", "window")
     assert compared.keys() == {
-        *(f"condition_{kind}" for kind in CONDITION_KINDS),
+        *(f"condition_{kind}" for kind in kinds),
         *(f"relation_{kind}" for kind in relations),
         *("people_at", "seen", "pose"),
     }
     assert min(compared.values()) > 5, compared
+
+
+def test_places_that_load_left_out_are_unknown(tmp_path, monkeypatch):
+    """Too many places are left out as a whole. Then anybody may have each place."""
+    monkeypatch.setattr(neighbors, "MAX_BESIDE", 1)
+    name = "yard-2020-01-01_0"
+    store = load_world(tmp_path, sociable_world(random.Random(3), name))
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        assert check_facts(graph, [name], random.Random(5))
+        facts = Facts(graph, name, RULES, with_faces=True)
+    crowded = {frame: people for frame, people in facts.uncovered.items() if len(people) > 2}
+    assert crowded
+    for frame, people in crowded.items():
+        for who in people:
+            assert facts.follow(FIRST_LEFT, who, frame) == (people - {who}, set())

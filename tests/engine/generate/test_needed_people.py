@@ -44,8 +44,9 @@ def test_no_needed_person_is_half_covered(tmp_path, number, visibility, hidden):
     store, rules = Store(tmp_path / "store"), LoadRules(visibility=visibility)
     with without_graph(), layers_in_memory():
         load(find_root(tmp_path / "root"), store, rules, 1)
-        generate(store, Rules(load=rules), workers=1)
-    shares = [*needed_shares(store, tmp_path / "root")]
-    assert len(shares) > 20
-    # With the rule off some are hidden, so that the test tells the difference.
-    assert any(share >= Fraction(1, 2) for share in shares) == hidden
+        for profile in ("all", "paper", "train"):
+            generate(store, Rules(load=rules), profile=profile, workers=1)
+            shares = [*needed_shares(store, tmp_path / "root")]
+            assert len(shares) > 20
+            # With the rule off some are hidden, so that the test shows the difference.
+            assert any(share >= Fraction(1, 2) for share in shares) == hidden, profile

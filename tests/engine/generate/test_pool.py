@@ -13,7 +13,7 @@ from random_worlds import lively_world, random_world, sociable_world
 from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.near_duplicates import near_frames
-from jrdb_avr.engine.generate.pool import fill_pool
+from jrdb_avr.engine.generate.pool import _is_near, fill_pool
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FORMS
 
@@ -107,3 +107,9 @@ def test_both_shifts_in_time_may_be_required(search):
         for one, proofs in pool:
             same = any(proof.kind == "time.shift" and proof.outcome == "same" for proof in proofs)
             assert (prover.prove(one) is None) == same, forms
+
+
+def test_of_presence_five_seconds_at_both_times_are_near():
+    near = near_frames("presence", Rules())
+    assert _is_near((75, 25), (0, 100), near) and not _is_near((0, 176), (0, 100), near)
+    assert near_frames("change", Rules()) < near

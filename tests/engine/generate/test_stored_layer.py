@@ -9,7 +9,6 @@ import signal
 import msgspec
 import pytest
 from processes import run, run_program, started
-from question_files import question_files
 from random_worlds import lively_world, sociable_world
 from stored_layers import layer_rows
 from world_calls import believe, tables_of
@@ -159,18 +158,6 @@ def test_a_rebuild_leaves_no_layer(made, made_rows, tmp_path):
     assert stamp(store) == ([], None)
     ensure_layer(store, RULES, 1)
     assert layer_rows(store) == made_rows
-
-
-@pytest.mark.slow
-def test_replay_makes_a_missing_layer(loaded, made_rows, tmp_path):
-    store = copied(loaded, tmp_path)
-    generate(store, workers=1)
-    before = {name: path.read_bytes() for name, path in question_files(store).items()}
-    rebuild(store, LoadRules(), 1)
-    code, _, err = run("validate", "--replay", "--store", store.path, "--workers", "1")
-    assert code == 0, err
-    assert layer_rows(store) == made_rows
-    assert {name: path.read_bytes() for name, path in question_files(store).items()} == before
 
 
 # -- who has the graph --------------------------------------------------------------------------------------------

@@ -26,10 +26,10 @@ from jrdb_avr.engine.pages.inspect import (
 )
 from jrdb_avr.engine.pages.page import environment, readable, render, write_page
 from jrdb_avr.engine.pages.report import Crossed, pivot
+from jrdb_avr.engine.pages.reviews import read_reviews
 from jrdb_avr.engine.pages.svg import PlanGraph, scatter, wrapped
 from jrdb_avr.engine.pages.timeline import Stretch, TimelineRow, runs_of
 from jrdb_avr.engine.report.bundle import write_bundle
-from jrdb_avr.engine.validate.reviews import read_reviews
 from jrdb_avr.queries.questions import read_sequences
 from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store, read_table

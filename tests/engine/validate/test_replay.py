@@ -9,8 +9,9 @@ import pytest
 from processes import run as run_command
 from question_files import keep_only, rewrite
 
-from jrdb_avr.engine.validate.checks import CHECKS, REPLAY_CHECKS, Validation, check_replay, read_records
+from jrdb_avr.engine.validate.checks import check_replay, read_records
 from jrdb_avr.engine.validate.replay import compare_record
+from jrdb_avr.engine.validate.validation import CHECKS, REPLAY_CHECKS, Validation
 from jrdb_avr.queries.graph.file import check_fingerprint, compute_fingerprint, fingerprint_path
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
@@ -261,4 +262,4 @@ RECORD = QuestionRecord(
     ],
 )
 def test_differences_from_the_stored_record_are_named(again, where):
-    assert [one.part for one in compare_record(RECORD, again)] == where
+    assert [line.split(": ")[1] for line in compare_record(RECORD, again)] == where

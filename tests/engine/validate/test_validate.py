@@ -11,7 +11,8 @@ from processes import run
 from question_files import keep_only, rewrite
 
 from jrdb_avr.engine.rederive.labels import Annotations
-from jrdb_avr.engine.validate.checks import CHECKS, validate
+from jrdb_avr.engine.validate.checks import validate
+from jrdb_avr.engine.validate.validation import CHECKS
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules

@@ -16,7 +16,7 @@ from processes import run
 from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import run as generation
-from jrdb_avr.engine.validate.reviews import read_reviews, rejected
+from jrdb_avr.engine.pages.reviews import read_reviews, rejected
 from jrdb_avr.queries.runs import questions_hash
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store

@@ -1,0 +1,100 @@
+"""Result of a validation: the numbers of checks by kind, and the faults."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from typing import Any, Final
+
+from jrdb_avr.queries.display import Displayed, Tables
+
+CHECKS: Final = {
+    "files": "columns and metadata are right; public files have no private columns",
+    "ids": "each question is once in each file; its id is the hash of its public columns",
+    "choices": "a choice question has four different choices, and no two of them overlap; other questions have none",
+    "answers": "the stored answer is readable and inside the sequence",
+    "plans": "the plan is valid and fits the template of the question",
+    "text": "the text states the plan and nothing else; stated seconds are frame / fps",
+    "evidence": "the evidence has all boxes of the target and no other box",
+    "proofs": "all required proofs are present and hold; distractors and bindings fit",
+    "rules": "generation used the same rules",
+    "selection": "shares of answers and questions per person obey the rules; no two questions are alike",
+    "rederive": "the second program finds the same person, answer, needed boxes, measures and proofs",
+}
+"""Names of the checks of stored questions, each with what it checks, in the order of the report."""
+
+REPLAY_CHECKS: Final = {
+    "replay": "statements over the graph, run for each proof again, give the stored proofs",
+    "compiled": "the plan, compiled to Cypher, finds the stored people and answer in the graph",
+}
+"""Names of the further checks of `--replay`, each with what it checks."""
+
+
+class Validation(Displayed):
+    """Result of a validation.
+
+    Attributes:
+        checked: Number of checks by name.
+        faults: Messages by the name of the check, in the order of discovery.
+    """
+
+    def __init__(self) -> None:
+        """Make a result without checks."""
+        self.checked: Counter[str] = Counter()
+        self.faults: dict[str, list[str]] = defaultdict(list)
+
+    def check(self, name: str, holds: bool, fault: str) -> bool:
+        """Count one check.
+
+        Args:
+            name: Name of the check.
+            holds: Whether the check succeeds.
+            fault: Message that is recorded if the check fails.
+
+        Returns:
+            `holds`.
+        """
+        self.add(name, 1, [] if holds else [fault])
+        return holds
+
+    def add(self, name: str, count: int, faults: Iterable[object]) -> None:
+        """Count several checks.
+
+        Args:
+            name: Name of the checks.
+            count: Number of checks.
+            faults: Faults of the checks that failed.
+        """
+        self.checked[name] += count
+        for fault in faults:
+            self.faults[name].append(str(fault))
+
+    @property
+    def sound(self) -> bool:
+        """Whether all checks succeeded."""
+        return not self.faults
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row per kind of check: its name, the numbers of checks and faults, the first fault, what it checks.
+
+        Returns:
+            The rows in the order of CHECKS. Those of REPLAY_CHECKS follow if they ran.
+        """
+        replayed = REPLAY_CHECKS if REPLAY_CHECKS.keys() & self.checked.keys() else {}
+        return [
+            {
+                "check": name,
+                "checked": self.checked[name],
+                "faults": len(self.faults.get(name, ())),
+                "first fault": self.faults[name][0] if name in self.faults else "",
+                "what holds": statement,
+            }
+            for name, statement in (CHECKS | replayed).items()
+        ]
+
+    def _summary(self) -> str:
+        faults = sum(map(len, self.faults.values()))
+        return f"sound, {self.checked.total()} checks" if self.sound else f"{faults} faults"
+
+    def _tables(self) -> Tables:
+        return {"Checks": self.rows()}

@@ -1,0 +1,5 @@
+// Return who interacts, or may interact, with whom at each keyframe of a sequence, and who has which place beside whom.
+MATCH (f:Frame), (p:Person)-[r:Beside|Interacts|MayInteract]->(x:Person)
+WHERE f.sequence = $sequence AND f.keyframe AND r.sequence = $sequence AND r.first <= f.frame AND r.last >= f.frame
+RETURN f.frame AS frame, p.track AS who, coalesce(r.certain, false) AS certain, r.label AS value,
+       collect(x.track) AS others ORDER BY frame, who
