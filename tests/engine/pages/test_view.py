@@ -182,10 +182,8 @@ def test_a_time_twin_is_shown_beside_its_question_with_the_time_that_differs(tmp
     assert re.findall("<mark>(.*?)</mark>", text) == ["8.0 s (frame 120)", "9.0 s (frame 135)"]
     assert f'href="{address("question", id="b2", run="r")}"'.replace("&", "&amp;") in text
     # The run has both answers right, and of its boxes the first.
-    cells = [
-        re.sub("<.*?>", "", cell).split() for cell in re.findall(r"<td>((?:(?!<td>).)*✓.*?)</td>", text, re.DOTALL)
-    ]
-    assert cells == [["✓", "✓"], ["✓", "✗", "never", "looked", "there"]]
+    words = " ".join(re.sub("<.*?>", " ", text).split())
+    assert "answered 0 ✓ ✓ ✓ ✗ never looked there" in words
     assert len(re.findall('<ol class="choices">', text)) == 2
     # A question without a twin, and pages without answers, say nothing of twins.
     for viewer, question in ((scored, "e"), (public, "b1"), (public, "e")):

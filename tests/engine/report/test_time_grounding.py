@@ -57,7 +57,7 @@ def test_every_form_of_the_report_has_it(store):
     assert "twins\n" in printed() and "time ignored" in printed()
     assert "| time ignored" in printed("--markdown")
     assert "time ignored" in printed("--latex") and "both answers" in printed("--latex")
-    rows = [row for row in json.loads(CliRunner().invoke(report_command, ["-s", str(store.path), "--json"]).stdout)]
+    rows = json.loads(CliRunner().invoke(report_command, ["-s", str(store.path), "--json"]).stdout)
     assert [row["both_combined"] for row in rows if row["table"] == "twins" and row["label"] != "guesser"] == [25.0]
     assert "run,method" in printed("--csv") and "guesser" not in printed("--csv")
     assert "time ignored" in printed("--csv", "--table", "twins")
