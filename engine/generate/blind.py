@@ -143,8 +143,8 @@ def blind_check(
         boxes: Guesser of evidence boxes.
 
     Returns:
-        One row per form: n, the share of right answers of each guesser of `GUESSERS`, the aim, whether the guessers are
-        within the aim, and if not, the reason. With `boxes` also the shares of right boxes, and `combined`, the share
+        One row per form: n, the share of right answers of each guesser of `GUESSERS`, the aim, and the guessers above
+        the aim as the reason, None without any. With `boxes` also the shares of right boxes, and `combined`, the share
         of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser that does
         not apply has None. Counts of people have no aim.
     """
@@ -165,7 +165,7 @@ def _check(group: list[QuestionText], guessers: Iterable[Guesser], boxes: Guesse
     aim = None if group[0].read == "count" else MODES[group[0].mode].aim
     judged = {name: shares[name] for name in scores if name not in INFORMATION}
     above = {name: share for name, share in judged.items() if share is not None and aim is not None and share > aim}
-    row = {"n": n, **shares, "aim": aim, "within_aim": None if aim is None else not above}
+    row = {"n": n, **shares, "aim": aim}
     row["reason"] = ", ".join(f"{name} {100 * share:.0f} %" for name, share in above.items()) or None
     if above and n < FEW:
         row["reason"] += f"; one of {n} questions is {100 / n:.0f} %"

@@ -22,7 +22,7 @@ from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import FPS
 
-FOLDS: Final = 10
+FOLDS: Final = 5
 """Maximum number of folds among which the sequences are dealt out."""
 
 _SCALE_S: Final = 30.0
@@ -70,6 +70,7 @@ def _scores(name: str, questions: Sequence[QuestionText], folds: Sequence[tuple[
     from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.feature_extraction import DictVectorizer
     from sklearn.linear_model import LogisticRegression
+    from threadpoolctl import threadpool_limits
 
     linear = name == "logistic"
     offered = [(question, choice) for question in questions for choice in question.choices]
@@ -77,14 +78,16 @@ def _scores(name: str, questions: Sequence[QuestionText], folds: Sequence[tuple[
     true = np.array([choice == question.chosen for question, choice in offered])
     features = DictVectorizer(sparse=linear).fit_transform([_features(*pair, crossed=linear) for pair in offered])
     likelihood = np.zeros(len(offered))
-    for learn, guess in folds:
-        model: Any = LogisticRegression(max_iter=5000)
-        if not linear:
-            model = HistGradientBoostingClassifier(
-                learning_rate=0.06, max_iter=120, max_leaf_nodes=8, min_samples_leaf=10, random_state=0
-            )
-        learned, guessed = np.isin(rows, learn), np.isin(rows, guess)
-        likelihood[guessed] = model.fit(features[learned], true[learned]).predict_proba(features[guessed])[:, 1]
+    model: Any = LogisticRegression(max_iter=5000)
+    if not linear:
+        model = HistGradientBoostingClassifier(
+            learning_rate=0.06, max_iter=120, max_leaf_nodes=8, min_samples_leaf=10, random_state=0
+        )
+    # Because the threads of OpenMP wait busily for each other, which takes minutes on a machine that has other work.
+    with threadpool_limits(1):
+        for learn, guess in folds:
+            learned, guessed = np.isin(rows, learn), np.isin(rows, guess)
+            likelihood[guessed] = model.fit(features[learned], true[learned]).predict_proba(features[guessed])[:, 1]
     parts = (likelihood[rows == row].argmax() for row in range(len(questions)))
     return [float(true[rows == row][best]) for row, best in enumerate(parts)]
 

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.blind import Guesser, blind_check, question_texts
+from jrdb_avr.engine.generate.blind import blind_check, question_texts
 from jrdb_avr.engine.generate.confirm import CONFIRMED, ConfirmJob, Fault, find_faults
 from jrdb_avr.engine.generate.diagnostics import shortfalls, tallies
 from jrdb_avr.engine.generate.found import (
@@ -31,7 +31,6 @@ from jrdb_avr.engine.generate.found import (
 )
 from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
 from jrdb_avr.engine.generate.keyframe_graph import ensure_layer
-from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.selection import TRAIN, Selection, select
 from jrdb_avr.engine.generate.sequence import SequenceJob
@@ -104,7 +103,6 @@ def generate(
     candidates: Path | None = None,
     excluded: frozenset[str] = frozenset(),
     require_occlusion: bool = False,
-    learned: bool = False,
     progress: Progress | None = None,
 ) -> Generation:
     """Generate the questions of a store.
@@ -124,7 +122,6 @@ def generate(
         candidates: Parquet file to write with all proven candidates, before selection.
         excluded: Ids of questions to leave out. Other candidates take their places.
         require_occlusion: Whether to skip sequences without occlusion attributes.
-        learned: Whether the blind check includes the guesser that learns from texts.
         progress: Display of the progress.
 
     Returns:
@@ -133,12 +130,11 @@ def generate(
     Raises:
         StoreError: Nothing is loaded, or the store was loaded under other rules.
         LockedError: Another process writes the store.
-        InputError: scikit-learn is missing, or an option needs another profile.
+        InputError: An option needs another profile.
     """
     store, rules = Store.of(store), rules or Rules()
     held_out = _held_out(store, profile, n, disjoint_from)
     rules = training_rules(rules) if profile == TRAIN else rules
-    guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
     # A first look reads the manifest only, so that a wrong store is refused before it is locked (and thereby made).
     with store.writing("generate"), scratch_folder(store) as scratch:
@@ -168,7 +164,7 @@ def generate(
         # The greatest part of what is in memory.
         del pool
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
-        return _publish(store, scratch, found, selection, refusals, guesser, training)
+        return _publish(store, scratch, found, selection, refusals, training)
 
 
 def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
@@ -301,7 +297,6 @@ def _publish(
     found: Sequence[Found],
     selection: Selection,
     refusals: Refusals,
-    learned: Guesser | None,
     training: Mapping[str, str] | None,
 ) -> Generation:
     sequences = [one.sequence for one in found]
@@ -310,7 +305,7 @@ def _publish(
         publish(store, folder / "chosen", chosen_rows(folder, selection.table), tables, training)
     ) as chosen:
         known = chosen.by_template(["question_id", "answer"])
-        blind = [row for texts in known for row in blind_check(question_texts(*texts), learned)]
+        blind = [row for texts in known for row in blind_check(question_texts(*texts))]
     counts = [
         {"kind": "count", "template": name, "rule": rule, "candidates": count}
         for (name, rule), count in refusals.totals.items()

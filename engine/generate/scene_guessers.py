@@ -4,22 +4,49 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.blind import Guesser, QuestionText, Scores, counting_guesser
+from jrdb_avr.engine.generate.blind import Guesser, QuestionText, Scores, blind_check, counting_guesser, question_texts
 from jrdb_avr.engine.generate.guessers import LabelCounts
+from jrdb_avr.engine.generate.learned import learned_guessers
 from jrdb_avr.engine.report.scoring import DEFAULT_IOU, box_ious, find_target_boxes
 from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.sql import query_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import TIE
+from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import ACTION_PHRASES, PRESENCE_ANSWERS, answer_of_choice
 
 _BITS: Final = {action: 1 << index for index, action in enumerate(ACTION_PHRASES)}
+
+
+def check_store(store: Store, texts: Sequence[QuestionText], other: Store | None = None) -> list[dict[str, Any]]:
+    """Score all blind guessers on the questions of a store.
+
+    Args:
+        store: The store.
+        texts: The texts of its questions.
+        other: Another store. A guesser learns from its questions about sequences that `store` lacks.
+
+    Returns:
+        The rows of `blind_check`.
+
+    Raises:
+        StoreError: If a store lacks questions, or if `store` lacks intervals.
+        InputError: If no sequence of the other store is new, or if scikit-learn is missing to learn from it.
+    """
+    known = {text.sequence for text in texts}
+    others = [] if other is None else question_texts(*other.question_tables("questions", "answers"))
+    new = [text for text in others if text.sequence not in known]
+    if others and not new:
+        raise InputError(
+            "the other store has no sequence that this one lacks: nothing can be learned", field="blind_from"
+        )
+    return blind_check(texts, [*scene_guessers(store), *learned_guessers(new)], box_guesser(store))
 
 
 def scene_guessers(store: Store) -> list[Guesser]:

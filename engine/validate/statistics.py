@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.blind import Guesser, QuestionText, blind_check, question_texts
+from jrdb_avr.engine.generate.blind import QuestionText, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, shortfalls, tallies
+from jrdb_avr.engine.generate.scene_guessers import check_store
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.generate.views import min_crops
 from jrdb_avr.queries.sql import open_tables
@@ -21,7 +22,7 @@ from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
-from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
+from jrdb_avr.schema.templates import FORMS, forms_of
 
 TITLES: Final = {
     "family": "Questions per family, beside the paper's",
@@ -60,8 +61,20 @@ that time; crops: the fewest looks that show every needed box (`views.min_crops`
 _Row = dict[str, Any]
 
 
-def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_Row]]:
-    """Rows of every table in TITLES; `learned` joins the blind check. Raises StoreError without questions."""
+def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[_Row]]:
+    """Compute the statistics of a store.
+
+    Args:
+        store: The store.
+        blind_from: Another store. A guesser of the blind check learns from its questions.
+
+    Returns:
+        The rows of each table in `TITLES`.
+
+    Raises:
+        StoreError: If the store has no questions or no intervals.
+        InputError: If nothing can be learned from the other store.
+    """
     questions, answers, rejected = store.question_tables("questions", "answers", "rejected")
     store.warn_of_training()
     rows = zip(*(table.sort_by("question_id").to_pylist() for table in (questions, answers)), strict=True)
@@ -91,7 +104,7 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
             {"layer": name, "sequences_with": sum(name in own for own in layers.values()), "sequences": len(layers)}
             for name in LAYERS
         ],
-        "blind": [{"family": FAMILIES[row["template"]], **row} for row in blind_check(texts, learned)],
+        "blind": check_store(store, texts, blind_from),
     }
     with open_tables(store.path, tables) as select:
         counted = {name: select(read_statement(f"stats/{name}.sql")) for name in TITLES if name not in derived}
