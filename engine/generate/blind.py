@@ -125,10 +125,10 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
     return texts
 
 
-Scores = Sequence[float]
+Chances = Sequence[float]
 """For each question, the probability that a guesser is right."""
 
-Guesser = Callable[[Sequence[QuestionText]], Mapping[str, Scores]]
+Guesser = Callable[[Sequence[QuestionText]], Mapping[str, Chances]]
 """Function from the questions of one form to the scores of those guessers that apply, by their names."""
 
 
@@ -177,10 +177,10 @@ def _check(group: list[QuestionText], guessers: Iterable[Guesser], boxes: Guesse
     return row
 
 
-def _simple(group: Sequence[QuestionText]) -> dict[str, Scores]:
+def _simple(group: Sequence[QuestionText]) -> dict[str, Chances]:
     """Return the scores of the simple guessers."""
     guessers = MODES[group[0].mode].guessers
-    scores: dict[str, Scores] = {}
+    scores: dict[str, Chances] = {}
     if "uniform" in guessers:
         scores["uniform"] = [1 / len(question.choices) for question in group]
         counts = Counter(question.chosen for question in group)

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from jrdb_avr.engine.generate.bins import wait_bin
-from jrdb_avr.engine.generate.blind import Guesser, QuestionText, Scores
+from jrdb_avr.engine.generate.blind import Chances, Guesser, QuestionText
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.rules import FPS
@@ -48,10 +48,10 @@ def learned_guessers(other: Sequence[QuestionText] = ()) -> list[Guesser]:
     return []
 
 
-def _learned(group: Sequence[QuestionText], other: Sequence[QuestionText]) -> Mapping[str, Scores]:
+def _learned(group: Sequence[QuestionText], other: Sequence[QuestionText]) -> Mapping[str, Chances]:
     from sklearn.model_selection import GroupKFold
 
-    scores: dict[str, Scores] = {}
+    scores: dict[str, Chances] = {}
     if not group[0].choices:
         return scores
     sequences = [question.sequence for question in group]

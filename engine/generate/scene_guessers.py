@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.blind import Guesser, QuestionText, Scores, blind_check, counting_guesser, question_texts
+from jrdb_avr.engine.generate.blind import Chances, Guesser, QuestionText, blind_check, counting_guesser, question_texts
 from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.learned import learned_guessers
 from jrdb_avr.engine.report.scoring import DEFAULT_IOU, box_ious, find_target_boxes
@@ -76,7 +76,7 @@ class _People:
         actions = boxes["actions"].to_pylist()
         self._doing = np.array([sum(_BITS[action] for action in of_box) for of_box in actions], np.int64)
 
-    def guess(self, group: Sequence[QuestionText]) -> Mapping[str, Scores]:
+    def guess(self, group: Sequence[QuestionText]) -> Mapping[str, Chances]:
         """Return the scores of the guesser for choices that are actions, or that say when a person is present."""
         if group[0].read not in ("action", "presence") or not group[0].choices:
             return {}
@@ -123,7 +123,7 @@ def box_guesser(store: Store) -> Guesser:
         row["sequence"]: row for row in query_tables(store.path, read_statement("stats/largest.sql")).to_pylist()
     }
 
-    def guess(group: Sequence[QuestionText]) -> Mapping[str, Scores]:
+    def guess(group: Sequence[QuestionText]) -> Mapping[str, Chances]:
         rows = np.array([rows_by_id[question.question_id] for question in group])
         described = np.array([question.times[0] for question in group])
         present, boxes = find_target_boxes(truth, rows, described)
