@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
@@ -32,13 +33,13 @@ INFORMATION: Final = ("frame", "least label", "least set", "least pair")
 """Counting guessers that are not held against the aim."""
 
 GUESSERS: Final = (
-    *("uniform", "constant", "offset", *COUNTING, "people", "logistic", "boosting", "nearest", "other_store"),
+    *("uniform", "constant", "offset", *COUNTING, "people", "logistic", "boosting", "other_store"),
     *INFORMATION,
 )
 """Guessers of answers, in the order of their columns."""
 
 FEW: Final = 30
-"""With fewer questions a share of right answers is not reliable."""
+"""With fewer questions, a share of right answers is not reliable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,7 @@ class QuestionText:
         answer: The true answer.
         form: Name of the template's form.
         text: The text.
+        twin: The key that the question shares with its time twin, or None.
     """
 
     question_id: str
@@ -70,6 +72,7 @@ class QuestionText:
     answer: Answer
     form: str = ""
     text: str = ""
+    twin: str | None = None
 
     @property
     def chosen(self) -> str:
@@ -102,7 +105,7 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
     Raises:
         PlanError: If a text is no question of this program.
     """
-    stored = dict(zip(answers["question_id"].to_pylist(), answers["answer"].to_pylist(), strict=True))
+    stored = {row["question_id"]: row for row in answers.to_pylist()}
     texts = []
     for row in sorted(questions.to_pylist(), key=lambda row: row["question_id"]):
         template, plan = parse(row["question"])
@@ -117,9 +120,10 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
                 tuple(row["choices"]),
                 tuple(sorted({word for condition in conditions for word in actions_of(condition)})),
                 stated_frames(plan),
-                decode_answer(row["answer_mode"], stored[row["question_id"]]),
+                decode_answer(row["answer_mode"], stored[row["question_id"]]["answer"]),
                 form_of(template, plan)[0].query,
                 row["question"],
+                stored[row["question_id"]].get("twin_id"),
             )
         )
     return texts
@@ -146,35 +150,41 @@ def blind_check(
         One row per form: n, the share of right answers of each guesser of `GUESSERS`, the aim, and the guessers above
         the aim as the reason, None without any. With `boxes` also the shares of right boxes, and `combined`, the share
         of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser that does
-        not apply has None. Counts of people have no aim.
+        not apply has None. Counts of people have no aim. If a form has time twins, a second row has their number of
+        pairs as n and the shares of pairs with both answers right.
     """
     groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:
         groups[question.template, question.form, question.asks].append(question)
-    chosen = (_simple, *([counting_guesser()] if guessers is None else guessers))
-    return [
-        {"template": template, "form": form or template, "asks": asks, **_check(group, chosen, boxes)}
-        for (template, form, asks), group in sorted(groups.items())
-    ]
+    guessers, rows = (_simple, *([counting_guesser()] if guessers is None else guessers)), []
+    for (template, form, asks), group in sorted(groups.items()):
+        scores = {name: of for guesser in guessers for name, of in guesser(group).items()}
+        head = {"template": template, "form": form or template, "asks": asks}
+        aim = None if group[0].read == "count" else MODES[group[0].mode].aim
+        rows.append(head | _shares(scores, aim) | ({} if boxes is None else _combined(scores, boxes(group))))
+        numbers = [index for index, question in sorted(enumerate(group), key=lambda one: one[1].twin or "")]
+        pairs = [pair for pair in pairwise(numbers) if group[pair[0]].twin == group[pair[1]].twin is not None]
+        if pairs:
+            both = {name: [of[first] * of[second] for first, second in pairs] for name, of in scores.items()}
+            rows.append(dict.fromkeys(rows[-1]) | head | {"asks": "two twins"} | _shares(both, None))
+    return rows
 
 
-def _check(group: list[QuestionText], guessers: Iterable[Guesser], boxes: Guesser | None) -> dict[str, Any]:
-    n = len(group)
-    scores = {name: of for guesser in guessers for name, of in guesser(group).items()}
-    shares = dict.fromkeys(GUESSERS) | {name: float(sum(of)) / n for name, of in scores.items()}
-    aim = None if group[0].read == "count" else MODES[group[0].mode].aim
-    judged = {name: shares[name] for name in scores if name not in INFORMATION}
-    above = {name: share for name, share in judged.items() if share is not None and aim is not None and share > aim}
-    row = {"n": n, **shares, "aim": aim}
-    row["reason"] = ", ".join(f"{name} {100 * share:.0f} %" for name, share in above.items()) or None
-    if above and n < FEW:
-        row["reason"] += f"; one of {n} questions is {100 / n:.0f} %"
-    if boxes is not None:
-        found = boxes(group)
-        row |= dict.fromkeys(("largest", "best_box")) | {name: sum(of) / n for name, of in found.items()}
-        best = [max(of.values(), key=sum) for of in ({name: scores[name] for name in judged}, found)]
-        row["combined"] = sum(float(answer) * box for answer, box in zip(*best, strict=True)) / n
-    return row
+def _shares(scores: Mapping[str, Chances], aim: float | None) -> dict[str, Any]:
+    """Return n, the share of right answers of each guesser, the aim, and the guessers above the aim as the reason."""
+    shares = {name: float(sum(of)) / len(of) for name, of in scores.items()}
+    above = [name for name, share in shares.items() if aim is not None and share > aim and name not in INFORMATION]
+    reason = ", ".join(f"{name} {100 * shares[name]:.0f} %" for name in above)
+    n = len(next(iter(scores.values())))
+    return {"n": n, **dict.fromkeys(GUESSERS), **shares, "aim": aim, "reason": reason or None}
+
+
+def _combined(scores: Mapping[str, Chances], boxes: Mapping[str, Chances]) -> dict[str, float]:
+    """Return the shares of right boxes, and the share of questions that the best guessers have right together."""
+    shares = {name: sum(of) / len(of) for name, of in boxes.items()}
+    answers = max((of for name, of in scores.items() if name not in INFORMATION), key=sum)
+    right = [float(answer) * box for answer, box in zip(answers, max(boxes.values(), key=sum), strict=True)]
+    return {**shares, "combined": sum(right) / len(right)}
 
 
 def _simple(group: Sequence[QuestionText]) -> dict[str, Chances]:

@@ -128,12 +128,10 @@ def box_guesser(store: Store) -> Guesser:
         described = np.array([question.times[0] for question in group])
         present, boxes = find_target_boxes(truth, rows, described)
         right = [present & (box_ious(np.broadcast_to(box, boxes.shape), boxes) >= DEFAULT_IOU - TIE) for box in boxes]
-        scores = {"best_box": max(right, key=np.count_nonzero).tolist()}
-        if all(question.sequence in largest for question in group):
-            middle = [largest[question.sequence] for question in group]
-            present, boxes = find_target_boxes(truth, rows, np.array([row["frame"] for row in middle]))
-            guessed = np.array([[row[side] for side in "xywh"] for row in middle])
-            scores["largest"] = (present & (box_ious(guessed, boxes) >= DEFAULT_IOU - TIE)).tolist()
-        return scores
+        middle = [largest[question.sequence] for question in group]
+        seen, targets = find_target_boxes(truth, rows, np.array([row["frame"] for row in middle]))
+        guessed = np.array([[row[side] for side in "xywh"] for row in middle])
+        near = seen & (box_ious(guessed, targets) >= DEFAULT_IOU - TIE)
+        return {"largest": near.tolist(), "best_box": max(right, key=np.count_nonzero).tolist()}
 
     return guess

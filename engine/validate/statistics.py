@@ -18,7 +18,6 @@ from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
-from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
@@ -83,8 +82,8 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
     layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
     lacking, refused = _lacking(layers), tallies(rejected, questions)
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
-    unclear = _without_occlusion(store)
-    occlusion = [None if unclear is None else name not in unclear for name in layers]
+    unclear = store.without_occlusion()
+    occlusion = [name not in unclear for name in layers]
     paper = PROFILES["paper"]
     tables = {
         "measured": pa.Table.from_pylist(measured, _MEASURED),
@@ -129,15 +128,6 @@ def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
         }
         for row in tables["family"]
     ]
-
-
-def _without_occlusion(store: Store) -> list[str] | None:
-    """The sequences without occlusion attributes; None where the intervals that tell are gone: questions do not need
-    them."""
-    try:
-        return store.without_occlusion()
-    except StoreError:
-        return None
 
 
 def _measured(record: QuestionRecord, text: QuestionText) -> _Row:

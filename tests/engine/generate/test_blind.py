@@ -1,6 +1,7 @@
 """The blind check, recomputed by hand and by trying every constant."""
 
 import random
+from dataclasses import replace
 
 import pyarrow as pa
 import pytest
@@ -40,7 +41,7 @@ def test_choice_guessers_by_hand():
     assert row["offset"] is None and row["data"] is None and row["people"] is None
     # For a's questions b says sitting or walking, as often: walking is right in half of them. For b's a says walking.
     assert row["label"] == (0.5 + 0.5 + 1 + 0) / 4
-    assert row["reason"] == "constant 75 %, label 50 %, set 50 %, pair 50 %; one of 4 questions is 25 %"
+    assert row["reason"] == "constant 75 %, label 50 %, set 50 %, pair 50 %"
 
 
 def test_choices_that_are_never_true_give_the_true_one_away():
@@ -74,6 +75,24 @@ def test_the_best_answer_and_the_best_box_are_combined():
     assert row["combined"] == (0.5 + 1) / 4
 
 
+def test_guessers_are_scored_on_pairs_of_time_twins_too():
+    """A guesser that ignores the time has no pair right; one that goes by the frame asked has the first."""
+    rows = [
+        choice("a", "walking", times=(0, 60)),
+        choice("a", "standing", times=(0, 120)),
+        choice("b", "sitting", times=(0, 60)),
+        choice("b", "cycling", times=(0, 120)),
+        choice("b", "walking"),
+    ]
+    rows = [replace(own, twin=key) for own, key in zip(rows, ("x", "x", "y", "y", None), strict=True)]
+    counts = LabelCounts({("a", 60): {"walking": 1}, ("a", 120): {"standing": 1}, ("b", 60): {"walking": 3}})
+    single, both = blind_check(rows, [counting_guesser(counts)], lambda group: {"largest": [1] * len(group)})
+    assert (single["asks"], single["n"], single["constant"], single["largest"]) == ("choice", 5, 0.4, 1)
+    assert (both["form"], both["asks"], both["n"]) == ("change", "two twins", 2)
+    assert (both["uniform"], both["constant"], both["data"], both["frame"]) == (1 / 16, 0, 0, 0.5)
+    assert both["aim"] is both["reason"] is both["largest"] is both["combined"] is None
+
+
 def test_frames_by_hand():
     rows = [start("a", 0, 100), start("a", 300, 420), start("b", 600, 735), start("b", 900, 1200)]
     (row,) = blind_check(rows)
@@ -96,7 +115,7 @@ def test_seconds_and_counts_are_judged_apart():
     assert [row["template"] for row in (counts, durations)] == ["gap", "gap"]
     assert (durations["asks"], durations["n"], durations["constant"], durations["aim"]) == ("seconds", 4, 0.75, 0.58)
     assert (counts["asks"], counts["n"], counts["constant"], counts["aim"]) == ("count", 3, 1.0, None)
-    assert counts["reason"] is None and durations["reason"].startswith("constant 75 %; one of 4 questions")
+    assert counts["reason"] is None and durations["reason"] == "constant 75 %"
 
 
 def test_forms_that_the_text_tells_apart_are_judged_apart():
