@@ -9,7 +9,7 @@ from jrdb_avr.engine.generate.scene_guessers import box_guesser, check_store, sc
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import PRESENCE_ANSWERS
+from jrdb_avr.schema.labels import PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.tables import INTERVALS, QUESTIONS
 
@@ -140,7 +140,7 @@ def test_the_likeliest_action_is_that_of_sql(sample_benchmark, texts, sample):
         for described in (question.described, ()):
             values = {"wait": question.times[1] - question.times[0], "sequence": question.sequence}
             found = dict(connection.execute(count, values | {"described": list(described)}).fetchall())
-            people = {text: found.get(text.removesuffix(" down"), 0) for text in question.choices}
+            people = {text: found.get(answer_of_choice(text), 0) for text in question.choices}
             if any(people.values()):
                 break
         best = [text for text in people if people[text] == max(people.values())]
