@@ -6,7 +6,7 @@ Constants are chosen with hindsight, so their score is the most that such a gues
 the constants tried are the template's own answers. Counting guessers know how often each choice is true in other
 sequences (`guessers`). Further guessers learn from all words (`learned`) or know the store's people (`scene_guessers`).
 
-The forms of a template are checked apart, because a guesser tells them apart by their text.
+The forms of a template are checked separately, because their texts differ.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class QuestionText:
 
     @property
     def bin(self) -> str:
-        """The bin of the answer, by which selection balances."""
+        """The bin of the answer. Selection balances the bins."""
         answer = encode_answer(self.answer)
         return bin_name(self.mode, self.read, answer_bin(self.mode, answer, self.times, self.read))
 
@@ -103,7 +103,7 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
         The facts of each text, by question id.
 
     Raises:
-        PlanError: If a text is no question of this program.
+        PlanError: If this program did not write a text.
     """
     stored = {row["question_id"]: row for row in answers.to_pylist()}
     texts = []
@@ -143,7 +143,7 @@ def blind_check(
 
     Args:
         questions: The questions.
-        guessers: Guessers of answers beside the simple ones. None stands for the counting guessers.
+        guessers: Guessers of answers beside the simple ones. None means the counting guessers.
         boxes: Guesser of evidence boxes.
 
     Returns:
@@ -162,7 +162,7 @@ def blind_check(
         head = {"template": template, "form": form or template, "asks": asks}
         aim = None if group[0].read == "count" else MODES[group[0].mode].aim
         rows.append(head | _shares(scores, aim) | ({} if boxes is None else _combined(scores, boxes(group))))
-        numbers = [index for index, question in sorted(enumerate(group), key=lambda one: one[1].twin or "")]
+        numbers = [index for index, question in sorted(enumerate(group), key=lambda entry: entry[1].twin or "")]
         pairs = [pair for pair in pairwise(numbers) if group[pair[0]].twin == group[pair[1]].twin is not None]
         if pairs:
             both = {name: [of[first] * of[second] for first, second in pairs] for name, of in scores.items()}

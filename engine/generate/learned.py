@@ -29,11 +29,11 @@ _SCALE_S: Final = 30.0
 """Stated seconds are divided by this number, so that they weigh about as much as a word."""
 
 
-def learned_guessers(other: Sequence[QuestionText] = ()) -> list[Guesser]:
+def learned_guessers(lessons: Sequence[QuestionText] = ()) -> list[Guesser]:
     """Return the guessers that learn.
 
     Args:
-        other: Questions of another store, about other sequences. The guesser "other_store" learns from them.
+        lessons: Questions of another store, about other sequences. The guesser "other_store" learns from them.
 
     Returns:
         A guesser with the scores "logistic", "boosting" and "other_store". The list is empty without scikit-learn.
@@ -42,13 +42,13 @@ def learned_guessers(other: Sequence[QuestionText] = ()) -> list[Guesser]:
         InputError: If there are questions of another store, but scikit-learn is missing.
     """
     if importlib.util.find_spec("sklearn") is not None:
-        return [lambda group: _learned(group, [q for q in other if q.form == group[0].form])]
-    if other:
+        return [lambda group: _learned(group, [q for q in lessons if q.form == group[0].form])]
+    if lessons:
         raise InputError("learning needs scikit-learn: pip install 'jrdb-avr[learned]'", field="blind_from")
     return []
 
 
-def _learned(group: Sequence[QuestionText], other: Sequence[QuestionText]) -> Mapping[str, Chances]:
+def _learned(group: Sequence[QuestionText], lessons: Sequence[QuestionText]) -> Mapping[str, Chances]:
     from sklearn.model_selection import GroupKFold
 
     scores: dict[str, Chances] = {}
@@ -58,15 +58,15 @@ def _learned(group: Sequence[QuestionText], other: Sequence[QuestionText]) -> Ma
     if (count := len(set(sequences))) > 1:
         folds = list(GroupKFold(min(FOLDS, count)).split(sequences, groups=sequences))
         scores |= {name: _scores(name, group, folds) for name in ("logistic", "boosting")}
-    if other:
-        questions = [*other, *group]
-        learn, guess = np.split(np.arange(len(questions)), [len(other)])
-        scores["other_store"] = _scores("logistic", questions, [(learn, guess)])[len(other) :]
+    if lessons:
+        questions = [*lessons, *group]
+        learn, guess = np.split(np.arange(len(questions)), [len(lessons)])
+        scores["other_store"] = _scores("logistic", questions, [(learn, guess)])[len(lessons) :]
     return scores
 
 
 def _scores(name: str, questions: Sequence[QuestionText], folds: Sequence[tuple[Ints, Ints]]) -> list[float]:
-    """Return 1 for each question whose likeliest choice is right, else 0. A fold has rows to learn and to guess."""
+    """Return 1 for each question if its likeliest choice is right, else 0. A fold has rows to learn and to guess."""
     from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.feature_extraction import DictVectorizer
     from sklearn.linear_model import LogisticRegression

@@ -1,4 +1,4 @@
-"""Blind guessers that know all boxes and actions of the store, but not the person whom a question is about."""
+"""Blind guessers that know all boxes and actions of the store, but not which person a question is about."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from jrdb_avr.schema.labels import ACTION_PHRASES, PRESENCE_ANSWERS, answer_of_c
 _BITS: Final = {action: 1 << index for index, action in enumerate(ACTION_PHRASES)}
 
 
-def check_store(store: Store, texts: Sequence[QuestionText], other: Store | None = None) -> list[dict[str, Any]]:
+def check_store(store: Store, texts: Sequence[QuestionText], teacher: Store | None = None) -> list[dict[str, Any]]:
     """Score all blind guessers on the questions of a store.
 
     Args:
         store: The store.
         texts: The texts of its questions.
-        other: Another store. A guesser learns from its questions about sequences that `store` lacks.
+        teacher: Another store. A guesser learns from its questions about sequences that `store` lacks.
 
     Returns:
         The rows of `blind_check`.
 
     Raises:
         StoreError: If a store lacks questions, or if `store` lacks intervals.
-        InputError: If no sequence of the other store is new, or if scikit-learn is missing to learn from it.
+        InputError: If no sequence of `teacher` is new, or if scikit-learn is missing to learn from it.
     """
-    known = {text.sequence for text in texts}
-    others = [] if other is None else question_texts(*other.question_tables("questions", "answers"))
-    new = [text for text in others if text.sequence not in known]
-    if others and not new:
+    sequences = {text.sequence for text in texts}
+    lessons = [] if teacher is None else question_texts(*teacher.question_tables("questions", "answers"))
+    new = [text for text in lessons if text.sequence not in sequences]
+    if lessons and not new:
         raise InputError(
             "the other store has no sequence that this one lacks: nothing can be learned", field="blind_from"
         )
@@ -95,8 +95,8 @@ class _People:
         """Return the number of people of other sequences with each answer, among those who fit a description."""
         bits = sum(_BITS[action] for action in described)
         waits = [time - question.times[0] for time in question.times[1:]] or [0]
-        other = self._sequence != np.searchsorted(self._names, question.sequence)
-        keys = self._key[self._seen & (self._doing & bits == bits) & (self._left > waits[-1]) & other]
+        elsewhere = self._sequence != np.searchsorted(self._names, question.sequence)
+        keys = self._key[self._seen & (self._doing & bits == bits) & (self._left > waits[-1]) & elsewhere]
         rows = [np.searchsorted(self._key, keys + wait).clip(max=len(self._key) - 1) for wait in waits]
         present = [self._key[row] == keys + wait for row, wait in zip(rows, waits, strict=True)]
         if question.read == "presence":
@@ -129,9 +129,9 @@ def box_guesser(store: Store) -> Guesser:
         present, boxes = find_target_boxes(truth, rows, described)
         right = [present & (box_ious(np.broadcast_to(box, boxes.shape), boxes) >= DEFAULT_IOU - TIE) for box in boxes]
         middle = [largest[question.sequence] for question in group]
-        seen, targets = find_target_boxes(truth, rows, np.array([row["frame"] for row in middle]))
+        visible, targets = find_target_boxes(truth, rows, np.array([row["frame"] for row in middle]))
         guessed = np.array([[row[side] for side in "xywh"] for row in middle])
-        near = seen & (box_ious(guessed, targets) >= DEFAULT_IOU - TIE)
+        near = visible & (box_ious(guessed, targets) >= DEFAULT_IOU - TIE)
         return {"largest": near.tolist(), "best_box": max(right, key=np.count_nonzero).tolist()}
 
     return guess

@@ -151,7 +151,7 @@ def one_of_twins(questions: Iterable[Question]) -> list[str]:
     The texts decide, because only the answers, which are private, name the twins.
 
     Args:
-        questions: Questions in the order in which they are asked.
+        questions: Questions in the order of asking.
 
     Returns:
         The ids of the questions without each question that may be the twin of a question before it. Two questions may
