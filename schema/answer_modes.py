@@ -35,7 +35,7 @@ from jrdb_avr.schema.rules import FPS
 Kind = Literal["choice", "frame", "angle", "decimal"]
 """Kind of one value in an answer: position of a choice, frame, angle in degrees, or decimal number in quotes."""
 
-Guesser = Literal["uniform", "most_frequent", "by_choice", "constant", "offset"]
+Guesser = Literal["uniform", "constant", "offset"]
 """Name of a blind guesser, which sees no picture. `engine/generate/blind.py` defines the guessers."""
 
 _COLUMNS: Final = {"frame": "start", "start_frame": "start", "end_frame": "end", "angle_deg": "angle", "value": "value"}
@@ -194,7 +194,7 @@ MODES: Final[Mapping[str, Mode]] = {
             asks="choice",
             words="{choice}",
             aim=0.35,
-            guessers=("uniform", "most_frequent", "by_choice"),
+            guessers=("uniform", "constant"),
             smallest_read="action",
         ),
         Mode(

@@ -41,7 +41,7 @@ MAY_IMPORT = {
     "engine.cli": {"schema", "engine.console"},
     "engine.rederive": {"schema", "queries.store"},
     "engine.observe": ENGINE_LEAVES,
-    "engine.generate": STAGES,
+    "engine.generate": STAGES | {"engine.report"},
     "engine.report": STAGES,
     "engine.pages": PAGES,
     "engine.validate": PAGES,

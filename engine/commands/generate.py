@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from jrdb_avr.engine.commands._options import FOLDER, executor_option, form_option, pairs_option, store_option
+from jrdb_avr.engine.commands._options import (
+    FOLDER,
+    executor_option,
+    form_option,
+    open_store,
+    pairs_option,
+    store_option,
+)
 from jrdb_avr.engine.console import RowFormat, note, print_data, print_rows, progress_bar, warnings_as_notes
 
 if TYPE_CHECKING:
     from jrdb_avr.queries.store import Store
-
-
-_blind_option = click.option(
-    "--blind",
-    type=click.Choice(["simple", "learned"]),
-    default="simple",
-    show_default=True,
-    help="Guessers that see no image. 'learned' adds a guesser trained on texts (pip install 'jrdb-avr[learned]').",
-)
 
 
 @click.command(epilog="Example: jrdb-avr generate --store store --profile paper --workers 2")
@@ -45,10 +43,9 @@ _blind_option = click.option(
 @click.option("--require-occlusion", is_flag=True, help="Skip sequences that have no occlusion labels.")
 @click.option("--exclude-rejected", is_flag=True, help="Exclude questions that a reviewer rejected (see 'inspect').")
 @pairs_option("--rule", "overrides", "Change a rule (see 'rules list'). May be repeated.")
-@_blind_option
 @form_option
 def generate(
-    store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], blind: str, form: RowFormat, **options: Any
+    store: Store, exclude_rejected: bool, overrides: list[tuple[str, str]], form: RowFormat, **options: Any
 ) -> None:
     """Find questions in all sequences of a store, prove these questions, and write them into the store.
 
@@ -66,7 +63,7 @@ def generate(
     rules = override(Rules(), dict(overrides))
     excluded = rejected(store) if exclude_rejected else frozenset()
     with progress_bar() as progress:
-        made = run.generate(store, rules, excluded=excluded, learned=blind == "learned", progress=progress, **options)
+        made = run.generate(store, rules, excluded=excluded, progress=progress, **options)
     if form:
         print_data(made.rows(), form)
     else:
@@ -94,12 +91,18 @@ def _with_guessers(row: Mapping[str, Any]) -> dict[str, Any]:
 
 @click.command(epilog="Example: jrdb-avr stats --store store")
 @store_option()
-@_blind_option
+@click.option(
+    "--blind-from",
+    metavar="STORE",
+    type=FOLDER,
+    callback=open_store,
+    help="Add a guesser that learns from the questions of another store (pip install 'jrdb-avr[learned]').",
+)
 @form_option
 @click.option(
     "--latex", "as_latex", is_flag=True, help="Print the paper's table of question families in LaTeX (booktabs)."
 )
-def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
+def stats(store: Store, blind_from: Store | None, form: RowFormat, as_latex: bool) -> None:
     """Count the questions of a store by family, template, sequence and answer, and score guessers that see no image.
 
     The command also prints how many candidates each rule refused per template, and why a template has few questions.
@@ -109,12 +112,11 @@ def stats(store: Store, blind: str, form: RowFormat, as_latex: bool) -> None:
         raise click.UsageError(f"choose one of --{form} and --latex")
 
     from jrdb_avr.engine.generate.diagnostics import REFUSALS
-    from jrdb_avr.engine.generate.learned import learned_guesser
     from jrdb_avr.engine.report.formats import latex
     from jrdb_avr.engine.validate.statistics import TITLES, generator_rows, statistics
 
     with warnings_as_notes():
-        tables = statistics(store, learned_guesser() if blind == "learned" else None)
+        tables = statistics(store, blind_from)
     if form:
         print_data(({"table": name, **row} for name, rows in tables.items() for row in rows), form)
         return

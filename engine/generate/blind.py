@@ -1,51 +1,78 @@
-"""How well the questions can be answered without looking.
+"""The blind check: how well the questions can be answered without looking.
 
-A question that its own text answers is a defect. Six guessers that see no image are scored on each template, as
-predictions are: a uniform choice; the most frequent answer; the choice that is true most often where it is offered, by
-other sequences; the best constant; the best constant offset from a stated time; and a text-only guesser, which for a
-question of one sequence gives the commonest answer, in all other sequences, of questions whose text is alike (action
-words, choices, waits between stated times in doubling bins). Constants are chosen with hindsight, so the printed share
-is the most that such a guesser can score. For spans and viewpoints the constants tried are the template's own answers.
-A seventh guesser that learns from all words may join (`learned`).
+A question that its own text answers is a defect. Guessers that see no image are scored on each template, as predictions
+are. The simple guessers are a uniform choice, the best constant, and the best constant offset from a stated time.
+Constants are chosen with hindsight, so their score is the most that such a guesser can reach. For spans and viewpoints
+the constants tried are the template's own answers. Counting guessers know how often each choice is true in other
+sequences (`guessers`). Further guessers learn from all words (`learned`) or know the store's people (`scene_guessers`).
 
-Forms of a template are checked apart: a guesser tells them apart by their text.
+The forms of a template are checked separately, because their texts differ.
 """
 
 from __future__ import annotations
 
-import functools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.bins import answer_bin, bin_name, wait_bin
-from jrdb_avr.engine.generate.guessers import LabelCounts, Offer
+from jrdb_avr.engine.generate.bins import answer_bin, bin_name
+from jrdb_avr.engine.generate.guessers import COUNTING, LabelCounts, Offer, guesser_scores
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, mode_of, same_answer
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, Span, encode_answer
 from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.rules import FPS
-from jrdb_avr.schema.wording.text import form_of, parse, stated_actions, stated_frames
+from jrdb_avr.schema.wording.text import actions_of, form_of, parse, stated_frames
+
+INFORMATION: Final = ("frame", "least label", "least set", "least pair")
+"""Counting guessers that are not held against the aim."""
+
+GUESSERS: Final = (
+    *("uniform", "constant", "offset", *COUNTING, "people", "logistic", "boosting", "other_store"),
+    *INFORMATION,
+)
+"""Guessers of answers, in the order of their columns."""
+
+FEW: Final = 30
+"""With fewer questions, a share of right answers is not reliable."""
 
 
 @dataclass(frozen=True, slots=True)
 class QuestionText:
-    """The facts that a question's public text states, with its answer."""
+    """The facts that a question's public text states, with its answer.
 
+    Attributes:
+        question_id: The id of the question.
+        sequence: Name of the sequence.
+        template: Name of the template.
+        read: Kind of value that the answer reads.
+        mode: Answer mode.
+        choices: Texts of the choices.
+        described: Actions that the text states of the target, sorted.
+        times: Stated frames. The first one is the time of the description.
+        answer: The true answer.
+        form: Name of the template's form.
+        text: The text.
+        twin: The key that the question shares with its time twin, or None.
+    """
+
+    question_id: str
     sequence: str
     template: str
     read: str
     mode: str
     choices: tuple[str, ...]
-    words: tuple[str, ...]
+    described: tuple[str, ...]
     times: tuple[int, ...]
     answer: Answer
     form: str = ""
     text: str = ""
+    twin: str | None = None
 
     @property
     def chosen(self) -> str:
@@ -54,51 +81,148 @@ class QuestionText:
         return self.choices[self.answer.choice - 1]
 
     @property
-    def waits(self) -> tuple[int, ...]:
-        """Bins of the waits from the first stated time."""
-        return tuple(wait_bin(time - self.times[0]) for time in self.times[1:])
-
-    @property
     def asks(self) -> str:
-        """The kind of answer in a word or two; of a template's forms a count is judged unlike seconds."""
+        """The kind of answer in a word or two. A count and seconds are different kinds."""
         return "count" if self.read == "count" else MODES[self.mode].asks
 
     @property
     def bin(self) -> str:
-        """The bin of the answer, by which selection balances."""
+        """The bin of the answer. Selection balances the bins."""
         answer = encode_answer(self.answer)
         return bin_name(self.mode, self.read, answer_bin(self.mode, answer, self.times, self.read))
 
 
 def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]:
-    """The questions with their answers, by question id. Raises PlanError for a text that is none of ours."""
-    stored = dict(zip(answers["question_id"].to_pylist(), answers["answer"].to_pylist(), strict=True))
-    found = []
+    """Read the texts of questions.
+
+    Args:
+        questions: Rows of the table `questions`.
+        answers: Rows of the table `answers`, in any order.
+
+    Returns:
+        The facts of each text, by question id.
+
+    Raises:
+        PlanError: If this program did not write a text.
+    """
+    stored = {row["question_id"]: row for row in answers.to_pylist()}
+    texts = []
     for row in sorted(questions.to_pylist(), key=lambda row: row["question_id"]):
         template, plan = parse(row["question"])
-        found.append(
+        conditions = (condition for node in plan.nodes if node.id == plan.target for condition in node.conditions)
+        texts.append(
             QuestionText(
+                row["question_id"],
                 row["sequence"],
                 row["template"],
                 plan.answer.read,
                 row["answer_mode"],
                 tuple(row["choices"]),
-                stated_actions(plan),
+                tuple(sorted({word for condition in conditions for word in actions_of(condition)})),
                 stated_frames(plan),
-                decode_answer(row["answer_mode"], stored[row["question_id"]]),
+                decode_answer(row["answer_mode"], stored[row["question_id"]]["answer"]),
                 form_of(template, plan)[0].query,
                 row["question"],
+                stored[row["question_id"]].get("twin_id"),
             )
         )
-    return found
+    return texts
 
 
-def offers_of(questions: Iterable[QuestionText], counts: LabelCounts) -> list[Offer]:
-    """Return what counting guessers know of published questions with choices, as selection computes it.
+Chances = Sequence[float]
+"""For each question, the probability that a guesser is right."""
+
+Guesser = Callable[[Sequence[QuestionText]], Mapping[str, Chances]]
+"""Function from the questions of one form to the scores of those guessers that apply, by their names."""
+
+
+def blind_check(
+    questions: Iterable[QuestionText], guessers: Sequence[Guesser] | None = None, boxes: Guesser | None = None
+) -> list[dict[str, Any]]:
+    """Score blind guessers on each form of a template.
+
+    Args:
+        questions: The questions.
+        guessers: Guessers of answers beside the simple ones. None means the counting guessers.
+        boxes: Guesser of evidence boxes.
+
+    Returns:
+        One row per form: n, the share of right answers of each guesser of `GUESSERS`, the aim, and the guessers above
+        the aim as the reason, None without any. With `boxes` also the shares of right boxes, and `combined`, the share
+        of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser that does
+        not apply has None. Counts of people have no aim. If a form has time twins, a second row has their number of
+        pairs as n and the shares of pairs with both answers right.
+    """
+    groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
+    for question in questions:
+        groups[question.template, question.form, question.asks].append(question)
+    guessers, rows = (_simple, *([counting_guesser()] if guessers is None else guessers)), []
+    for (template, form, asks), group in sorted(groups.items()):
+        scores = {name: of for guesser in guessers for name, of in guesser(group).items()}
+        head = {"template": template, "form": form or template, "asks": asks}
+        aim = None if group[0].read == "count" else MODES[group[0].mode].aim
+        rows.append(head | _shares(scores, aim) | ({} if boxes is None else _combined(scores, boxes(group))))
+        numbers = [index for index, question in sorted(enumerate(group), key=lambda entry: entry[1].twin or "")]
+        pairs = [pair for pair in pairwise(numbers) if group[pair[0]].twin == group[pair[1]].twin is not None]
+        if pairs:
+            both = {name: [of[first] * of[second] for first, second in pairs] for name, of in scores.items()}
+            rows.append(dict.fromkeys(rows[-1]) | head | {"asks": "two twins"} | _shares(both, None))
+    return rows
+
+
+def _shares(scores: Mapping[str, Chances], aim: float | None) -> dict[str, Any]:
+    """Return n, the share of right answers of each guesser, the aim, and the guessers above the aim as the reason."""
+    shares = {name: float(sum(of)) / len(of) for name, of in scores.items()}
+    above = [name for name, share in shares.items() if aim is not None and share > aim and name not in INFORMATION]
+    reason = ", ".join(f"{name} {100 * shares[name]:.0f} %" for name in above)
+    n = len(next(iter(scores.values())))
+    return {"n": n, **dict.fromkeys(GUESSERS), **shares, "aim": aim, "reason": reason or None}
+
+
+def _combined(scores: Mapping[str, Chances], boxes: Mapping[str, Chances]) -> dict[str, float]:
+    """Return the shares of right boxes, and the share of questions that the best guessers have right together."""
+    shares = {name: sum(of) / len(of) for name, of in boxes.items()}
+    answers = max((of for name, of in scores.items() if name not in INFORMATION), key=sum)
+    right = [float(answer) * box for answer, box in zip(answers, max(boxes.values(), key=sum), strict=True)]
+    return {**shares, "combined": sum(right) / len(right)}
+
+
+def _simple(group: Sequence[QuestionText]) -> dict[str, Chances]:
+    """Return the scores of the simple guessers."""
+    guessers = MODES[group[0].mode].guessers
+    scores: dict[str, Chances] = {}
+    if "uniform" in guessers:
+        scores["uniform"] = [1 / len(question.choices) for question in group]
+        counts = Counter(question.chosen for question in group)
+        commonest = min(counts, key=lambda text: (-counts[text], text))
+        scores["constant"] = [float(question.chosen == commonest) for question in group]
+    elif "constant" in guessers:
+        scores["constant"] = _hits(group, [0] * len(group))
+    if "offset" in guessers:
+        positions = range(min(len(question.times) for question in group))
+        scores["offset"] = max((_hits(group, [q.times[at] for q in group]) for at in positions), key=sum)
+    return scores
+
+
+def counting_guesser(counts: LabelCounts | None = None) -> Guesser:
+    """Return the counting guessers of choices, as selection computes them.
+
+    Args:
+        counts: How common actions are. The frame of a rank is the last time that the text states. None leaves out the
+            guessers that go by the commonest choice.
+
+    Returns:
+        The function from questions to the scores of the guessers.
+    """
+    return lambda group: guesser_scores(offers_of(group, counts)) if group[0].choices else {}
+
+
+def offers_of(questions: Iterable[QuestionText], counts: LabelCounts | None = None) -> list[Offer]:
+    """Return what counting guessers know of published questions with choices.
 
     Args:
         questions: Questions of one template.
-        counts: How common actions are. The frame of a rank is the last time that the text states.
+        counts: How common actions are, or None.
 
     Returns:
         The choices of each question.
@@ -107,105 +231,29 @@ def offers_of(questions: Iterable[QuestionText], counts: LabelCounts) -> list[Of
     for question in questions:
         truth = answer_of_choice(question.chosen)
         wrong = tuple(sorted(answer_of_choice(text) for text in question.choices if text != question.chosen))
-        ranks = counts.ranks(question.sequence, question.times[-1], truth, wrong)
+        ranks = () if counts is None else counts.ranks(question.sequence, question.times[-1], truth, wrong)
         offers.append(Offer(question.sequence, truth, wrong, ranks))
     return offers
-
-
-Guesser = Callable[[Sequence[QuestionText]], float | None]
-"""Returns the share of right answers to questions of one form; None where it cannot answer them."""
-
-
-def blind_check(questions: Sequence[QuestionText], learned: Guesser | None = None) -> list[dict[str, Any]]:
-    """One row per form of a template: n, each guesser's share of right answers, the aim, and why it is missed.
-
-    A guesser that does not apply has None, and so has `learned` where none is named (`learned_guesser`). Counts
-    have None as aim, and `reason` is None where nothing is above the aim.
-    """
-    groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
-    for question in questions:
-        groups[question.template, question.form, question.asks].append(question)
-    return [
-        {"template": template, "form": form or template, "asks": asks, **_check(group, learned)}
-        for (template, form, asks), group in sorted(groups.items())
-    ]
-
-
-def _check(group: list[QuestionText], learned: Guesser | None) -> dict[str, Any]:
-    mode, n = MODES[group[0].mode], len(group)
-    scores: dict[str, float | None] = dict.fromkeys(("uniform", "most_frequent", "by_choice", "constant", "offset"))
-    if "uniform" in mode.guessers:
-        scores["uniform"] = sum(1 / len(q.choices) for q in group) / n
-        scores["most_frequent"] = max(Counter(question.chosen for question in group).values()) / n
-        scores["by_choice"] = _by_choice(group)
-    if "constant" in mode.guessers:
-        scores["constant"] = _best(group, [0] * n)
-    if "offset" in mode.guessers:
-        positions = range(min(len(q.times) for q in group))
-        scores["offset"] = max(_best(group, [q.times[position] for q in group]) for position in positions)
-    scores["text_only"] = _text_only(group)
-    scores["learned"] = None if learned is None else learned(group)
-    aim = None if group[0].read == "count" else mode.aim
-    above = [name for name, score in scores.items() if score is not None and aim is not None and score > aim]
-    within = None if aim is None else not above
-    return {"n": n, **scores, "aim": aim, "within_aim": within, "reason": _reason(group, above) if above else None}
-
-
-FEW: Final = 30
-"""With fewer questions a share of right answers is not reliable."""
-
-
-def _reason(group: Sequence[QuestionText], above: Sequence[str]) -> str:
-    """Explain why guessers score above the aim: which answers are too similar."""
-    n = len(group)
-    parts = [f"only {n} question{'s' * (n > 1)}, one is {100 / n:.0f} %"] if n < FEW else []
-    if set(above) - {"by_choice", "text_only", "learned"}:
-        choice = MODES[group[0].mode].is_choice
-        commonest = Counter(question.chosen if choice else question.bin for question in group)
-        name, count = min(commonest.items(), key=lambda item: (-item[1], item[0]))
-        what = f"are {name!r}" if choice else f"lie in {name} s"
-        parts.append(f"{count} of {n} answers {what}, and too few others are left to level them")
-    if "by_choice" in above:
-        parts.append("too few poses are ever true that do not overlap the others, so some choices are true oftener")
-    if "text_only" in above:
-        parts.append("questions with the same words and waits have the same answers in other sequences")
-    if "learned" in above:
-        parts.append("words, choices and waits go with the same answers in other sequences")
-    return "; ".join(parts)
-
-
-def _by_choice(group: Sequence[QuestionText]) -> float | None:
-    """The share of right answers of whoever takes the choice that is true most often where it is offered.
-
-    How often that is, the guesser knows from other sequences; None where there are none.
-    """
-    offered, true = (Counter[tuple[str, str]]() for _ in range(2))
-    for question in group:
-        for place in ("", question.sequence):
-            offered.update((place, choice) for choice in question.choices)
-            true[place, question.chosen] += 1
-    if len({question.sequence for question in group}) < 2:
-        return None
-
-    def rate(question: QuestionText, choice: str) -> float:
-        counts = [count["", choice] - count[question.sequence, choice] for count in (true, offered)]
-        return (counts[0] + 1) / (counts[1] + len(question.choices))
-
-    guesses = (max(q.choices, key=lambda choice: (rate(q, choice), choice)) for q in group)
-    return sum(guess == question.chosen for guess, question in zip(guesses, group, strict=True)) / len(group)
 
 
 # -- constants ----------------------------------------------------------------------------------------------------
 
 
-def _best(group: Sequence[QuestionText], bases: Sequence[int]) -> float:
-    """The best score of one answer for all, counted from a frame of each question; 0 for a constant."""
+def _hits(group: Sequence[QuestionText], bases: Sequence[int]) -> list[float]:
+    """Return the scores of the best answer for all, counted from a frame of each question; 0 for a constant."""
     guess = best_guess([_moved(q.answer, -base) for q, base in zip(group, bases, strict=True)])
-    return sum(same_answer(_moved(guess, base), q.answer) for q, base in zip(group, bases, strict=True)) / len(group)
+    return [float(same_answer(_moved(guess, base), q.answer)) for q, base in zip(group, bases, strict=True)]
 
 
 def best_guess(relative: Sequence[Answer]) -> Answer:
-    """The answer that is right for the most of these; the smallest of equals."""
+    """Find the answer that is right for the most questions.
+
+    Args:
+        relative: The true answers, with frames counted from a frame of each question.
+
+    Returns:
+        The answer, the smallest one of equals.
+    """
     match relative[0]:
         case FrameAnswer():
             # A window that holds the most answers can begin at one of them.
@@ -226,7 +274,7 @@ def best_guess(relative: Sequence[Answer]) -> Answer:
 
 
 def _matching_spans(guesses: Sequence[Answer], answers: Sequence[Answer]) -> list[int]:
-    """How many spans each guess scores against, by `same_answer`; of thousands, one pair at a time takes seconds."""
+    """Count for each guess the spans that it matches by `same_answer`. Pair by pair, thousands would take seconds."""
     starts, ends = np.array([(a.start_frame, a.end_frame + 1) for a in answers if isinstance(a, Span)]).T
     counts = []
     for guess in guesses:
@@ -238,44 +286,6 @@ def _matching_spans(guesses: Sequence[Answer], answers: Sequence[Answer]) -> lis
 
 
 def _moved(answer: Answer, frames: int) -> Answer:
-    """An answer with its frames counted from another one."""
+    """Return an answer with its frames moved."""
     frames_of = {name: getattr(answer, name) for name, kind in mode_of(answer).fields if kind == "frame"}
     return msgspec.structs.replace(answer, **{name: frame + frames for name, frame in frames_of.items()})
-
-
-# -- the text-only guesser ----------------------------------------------------------------------------------------
-
-_ALIKE: Final[tuple[Callable[[QuestionText], Hashable], ...]] = (
-    lambda q: (q.words, tuple(sorted(q.choices)), q.waits),
-    lambda q: (q.words, q.waits),
-    lambda q: q.words,
-    lambda q: q.waits,
-    lambda q: None,
-)
-"""Features by which two texts are alike, strictest first; the next applies where no other sequence matches."""
-
-
-def _text_only(group: Sequence[QuestionText]) -> float:
-    pools: dict[tuple[int, Hashable], list[QuestionText]] = defaultdict(list)
-    for question in group:
-        for level, alike in enumerate(_ALIKE):
-            pools[level, alike(question)].append(question)
-
-    @functools.cache
-    def learned(sequence: str, level: int, key: Hashable) -> Counter[str] | Answer | None:
-        others = [question for question in pools[level, key] if question.sequence != sequence]
-        if MODES[group[0].mode].is_choice:
-            return Counter(question.chosen for question in others)
-        return best_guess([_moved(q.answer, -q.times[0]) for q in others]) if others else None
-
-    def score(question: QuestionText) -> float:
-        for level, alike in enumerate(_ALIKE):
-            guess = learned(question.sequence, level, alike(question))
-            if isinstance(guess, Counter):
-                if offered := [text for text in question.choices if guess[text]]:
-                    return float(min(offered, key=lambda text: (-guess[text], text)) == question.chosen)
-            elif guess is not None:
-                return float(same_answer(_moved(guess, question.times[0]), question.answer))
-        return 1 / len(question.choices) if question.choices else 0.0
-
-    return sum(map(score, group)) / len(group)

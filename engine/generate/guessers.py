@@ -112,30 +112,35 @@ class LabelCounts:
         return lambda label: (-number.get(label, 0), -self._data[label], label)
 
 
-def guesser_shares(offers: Sequence[Offer]) -> dict[str, Fraction]:
-    """Compute the share of right answers of each counting guesser.
+def guesser_scores(offers: Sequence[Offer]) -> dict[str, list[Fraction]]:
+    """Compute the scores of each counting guesser.
 
     Args:
         offers: The choices of all questions of a template.
 
     Returns:
-        The share by the name of the guesser, for each guesser of `COUNTING` that applies. In addition "frame" takes the
-        commonest choice in the frame, and "least label", "least set" and "least pair" take the choice that is least
-        often true elsewhere; they are only information. If n choices are equally good, each counts one nth.
+        The score of each question by the name of the guesser, for each guesser of `COUNTING` that applies. If n choices
+        are equally good, each counts one nth. In addition "frame" takes the commonest choice in the frame, and "least
+        label", "least set" and "least pair" take the choice that is least often true elsewhere; they are only
+        information.
     """
-    if not offers:
-        return {}
-    shares = {}
+    scores = {}
     if all(offer.ranks for offer in offers):
         for index, name in enumerate(("data", "sequence", "frame")):
-            shares[name] = Fraction(sum(offer.ranks[index] == 0 for offer in offers), len(offers))
+            scores[name] = [Fraction(offer.ranks[index] == 0) for offer in offers]
     true, offered = _tallies(offers)
     for name, keys in _KEYS.items():
         beliefs = [_beliefs(offer, keys, true, offered) for offer in offers]
         for prefix, take in (("", max), ("least ", min)):
-            right = sum(_share(belief, offer.truth, take) for belief, offer in zip(beliefs, offers, strict=True))
-            shares[prefix + name] = Fraction(right) / len(offers)
-    return shares
+            scores[prefix + name] = [
+                _share(belief, offer.truth, take) for belief, offer in zip(beliefs, offers, strict=True)
+            ]
+    return scores
+
+
+def guesser_shares(offers: Sequence[Offer]) -> dict[str, Fraction]:
+    """Return the mean of each guesser's scores (`guesser_scores`). The dictionary is empty without offers."""
+    return {name: sum(scores, Fraction()) / len(offers) for name, scores in guesser_scores(offers).items() if offers}
 
 
 def above_bound(offers: Sequence[Offer]) -> str | None:

@@ -21,7 +21,6 @@ from jrdb_avr.engine.generate.diagnostics import refusal_rows, shortfalls, talli
 from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.held_out import Extent, HeldOut, read_held_out
 from jrdb_avr.engine.generate.layer import Row, count_actions
-from jrdb_avr.engine.generate.learned import learned_guesser
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Search
 from jrdb_avr.engine.generate.publish import publish, question_tables
@@ -90,7 +89,6 @@ def generate(
     disjoint_from: str | Path | None = None,
     excluded: frozenset[str] = frozenset(),
     require_occlusion: bool = False,
-    learned: bool = False,
     progress: Progress | None = None,
 ) -> Generation:
     """Generate the questions of a store.
@@ -108,7 +106,6 @@ def generate(
         disjoint_from: A store. No question of the training set needs a person of its questions at the same time.
         excluded: Ids of questions to leave out. Other candidates take their places.
         require_occlusion: Whether to skip sequences without occlusion attributes.
-        learned: Whether the blind check includes the guesser that learns from texts.
         progress: Display of the progress.
 
     Returns:
@@ -117,12 +114,11 @@ def generate(
     Raises:
         StoreError: Nothing is loaded, or the store was loaded under other rules.
         LockedError: Another process writes the store.
-        InputError: scikit-learn is missing, or an option needs another profile.
+        InputError: An option needs another profile.
     """
     store, rules = Store.of(store), rules or Rules()
     held_out = _held_out(store, profile, n, disjoint_from)
     rules = training_rules(rules) if profile == TRAIN else rules
-    guesser = learned_guesser() if learned else None
     check_load_rules(store, rules)
     # The manifest is checked first, so that a wrong store is refused before it is locked and thereby made.
     with store.writing("generate"):
@@ -154,7 +150,7 @@ def generate(
     blind = []
     for name in sorted(set(selected.questions["template"].to_pylist())):
         own = selected.questions.filter(pc.equal(selected.questions["template"], name))
-        blind += blind_check(question_texts(own, own), guesser)
+        blind += blind_check(question_texts(own, own))
     return Generation(
         templates=tuple(templates),
         shortfalls=tuple(shortfalls(templates, lacking, len(found), selected.report)),

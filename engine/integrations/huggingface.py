@@ -26,6 +26,9 @@ import pyarrow as pa
 import yaml
 
 from jrdb_avr import __version__
+from jrdb_avr.engine.generate.blind import question_texts
+from jrdb_avr.engine.generate.guessers import COUNTING
+from jrdb_avr.engine.generate.scene_guessers import check_store
 from jrdb_avr.engine.integrations.croissant import Release, croissant, sentence
 from jrdb_avr.engine.run.opaque import opaque_names, rename_sequences
 from jrdb_avr.queries.files import new_folder, write_bytes
@@ -74,7 +77,7 @@ def export_folders(
 
 
 def _write(store: Store, public: Path, private: Path, creator: str, url: str, published: datetime.date | None) -> None:
-    questions, sequences, *_ = store.question_tables("questions", "sequences", *_PRIVATE)
+    questions, sequences, answers, _ = store.question_tables("questions", "sequences", *_PRIVATE)
     names = opaque_names(store, sequences["sequence"].to_pylist())
     sources = _sources(store, names)
     evidence = {names[name]: kind for name, kind in store.visibility().items() if name in names}
@@ -110,6 +113,8 @@ def _write(store: Store, public: Path, private: Path, creator: str, url: str, pu
         counts={title: _counts(questions[name]) for name, title in (("family", "family"), ("answer_mode", "answer"))},
         tables=_columns(tables),
         evidence=dict(sorted(evidence.items())),
+        blind=check_store(store, question_texts(questions, answers)),
+        counting=COUNTING,
         sources=sources,
         home=card.HOME,
         rai=card.RAI,

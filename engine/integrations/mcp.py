@@ -9,9 +9,10 @@ needs the extra `mcp`.
 from __future__ import annotations
 
 import contextlib
+import re
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -33,6 +34,7 @@ from jrdb_avr.engine.run.playing import Play, due_questions, played_run
 from jrdb_avr.engine.run.run import Run
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, InputError
+from jrdb_avr.schema.method import Question
 from jrdb_avr.schema.tables import PRIVATE
 
 METHOD: Final = "mcp"
@@ -66,7 +68,11 @@ class Desk:
 
     def __init__(self, bench: Bench, run: Run) -> None:
         self._bench, self._run = bench, run
-        self._due = due_questions(bench, run)[::-1]
+        due = [bench.question(question_id) for question_id in due_questions(bench, run)]
+        self._due = one_of_twins(due)[::-1]
+        held_back = len(due) - len(self._due)
+        wait = f"; {held_back} questions wait for another session (--resume)" if held_back else ""
+        self._end = f"no question is left{wait}"
         self._open: dict[str, _Open] = {}
         self._lock = threading.Lock()
 
@@ -85,7 +91,7 @@ class Desk:
             if len(self._open) >= MOST_OPEN:
                 raise ToolError(f"{MOST_OPEN} questions are begun and not finished: finish one of them first")
             if not self._due:
-                return {"done": True, "message": "no question is left"}
+                return {"done": True, "message": self._end}
             play = Play.begin(self._bench, self._due.pop())
             episode, token = play.episode, secrets.token_urlsafe(12)
             self._open[token] = _Open(play)
@@ -137,6 +143,30 @@ class Desk:
                 # If writing fails, the question stays open, and the agent's next call tries to write it again.
                 play.record(self._run)
                 del self._open[token]
+
+
+def one_of_twins(questions: Iterable[Question]) -> list[str]:
+    """Select the questions for one session, so that no agent is asked two time twins in one conversation.
+
+    The texts decide, because only the answers, which are private, name the twins.
+
+    Args:
+        questions: Questions in the order of asking.
+
+    Returns:
+        The ids of the questions without each question that may be the twin of a question before it. Two questions may
+        be twins if they are about one sequence, offer the same choices in the same order, state the same first time,
+        and differ in one later time.
+    """
+    times_of: dict[tuple[str, tuple[str, ...], int], list[set[int]]] = {}
+    ids = []
+    for question in questions:
+        times = set(map(int, re.findall(r"\(frame ([0-9]+)\)", question.question)))
+        before = times_of.setdefault((question.sequence, question.choices, min(times, default=0)), [])
+        if not any(len(times ^ others) == 2 for others in before if question.choices):
+            before.append(times)
+            ids.append(question.question_id)
+    return ids
 
 
 # -- a server over a store --------------------------------------------------------------------------------------------

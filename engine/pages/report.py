@@ -67,7 +67,7 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
         wrong=pivot(tables["wrong_choices"], "run", "perturbation"),
         perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
         apart=distinguishing_settings(runs),
-        labels={row["run"]: row["label"] for row in measured},
+        labels={row["run"]: row["label"] for row in (*measured, *tables["twins"])},
         too_few=TOO_FEW,
         least=LEAST_CLUSTERS,
         kinds=SCORES,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import urllib.parse
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Any, Final
 
 from jrdb_avr.engine.local_server import Request, Response
@@ -94,6 +95,7 @@ class Viewer:
         self._by_id = {question.question_id: question for question in self.questions}
         runs = scored_runs(comparison) if comparison is not None else public_runs(store)
         self.runs = {run.name: run for run in runs}
+        self._twins = {} if comparison is None else self._find_twins()
         self._pages: dict[str, Callable[[Request], Response]] = {
             "": self._overview,
             "question": self._question,
@@ -166,7 +168,8 @@ class Viewer:
         index = self.questions.index(question)
         near = [self.questions[at] if 0 <= at < len(self.questions) else None for at in (index - 1, index + 1)]
         info = self.sequences[question.sequence]
-        page = question_page(question, info, having, chosen, transcript, missing, near, self.pictured, address)
+        shown = (question, info, having, chosen, transcript, self._twins.get(question.question_id))
+        page = question_page(*shown, missing, near, self.pictured, address)
         return Response(page.encode("utf-8", "replace"))
 
     def _compare(self, request: Request) -> Response:
@@ -213,6 +216,18 @@ class Viewer:
         if question_id not in self._by_id:
             raise InputError(f"no question {question_id[:40]!r}", field="question_id")
         return self._by_id[question_id]
+
+    def _find_twins(self) -> dict[str, tuple[QuestionRow, str]]:
+        """Return the time twin of each question that has one, with the twin's true answer as JSON, by question id."""
+        pairs: dict[str, list[StoredRow]] = {}
+        for row in self.store.questions("answers", ["question_id", "answer", "twin_id"]).to_pylist():
+            if row["twin_id"] is not None:
+                pairs.setdefault(row["twin_id"], []).append(row)
+        return {
+            first["question_id"]: (self._by_id[second["question_id"]], second["answer"])
+            for pair in pairs.values()
+            for first, second in permutations(pair, 2)
+        }
 
     def answer_of(self, run: ViewedRun, question: QuestionRow) -> str:
         """Return a run's answer to a question in words, or an empty text if there is no answer."""

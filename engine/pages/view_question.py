@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -15,12 +16,29 @@ from jrdb_avr.schema.beliefs import ALWAYS
 from jrdb_avr.schema.method import SequenceInfo
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import parse_plan
+from jrdb_avr.schema.wording.text import moment, parse, stated_frames
 
 _LONGEST: Final = 4_000
 """Maximum number of characters of a step's text. The page `trace` shows longer texts."""
 
 _MOST: Final = 3_000
 """Maximum number of beliefs, of refused writes and of steps on a page. Built-in methods have fewer of each."""
+
+
+class Asked(NamedTuple):
+    """A question as the page shows it.
+
+    Attributes:
+        question: The question.
+        parts: Pieces of the text. The pieces at odd positions are the times that only this one of two twins states.
+        right: Number of the right choice. None if the answer is not a choice or may not be shown.
+        given: Number of the choice that the shown run gave, or None.
+    """
+
+    question: QuestionRow
+    parts: Sequence[str]
+    right: int | None
+    given: int | None
 
 
 class Belief(NamedTuple):
@@ -53,6 +71,7 @@ def question_page(
     runs: Sequence[Any],
     chosen: Any | None,
     transcript: Transcript | None,
+    twin: tuple[QuestionRow, str] | None,
     missing: str,
     near: Sequence[QuestionRow | None],
     pictured: bool,
@@ -67,6 +86,8 @@ def question_page(
         chosen: The run to show in detail, or None.
         transcript: Record of the chosen run's work on the question. None if there is no transcript. If scores may be
             shown, the record is a `Trace`.
+        twin: The time twin of the question and the twin's true answer as JSON. None without a twin, or if the page may
+            not show true answers.
         missing: Reason why there is no transcript, or an empty text.
         near: The previous and the next question of the store. None stands for a question that does not exist.
         pictured: Whether the panoramas of the store are available.
@@ -80,18 +101,17 @@ def question_page(
     unit = "" if trace is None else unit_of(parse_plan(trace.answer["plan"]))
     mode, fps = question.answer_mode, info.fps
     given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in runs}
-    right = read_answer(mode, true)
-    predicted = None if chosen is None else read_answer(mode, _answer(chosen, question))
+    asked = [_asked(question, true, None if twin is None else twin[0], chosen)]
+    asked += [] if twin is None else [_asked(*twin, question, chosen)]
     return render(
         "view_question.html",
         question=question,
+        asked=asked,
         info=info,
         runs=runs,
         chosen=chosen,
         given=given,
         right_text=readable(mode, true, question.choices, fps, unit),
-        right_choice=right.choice if isinstance(right, Choice) else None,
-        own_choice=predicted.choice if isinstance(predicted, Choice) else None,
         beliefs=[] if transcript is None else beliefs(transcript.writes)[:_MOST],
         refused=[] if transcript is None else transcript.refused[:_MOST],
         steps=[] if transcript is None else [_step(step, transcript) for step in transcript.steps[:_MOST]],
@@ -103,6 +123,29 @@ def question_page(
         pictured=pictured,
         at=address,
     )
+
+
+def _asked(question: QuestionRow, true: str | None, twin: QuestionRow | None, run: Any | None) -> Asked:
+    given = None if run is None else _answer(run, question)
+    right, own = (read_answer(question.answer_mode, answer) for answer in (true, given))
+    numbers = (answer.choice if isinstance(answer, Choice) else None for answer in (right, own))
+    return Asked(
+        question, [question.question] if twin is None else split_times(question.question, twin.question), *numbers
+    )
+
+
+def split_times(text: str, twin: str) -> list[str]:
+    """Split the text of a question at the times that its time twin does not state.
+
+    Args:
+        text: The text of the question.
+        twin: The text of the twin.
+
+    Returns:
+        The pieces in order. The pieces at odd positions are the times.
+    """
+    stated, stated_by_twin = (set(map(moment, stated_frames(parse(asked)[1]))) for asked in (text, twin))
+    return re.split(f"({'|'.join(map(re.escape, sorted(stated - stated_by_twin)))})", text)
 
 
 def _answer(run: Any, question: QuestionRow) -> str | None:

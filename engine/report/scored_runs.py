@@ -96,7 +96,7 @@ class ScoredRun:
 
     @cached_property
     def invalid(self) -> Digits:
-        """1 for each question for which the output of the model could not be read, else 0. Shape: (n,)."""
+        """1 for each question with an output of the model that could not be read, else 0. Shape: (n,)."""
         return self.table["invalid"].to_numpy().astype(np.int8)
 
     @property

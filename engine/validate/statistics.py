@@ -9,19 +9,19 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.blind import Guesser, QuestionText, blind_check, question_texts
+from jrdb_avr.engine.generate.blind import QuestionText, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, shortfalls, tallies
+from jrdb_avr.engine.generate.scene_guessers import check_store
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.generate.views import min_crops
 from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
-from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
-from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
+from jrdb_avr.schema.templates import FORMS, forms_of
 
 TITLES: Final = {
     "family": "Questions per family, beside the paper's",
@@ -64,18 +64,19 @@ _MEASURED: Final = pa.schema(
 _Row = dict[str, Any]
 
 
-def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_Row]]:
-    """Compute the tables of `stats`.
+def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[_Row]]:
+    """Compute the statistics of a store.
 
     Args:
-        store: Store with questions.
-        learned: Guesser that learns from other questions and joins the blind check, or None for none.
+        store: The store.
+        blind_from: Another store. A guesser of the blind check learns from its questions.
 
     Returns:
-        The rows of each table, by its name in TITLES.
+        The rows of each table in `TITLES`.
 
     Raises:
-        StoreError: If the store has no questions.
+        StoreError: If the store has no questions or no intervals.
+        InputError: If nothing can be learned from the other store.
     """
     questions, answers, rejected = store.question_tables("questions", "answers", "rejected")
     store.warn_of_training()
@@ -85,7 +86,7 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
     layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
     lacking, refused = _lacking(layers), tallies(rejected, questions)
     counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
-    evidence = _visibility(store)
+    evidence = store.visibility()
     visibility = pa.array([evidence.get(name) for name in layers], pa.string())
     paper = PROFILES["paper"]
     tables = {
@@ -110,7 +111,7 @@ def statistics(store: Store, learned: Guesser | None = None) -> dict[str, list[_
             }
             for name in LAYERS
         ],
-        "blind": [{"family": FAMILIES[row["template"]], **row} for row in blind_check(texts, learned)],
+        "blind": check_store(store, texts, blind_from),
     }
     with open_tables(store.path, tables) as select:
         counted = {name: select(read_statement(f"stats/{name}.sql")) for name in TITLES if name not in derived}
@@ -142,15 +143,6 @@ def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
         }
         for row in tables["family"]
     ]
-
-
-def _visibility(store: Store) -> dict[str, str]:
-    """Return the evidence for clear views by sequence, or {} if the store lacks the interval tables."""
-    # Questions do not need the interval tables, so a store may lack them.
-    try:
-        return store.visibility()
-    except StoreError:
-        return {}
 
 
 def _measured(record: QuestionRecord, text: QuestionText) -> _Row:

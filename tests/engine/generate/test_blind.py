@@ -1,13 +1,15 @@
-"""Blind guessers, recomputed by hand and by trying every constant."""
+"""The blind check, recomputed by hand and by trying every constant."""
 
 import random
+from dataclasses import replace
 
 import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.blind import QuestionText, best_guess, blind_check, question_texts
+from jrdb_avr.engine.generate.blind import QuestionText, best_guess, blind_check, counting_guesser, question_texts
+from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.schema.answer_modes import same_answer
 from jrdb_avr.schema.answers import Choice, FrameAnswer, Number, Span, encode_answer
 from jrdb_avr.schema.plan import Condition
@@ -18,60 +20,77 @@ from jrdb_avr.schema.wording.text import render
 POSES = ("walking", "standing", "sitting", "cycling")
 
 
-def choice(sequence, answer, words=("reading",), times=(0, 60), choices=POSES):
-    return QuestionText(
-        sequence, "change", "action", "multiple_choice", choices, words, times, Choice(choices.index(answer) + 1)
-    )
+def choice(sequence, answer, described=("reading",), times=(0, 60), choices=POSES):
+    number = Choice(choices.index(answer) + 1)
+    return QuestionText("q", sequence, "change", "action", "multiple_choice", choices, described, times, number)
 
 
-def start(sequence, t0, frame, words=("walking",)):
-    return QuestionText(sequence, "start", "start", "frame", (), words, (t0,), FrameAnswer(frame))
+def start(sequence, t0, frame):
+    return QuestionText("q", sequence, "start", "start", "frame", (), ("walking",), (t0,), FrameAnswer(frame))
+
+
+def seconds(value, form="", read="seconds_between"):
+    return QuestionText("q", "a", "gap", read, "number", (), (), (0,), Number(value), form)
 
 
 def test_choice_guessers_by_hand():
     rows = [choice("a", "walking"), choice("a", "walking"), choice("b", "walking"), choice("b", "sitting")]
     (row,) = blind_check(rows)
     assert (row["template"], row["n"], row["aim"]) == ("change", 4, 0.35)
-    assert row["uniform"] == 0.25 and row["most_frequent"] == 0.75
-    assert row["constant"] is None and row["offset"] is None
-    # For a's questions b says sitting or walking, as often: the first by name, sitting, is wrong twice.
-    # For b's questions a says walking: right once.
-    assert row["text_only"] == 0.25
-    assert row["within_aim"] is False
+    assert row["uniform"] == 0.25 and row["constant"] == 0.75
+    assert row["offset"] is None and row["data"] is None and row["people"] is None
+    # For a's questions b says sitting or walking, as often: walking is right in half of them. For b's a says walking.
+    assert row["label"] == (0.5 + 0.5 + 1 + 0) / 4
+    assert row["reason"] == "constant 75 %, label 50 %, set 50 %, pair 50 %"
 
 
 def test_choices_that_are_never_true_give_the_true_one_away():
     rows = [
-        choice(sequence, answer, (answer,), choices=(answer, "cycling", "skating", "lying down"))
+        choice(sequence, answer, choices=(answer, "cycling", "skating", "lying down"))
         for sequence in "ab"
         for answer in ("walking", "standing", "sitting")
     ]
     (row,) = blind_check(rows)
-    assert row["by_choice"] == 1.0 and row["most_frequent"] == pytest.approx(1 / 3)
-    assert "some choices are true oftener" in row["reason"]
-    # Of one sequence alone nothing is known from others.
-    assert blind_check(rows[:3])[0]["by_choice"] is None
+    assert row["label"] == 1.0 and row["constant"] == pytest.approx(1 / 3) and row["least label"] == 0
 
 
-def test_the_text_only_guesser_goes_by_words_then_waits():
+def test_commonest_actions_are_known_from_the_people():
+    """Walking is common in all data; in b, and at the frame asked of a, standing is."""
+    counts = LabelCounts(
+        {("a", 0): {"walking": 9}, ("a", 60): {"standing": 2}, ("b", 60): {"standing": 3, "walking": 1}}
+    )
+    rows = [choice("a", "walking"), choice("b", "standing")]
+    (row,) = blind_check(rows, [counting_guesser(counts)])
+    assert (row["data"], row["sequence"], row["frame"]) == (0.5, 1.0, 0.5)
+
+
+def test_the_best_answer_and_the_best_box_are_combined():
+    rows = [choice("a", "walking"), choice("a", "walking"), choice("b", "walking"), choice("b", "sitting")]
+    boxes = {"largest": [1, 0, 0, 0], "best_box": [1, 0, 0, 1]}
+    (row,) = blind_check(rows, boxes=lambda group: boxes)
+    assert (row["largest"], row["best_box"]) == (0.25, 0.5)
+    # The constant is right in the first three questions, the best box in the first and the last.
+    assert row["combined"] == 0.25
+    (row,) = blind_check(rows, [lambda group: {"people": [0.5, 1, 1, 1]}], lambda group: boxes)
+    assert row["combined"] == (0.5 + 1) / 4
+
+
+def test_guessers_are_scored_on_pairs_of_time_twins_too():
+    """A guesser that ignores the time has no pair right; one that goes by the frame asked has the first."""
     rows = [
-        choice("a", "sitting", ("typing",)),
-        choice("b", "sitting", ("typing",)),
-        choice("a", "walking", ("reading",), (0, 60)),
-        choice("b", "walking", ("reading",), (0, 60)),
-        choice("a", "standing", ("reading",), (0, 200)),
-        choice("b", "standing", ("reading",), (0, 200)),
+        choice("a", "walking", times=(0, 60)),
+        choice("a", "standing", times=(0, 120)),
+        choice("b", "sitting", times=(0, 60)),
+        choice("b", "cycling", times=(0, 120)),
+        choice("b", "walking"),
     ]
-    (row,) = blind_check(rows)
-    assert row["text_only"] == 1.0 and row["most_frequent"] == pytest.approx(1 / 3)
-
-
-def test_the_text_only_guesser_answers_only_what_is_offered_and_never_from_its_own_sequence():
-    other = ("running", "standing", "sitting", "cycling")
-    rows = [choice("a", "running", choices=other), choice("b", "walking"), choice("b", "walking")]
-    (row,) = blind_check(rows)
-    # a: b only ever says walking, which is not offered: a guess in four. b: a only says running: likewise.
-    assert row["text_only"] == pytest.approx(0.25)
+    rows = [replace(own, twin=key) for own, key in zip(rows, ("x", "x", "y", "y", None), strict=True)]
+    counts = LabelCounts({("a", 60): {"walking": 1}, ("a", 120): {"standing": 1}, ("b", 60): {"walking": 3}})
+    single, both = blind_check(rows, [counting_guesser(counts)], lambda group: {"largest": [1] * len(group)})
+    assert (single["asks"], single["n"], single["constant"], single["largest"]) == ("choice", 5, 0.4, 1)
+    assert (both["form"], both["asks"], both["n"]) == ("change", "two twins", 2)
+    assert (both["uniform"], both["constant"], both["data"], both["frame"]) == (1 / 16, 0, 0, 0.5)
+    assert both["aim"] is both["reason"] is both["largest"] is both["combined"] is None
 
 
 def test_frames_by_hand():
@@ -79,54 +98,35 @@ def test_frames_by_hand():
     (row,) = blind_check(rows)
     # No two starts lie within two seconds of each other; of the offsets 100, 120, 135 and 300 two at a time do.
     assert row["constant"] == 0.25 and row["offset"] == 0.5
-    assert row["uniform"] is None and row["most_frequent"] is None and row["aim"] == 0.25
+    assert row["uniform"] is None and row["label"] is None and row["aim"] == 0.25
 
 
 def test_each_stated_time_is_tried():
     rows = [
-        QuestionText("a", "start", "start", "frame", (), (), (0, second), FrameAnswer(second + 50))
+        QuestionText("q", "a", "start", "start", "frame", (), (), (0, second), FrameAnswer(second + 50))
         for second in (100, 500, 900)
     ]
     assert blind_check(rows)[0]["offset"] == 1.0
 
 
 def test_seconds_and_counts_are_judged_apart():
-    rows = [
-        QuestionText("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in (5.0, 20.0, 21.0, 40.0)
-    ]
-    rows += [QuestionText("a", "gap", "count", "number", (), (), (0, 300), Number(v)) for v in (4.0, 5.0, 6.0)]
-    counts, seconds = blind_check(rows)
-    assert [row["template"] for row in (counts, seconds)] == ["gap", "gap"]
-    assert (seconds["asks"], seconds["n"], seconds["constant"], seconds["aim"]) == ("seconds", 4, 0.75, 0.58)
+    rows = [seconds(value) for value in (5.0, 20.0, 21.0, 40.0)]
+    counts, durations = blind_check([*rows, *(seconds(value, read="count") for value in (4.0, 5.0, 6.0))])
+    assert [row["template"] for row in (counts, durations)] == ["gap", "gap"]
+    assert (durations["asks"], durations["n"], durations["constant"], durations["aim"]) == ("seconds", 4, 0.75, 0.58)
     assert (counts["asks"], counts["n"], counts["constant"], counts["aim"]) == ("count", 3, 1.0, None)
-    assert counts["within_aim"] is None and counts["reason"] is None
-    assert seconds["reason"].startswith("only 4 questions, one is 25 %; 2 of 4 answers lie in [20, 40) s")
+    assert counts["reason"] is None and durations["reason"] == "constant 75 %"
 
 
 def test_forms_that_the_text_tells_apart_are_judged_apart():
-    rows = [
-        QuestionText("a", "gap", "seconds_between", "number", (), (), (0,), Number(value), form)
-        for form, value in [("gap_absence", 6.0)] * 3 + [("gap_starts", 60.0)] * 2
-    ]
-    absences, starts = blind_check(rows)
+    forms = [("gap_absence", 6.0)] * 3 + [("gap_starts", 60.0)] * 2
+    absences, starts = blind_check([seconds(value, form) for form, value in forms])
     assert [(row["form"], row["asks"], row["n"]) for row in (absences, starts)] == [
         ("gap_absence", "seconds", 3),
         ("gap_starts", "seconds", 2),
     ]
     # Together one constant would be right for three of five.
     assert absences["constant"] == starts["constant"] == 1.0
-
-
-def test_what_is_above_its_aim_says_why():
-    rows = [start("a", 0, 60 + i % 20) for i in range(40)] + [start("b", 0, 200 + 100 * i) for i in range(40)]
-    (row,) = blind_check(rows)
-    assert row["within_aim"] is False and row["constant"] == 0.5 and row["text_only"] == 0
-    assert row["reason"] == "40 of 80 answers lie in [3, 6) s, and too few others are left to level them"
-    apart = [choice(f"s{i}", POSES[i % 4], (POSES[i % 4],)) for i in range(40)]
-    (row,) = blind_check(apart)
-    assert row["text_only"] == 1.0
-    assert row["reason"] == "questions with the same words and waits have the same answers in other sequences"
-    assert blind_check([choice(f"s{i}", POSES[i % 4], ()) for i in range(40)])[0]["reason"] is None
 
 
 FRAMES = st.lists(st.integers(0, 300), min_size=1, max_size=12)
@@ -144,7 +144,7 @@ def test_no_constant_frame_is_better(frames):
 @settings(deadline=None)
 def test_no_constant_number_is_better(tenths):
     values = [tenth / 10 for tenth in tenths]
-    rows = [QuestionText("a", "gap", "seconds_between", "number", (), (), (0,), Number(v)) for v in values]
+    rows = [seconds(value) for value in values]
     tried = [value * factor for value in values for factor in (0.5, 1, 2)]
     best = max(sum(0.5 <= c / v <= 2.0 for v in values) for c in tried)
     assert sum(same_answer(best_guess([row.answer for row in rows]), Number(v)) for v in values) == best
@@ -161,7 +161,7 @@ def test_no_span_of_the_answers_is_better(spans):
 
 def test_spans_try_their_own_answers():
     rows = [
-        QuestionText("a", "span", "span", "span", (), (), (0,), Span(*pair))
+        QuestionText("q", "a", "span", "span", "span", (), (), (0,), Span(*pair))
         for pair in ((0, 99), (10, 109), (20, 119), (500, 550))
     ]
     assert blind_check(rows)[0]["constant"] == 0.75
@@ -171,7 +171,7 @@ def test_a_balanced_template_is_within_its_aim():
     generator = random.Random(0)
     rows = [choice(f"s{i % 20}", generator.choice(POSES)) for i in range(2000)]
     (row,) = blind_check(rows)
-    assert row["within_aim"] and row["text_only"] < 0.3
+    assert row["reason"] is None and row["label"] < 0.3
 
 
 def test_posed_reads_the_public_text():
@@ -195,11 +195,11 @@ def test_posed_reads_the_public_text():
     (question,) = question_texts(questions, answers)
     text = questions["question"][0].as_py()
     assert question == QuestionText(
-        "s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90), Choice(3), "change", text
+        *("0" * 16, "s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90)),
+        *(Choice(3), "change", text),
     )
     assert question.chosen == "sitting"
-    assert question.waits == (1,)
-    assert blind_check([question])[0]["text_only"] == 0.25
+    assert blind_check([question])[0]["label"] == 0.25
 
 
 def test_nothing_to_check():

@@ -60,9 +60,9 @@ def test_the_bound_judges_templates_of_sixty_questions():
 def test_a_published_question_is_the_offer_of_its_selection():
     counts = LabelCounts({("s", 60): {"walking": 1, "bending": 2}})
     texts = ("walking", "riding a scooter", "bending down", "eating something")
-    question = QuestionText("s", "change", "action", "multiple_choice", texts, (), (0, 60), Choice(3))
+    question = QuestionText("q", "s", "change", "action", "multiple_choice", texts, (), (0, 60), Choice(3))
     (offer,) = offers_of([question], counts)
     assert offer == Offer("s", "bending", ("eating sth", "scootering", "walking"), (0, 0, 0))
     fixed = ("both times", "only at the first time", "only at the second time", "neither time")
-    question = QuestionText("s", "presence", "presence", "multiple_choice", fixed, (), (0, 60, 120), Choice(1))
+    question = QuestionText("q", "s", "presence", "presence", "multiple_choice", fixed, (), (0, 60, 120), Choice(1))
     assert offers_of([question], counts)[0].ranks == ()

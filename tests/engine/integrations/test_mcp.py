@@ -175,7 +175,7 @@ def test_over_stdio_panoramas_beside_labels_are_refused(public_store, small_demo
 
 
 @contextlib.asynccontextmanager
-async def desk(store):
+async def desk(store, questions=(QUESTIONS_ASKED[0].question_id, QUESTIONS_ASKED[4].question_id)):
     """A client in this process; the run's tables are written at the end."""
     import mcp
 
@@ -184,7 +184,7 @@ async def desk(store):
     from jrdb_avr.engine.run.run import Run
 
     with Run(store, "r") as run:
-        bench = Bench.open(store, limit=2)
+        bench = Bench.open(store, questions=questions)
         run.start(METHOD, "m", [own.question_id for own in bench.questions], {}, True, {})
         async with mcp.Client(Desk(bench, run).server()) as client:
             yield client
@@ -241,6 +241,31 @@ def test_questions_are_handed_out_once_and_asked_again_where_they_were_left_open
 
     assert [asyncio.run(main(1)), asyncio.run(main(1)), asyncio.run(main(0))] == [2, 1, 0]
     assert len(predictions(store, "r")) == 2
+
+
+def test_two_time_twins_are_not_asked_in_one_session(store):
+    """Of twelve questions about three moments, only the first of each moment is asked; the others in other sessions."""
+
+    async def main():
+        prompts = []
+        async with desk(store, [own.question_id for own in QUESTIONS_ASKED]) as client:
+            while not (begun := (await client.call_tool("next_question")).structured_content)["done"]:
+                prompts.append(begun["prompt"])
+                call = {"episode": begun["episode"]}
+                await client.call_tool("observe", {**call, "frame_id": "000015", "angle_deg": 180})
+                await client.call_tool("submit_answer", {**call, "answer": 1, "evidence_bboxes": box(15)})
+        return prompts, begun["message"]
+
+    asked = []
+    for left in (9, 6, 3, 0):
+        prompts, message = asyncio.run(main())
+        assert (
+            message.startswith("no question is left") and f"; {left} questions wait" in f"{message}; 0 questions wait"
+        )
+        described = [{f for f in (0, 15, 30) if f"(frame {f})" in prompt} for prompt in prompts]
+        assert described == [{0}, {15}, {30}]
+        asked += [own.question for own in QUESTIONS_ASKED for prompt in prompts if own.question in prompt]
+    assert sorted(asked) == sorted(own.question for own in QUESTIONS_ASKED)
 
 
 def test_only_so_many_questions_may_be_open(store, monkeypatch):

@@ -9,6 +9,7 @@ import pytest
 from browser import browser, complaints, fetch, serving
 from scored_runs import BOX, CASES, ELSEWHERE, stored_failures
 from traced_runs import HOSTILE, stored_run, trace_runs
+from twin_runs import twin_store
 
 from jrdb_avr.engine.pages.view import SCORE_OUTCOMES, Viewer, address
 from jrdb_avr.engine.report.comparison import report, score
@@ -167,6 +168,27 @@ def test_questions_are_found_by_outcome_and_cause(failures):
         assert listed(outcome="both right") == {"scores", "no box"}, "of any run on the page"
         assert listed(run="s", outcome="answer only", cause="nobody") | {"loose"} == {"loose"}
         assert listed(family="no such family") == set()
+
+
+def test_a_time_twin_is_shown_beside_its_question_with_the_time_that_differs(tmp_path):
+    store = twin_store(tmp_path)
+
+    def page(viewer, question):
+        with serving(viewer.respond) as server:
+            return fetch(server, address("question", id=question).removeprefix("./"))[1]
+
+    scored, public = Viewer(store, None, report(store)), Viewer(store, None, None)
+    text = page(scored, "b1")
+    assert re.findall("<mark>(.*?)</mark>", text) == ["8.0 s (frame 120)", "9.0 s (frame 135)"]
+    assert f'href="{address("question", id="b2", run="r")}"'.replace("&", "&amp;") in text
+    # The run has both answers right, and of its boxes the first.
+    words = " ".join(re.sub("<.*?>", " ", text).split())
+    assert "answered 0 ✓ ✓ ✓ ✗ never looked there" in words
+    assert len(re.findall('<ol class="choices">', text)) == 2
+    # A question without a twin, and pages without answers, say nothing of twins.
+    for viewer, question in ((scored, "e"), (public, "b1"), (public, "e")):
+        text = page(viewer, question)
+        assert "<mark>" not in text and 'class="twins"' not in text and "win:" not in text
 
 
 @pytest.mark.slow

@@ -3,54 +3,15 @@
 import json
 
 import duckdb
-import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scored_runs import BOX, ELSEWHERE, Benchmark, table
+from scored_runs import BOX, ELSEWHERE
+from twin_runs import QUESTIONS_ASKED, twin_store
 
 from jrdb_avr.engine.commands.report import report as report_command
 from jrdb_avr.engine.pages.report import report_page
 from jrdb_avr.engine.report.comparison import report
-from jrdb_avr.queries.runs import questions_hash, write_run_manifest
-from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.tables import QUESTIONS
-
-RIGHT, WRONG_BOX, WRONG = (1, BOX, 7), (1, ELSEWHERE, 7), (2, BOX, 7)
-
-QUESTIONS_ASKED = (
-    # question, sequence, template, twin, what the run gave
-    ("a1", "s1", "change", "a", RIGHT),
-    ("a2", "s1", "change", "a", RIGHT),
-    ("b1", "s1", "change", "b", RIGHT),
-    ("b2", "s1", "change", "b", WRONG_BOX),
-    ("c1", "s2", "change", "c", RIGHT),
-    ("c2", "s2", "change", "c", WRONG),
-    ("d1", "s3", "presence", "d", WRONG),
-    ("d2", "s3", "presence", "d", WRONG),
-    ("e", "s3", "two_hop", None, RIGHT),
-)
-
-
-def twin_store(path, asked=QUESTIONS_ASKED, ids=None):
-    """A store with these questions, and a run "r" with what it gave to them or to the questions `ids`."""
-    benchmark = Benchmark([(name, sequence, "unique_anchor") for name, sequence, *_ in asked])
-    rows = {name: own.to_pylist() for name, own in benchmark.tables.items()}
-    for number, (_, _, template, twin, _) in enumerate(asked):
-        rows["questions"][number]["template"] = template
-        rows["answers"][number]["twin_id"] = twin
-    benchmark.tables = {name: table(own, QUESTIONS[name]) for name, own in rows.items()}
-    store = Store(path)
-    benchmark.write(store)
-    run = benchmark.run([given for *_, given in asked])
-    kept = ids or benchmark.ids
-    predictions = benchmark.written["predictions"]
-    names = predictions["question_id"].to_pylist()
-    predictions = predictions.take([number for number, name in enumerate(names) if name in kept])
-    store.write_run("r", "predictions", predictions)
-    changed = {"questions_sha256": questions_hash(store), "question_ids": tuple(kept)}
-    write_run_manifest(store, msgspec.structs.replace(run.manifest, **changed))
-    return store
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +57,7 @@ def test_every_form_of_the_report_has_it(store):
     assert "twins\n" in printed() and "time ignored" in printed()
     assert "| time ignored" in printed("--markdown")
     assert "time ignored" in printed("--latex") and "both answers" in printed("--latex")
-    rows = [row for row in json.loads(CliRunner().invoke(report_command, ["-s", str(store.path), "--json"]).stdout)]
+    rows = json.loads(CliRunner().invoke(report_command, ["-s", str(store.path), "--json"]).stdout)
     assert [row["both_combined"] for row in rows if row["table"] == "twins" and row["label"] != "guesser"] == [25.0]
     assert "run,method" in printed("--csv") and "guesser" not in printed("--csv")
     assert "time ignored" in printed("--csv", "--table", "twins")
