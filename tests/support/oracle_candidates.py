@@ -12,7 +12,7 @@ import json
 import math
 from functools import cache, cached_property
 
-from oracle_choices import MAYBE, NO, YES, doing, shown_actions, true_choices, wrong_sets
+from oracle_choices import MAYBE, NO, YES, doing, implied, shown_actions, true_choices, wrong_sets
 from oracle_facts import JUDGED, LABELED, Oracle, distance_words, off_axis
 from oracle_files import ACTIONS, AGES, OTHERS, POSES, TOGETHER, VERBS, read_root
 
@@ -48,14 +48,6 @@ def poses_in(words):
     up, down = ("going upstairs", "going up", "climbing"), ("going downstairs", "going down")
     named |= {"going upstairs"} if any(words in (w, f"{w} together") for w in up) else set()
     return named | ({"going downstairs"} if any(words in (w, f"{w} together") for w in down) else set())
-
-
-def condition_poses(condition):
-    """The poses that a condition's words name."""
-    kind, value = condition
-    if kind == "pose":
-        return {value}
-    return poses_in(value if kind == "interaction" else value[1]) if kind in ("interaction", "object") else set()
 
 
 class People(Oracle):
@@ -177,21 +169,23 @@ class People(Oracle):
             return could[0]
         return SEVERAL if len(sure) > 1 else MAYBE if could else EMPTY
 
-    def _description(self, frame, track, poseless=False):
-        """The one description of a person, or None."""
-        true = [c for c in self.conditions(frame, track) if not (poseless and condition_poses(c))]
+    def _description(self, frame, track, quiet=False):
+        """The one description of a person, or None; a quiet one implies as few actions as any."""
+        true, fits = self.conditions(frame, track), []
         for size in (1, 2, 3):
-            fits = []
             for conditions in itertools.combinations(true, size):
+                if any(set(fit[-1]) <= set(conditions) for fit in fits):
+                    continue
                 if all(kind in ("sector", "distance") for kind, _ in conditions):
                     continue
                 if self.could_match(conditions, frame) == [track]:
                     said = text(self.plain(conditions))[1:-1]
                     digest = hashlib.sha256(f"{self.sequence}\n{track}\n{frame}\n{said}".encode()).hexdigest()
-                    fits.append((sorted(KINDS.index(kind) for kind, _ in conditions), digest, conditions))
-            if fits:
-                return min(fits)[2]
-        return None
+                    words = [value[1] if kind == "object" else value for kind, value in conditions]
+                    loud = len(implied([word for word in words if isinstance(word, str)])) if quiet else 0
+                    kinds = sorted(KINDS.index(kind) for kind, _ in conditions)
+                    fits.append((loud, size, kinds, digest, conditions))
+        return min(fits)[-1] if fits else None
 
     @staticmethod
     def plain(conditions, at="t0"):
@@ -209,9 +203,9 @@ class People(Oracle):
             rows.append((KINDS.index(kind), row if kind in ("gender", "age") else row | {"at": at}))
         return [row for _, row in sorted(rows, key=lambda ranked: (ranked[0], json.dumps(ranked[1])))]
 
-    def anchored(self, track, frame, poseless=False):
+    def anchored(self, track, frame, quiet=False):
         """The description, if each of its conditions is needed and the person is seen; else None."""
-        conditions = self.description(frame, track, poseless)
+        conditions = self.description(frame, track, quiet)
         if conditions is None or not self.clear(frame, track) or not self.shown(frame):
             return None
         for dropped in conditions:
@@ -362,8 +356,8 @@ class Asked(People):
         return [one for one in true_choices(self, t1, track) if doing(self, t0, track, one) == NO]
 
     def descriptions(self, track, t0):
-        """The description of a person and the one without a posture."""
-        found = [self.anchored(track, t0, poseless) for poseless in (False, True)]
+        """The description of a person and the one that implies the fewest actions."""
+        found = [self.anchored(track, t0, quiet) for quiet in (False, True)]
         return {conditions for conditions in found if conditions is not None}
 
     def quiet(self, track, action, t0, first):
@@ -569,8 +563,12 @@ class Chains(Asked):
     def actions_of_chains(self, track, t0):
         """two_hop and three_hop."""
         found = set()
-        if (conditions := self.anchors(track, t0)) is None:
-            return found
+        for conditions in self.descriptions(track, t0) if {"2d", "actions"} <= self.layers else ():
+            found |= self._actions_of_chains(track, t0, conditions)
+        return found
+
+    def _actions_of_chains(self, track, t0, conditions):
+        found = set()
         for hops, template in ((2, "two_hop"), (3, "three_hop")):
             for labels, people in self.paths(t0, (track,), hops):
                 last = people[-1]
@@ -612,8 +610,12 @@ class Chains(Asked):
 
     def fork_join(self, track, t0):
         found = set()
-        if (conditions := self.anchors(track, t0)) is None:
-            return found
+        for conditions in self.descriptions(track, t0) if {"2d", "actions"} <= self.layers else ():
+            found |= self._fork_join(track, t0, conditions)
+        return found
+
+    def _fork_join(self, track, t0, conditions):
+        found = set()
         reached = {label: self.step(t0, track, label) for label in RELATIONS}
         reached = {label: other for label, other in reached.items() if other not in NOWHERE}
         for r1, r2 in itertools.product(reached, repeat=2):
@@ -651,8 +653,12 @@ class Chains(Asked):
 
     def later_action(self, track, t0):
         found = set()
-        if (conditions := self.anchors(track, t0)) is None:
-            return found
+        for conditions in self.descriptions(track, t0) if {"2d", "actions"} <= self.layers else ():
+            found |= self._later_action(track, t0, conditions)
+        return found
+
+    def _later_action(self, track, t0, conditions):
+        found = set()
         for labels, people in self.paths(t0, (track,), 2):
             last = people[-1]
             if not all(self.clear(t0, person) for person in people):

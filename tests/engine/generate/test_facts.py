@@ -94,11 +94,11 @@ def check_descriptions(oracle, facts):
     for frame in oracle.keyframes:
         for who in oracle.counting(frame):
             expected = {}
-            for use in ("general", "poseless"):
-                if (conditions := oracle.description(frame, who, use == "poseless")) is not None:
-                    expected.setdefault(frozenset(condition_of(*one) for one in conditions), set()).add(use)
+            for quiet in (True, False):
+                if (conditions := oracle.description(frame, who, quiet)) is not None:
+                    expected[frozenset(condition_of(*one) for one in conditions)] = not quiet
             found = {
-                frozenset(one.conditions): {use for use in ("general", "poseless") if getattr(one, use)}
+                frozenset(one.conditions): one.general
                 for one in describe(facts, oracle.sequence, who, frame, Rules())
             }
             assert found == expected, (oracle.sequence, frame, who)
