@@ -127,6 +127,9 @@ def _select_quotas(
         questions += selected.questions
     for name in ORDER:
         quota = quota_of(name, quotas, {done: row["reached"] for done, row in rows.items()})
+        if name == "distance" and not pool.get(name):
+            # No sequence has 3D boxes.
+            quota = 0
         selected = _select_choices(name, pool.get(name, ()), quota, counts, taken, sequences)
         rows[name] = _report(name, quota, pool.get(name, ()), selected, counts)
         questions += selected.questions

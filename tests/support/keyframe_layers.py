@@ -2,7 +2,8 @@
 
 with searched(store, sequence, rules) as search: ...            # a Search, whose statements run
 for one in proposals(search, template): make_prover(search).prove(one)
-result = search_one(store, sequence, rules)                     # what a worker of generation returns
+result, entries = search_one(store, sequence, rules)            # what a worker of generation returns
+rows, faults = make_all(store, sequence, rules, entries, result.counts)
 with layers_in_memory(): generate(store, rules, workers=1)
 """
 
@@ -13,19 +14,22 @@ import msgspec
 import pytest
 
 from jrdb_avr.engine.generate import question, run
+from jrdb_avr.engine.generate.asked import Question
+from jrdb_avr.engine.generate.choice_levels import level_choices
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
+from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.layer import read_layer
 from jrdb_avr.engine.generate.perturb import make_program, parse_answer, prove
 from jrdb_avr.engine.generate.pool import Prover
 from jrdb_avr.engine.generate.propose import Search, make_proposal, propose, propose_presence
 from jrdb_avr.engine.generate.run import SearchJob, search_sequence
-from jrdb_avr.engine.generate.stored_layer import layer_jobs
+from jrdb_avr.engine.generate.stored_layer import LayerJob, layer_jobs
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, table_ddl
 from jrdb_avr.schema.panorama import CROP, Box, crop_left, to_crop
 from jrdb_avr.schema.rules import LoadRules, Rules, frames
-from jrdb_avr.schema.templates import TEMPLATES
+from jrdb_avr.schema.templates import FORMS, TEMPLATES
 
 ANY_VIEW = Rules(load=LoadRules(visibility="any"))
 """Rules under which generation does not judge who is in clear view, and covered people do not exist."""
@@ -86,13 +90,40 @@ def all_proofs(search, one):
     return cypher.complete(lambda: prove(program, answer, search.layer.facts.keyframes, search.rules, source))
 
 
-def search_one(store, sequence, rules):
-    """What a worker of generation returns for a sequence."""
+@contextlib.contextmanager
+def worked(store, sequence, rules):
+    """A context in which workers read a sequence from memory."""
     with searched(store, sequence, rules) as search, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "Store", lambda path: store)
-        patch.setattr(run, "open_worker_graph", lambda path: contextlib.nullcontext(search.graph))
-        patch.setattr(SearchJob, "layer", lambda *_: search.layer)
-        return search_sequence(SearchJob(store.path, sequence, 0, rules))
+        for module in (run, question):
+            patch.setattr(module, "Store", lambda path: store)
+            patch.setattr(module, "open_worker_graph", lambda path: contextlib.nullcontext(search.graph))
+        patch.setattr(LayerJob, "layer", lambda *_: search.layer)
+        yield
+
+
+def search_one(store, sequence, rules):
+    """What a worker of generation returns for a sequence: the result, and its candidates as entries."""
+    with worked(store, sequence, rules):
+        found = search_sequence(SearchJob(store.path, sequence, 0, rules))
+    return found, run._ENTRIES.decode(found.pool)
+
+
+def make_all(store, sequence, rules, entries, counts):
+    """Rows of questions about all candidates, by their choices, and their faults."""
+    level = LabelCounts({(sequence, frame): number for frame, number in counts.items()})
+    by_template, rows, faults = {}, [], []
+    for entry in entries:
+        by_template.setdefault(entry.candidate.template, {})[entry.candidate.key] = entry
+    with worked(store, sequence, rules):
+        for template, own in by_template.items():
+            candidates = [entry.candidate for entry in own.values()]
+            asked = level_choices(candidates, level) if FORMS[template][0].asks_action else None
+            asked = asked or [Question(one, tuple(sorted(one.wrong))) for one in candidates]
+            chosen = tuple(run._chosen(one, own[one.candidate.key]) for one in asked)
+            table, found = question.make_questions(question.QuestionJob(store.path, sequence, 0, rules, chosen))
+            rows += [row | {"truth": one.candidate.truth} for row, one in zip(table.to_pylist(), asked, strict=True)]
+            faults += found.values()
+    return rows, faults
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.diagnostics import REASONS, REFUSALS, RULES, fillings, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import REASONS, REFUSALS, RULES, shortfalls, tallies
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
@@ -24,7 +24,7 @@ def asked(**counts):
 
 
 def told(counts, questions, lacking=None, sequences=3, **selected):
-    selection = [{"template": "two_hop", "aim": None, "shortage": None} | selected]
+    selection = [{"template": "two_hop", "quota": None, "shortage": None} | selected]
     rows = shortfalls(tallies(rejected(counts), questions), lacking or {}, sequences, selection)
     assert [row["template"] for row in rows] == list(FAMILIES)
     return {row["template"]: row for row in rows}
@@ -35,7 +35,7 @@ COUNTS = [
     ("count", "two_hop", "anchor", 40),
     ("count", "two_hop", "hop.stop", 70),
     ("count", "two_hop", "time.shift", 20),
-    ("count", "two_hop", "balance", 5),
+    ("count", "two_hop", "selection", 5),
     ("example", "two_hop", "hop.skip", 1),
 ]
 
@@ -45,7 +45,7 @@ def test_candidates_are_what_was_refused_and_what_was_kept():
     assert row == {
         **{"family": "chain_2hop", "template": "two_hop", "candidates": 200, "proven": 10, "questions": 5},
         **dict.fromkeys(REFUSALS, 0),
-        **{"anchor": 100, "hop.stop": 70, "time.shift": 20, "balance": 5},
+        **{"anchor": 100, "hop.stop": 70, "time.shift": 20, "selection": 5},
     }
 
 
@@ -57,7 +57,7 @@ def test_few_questions_are_explained_by_the_rules_that_refused_most():
         f"anchor refused 50 %: {REASONS['anchor']}; hop.stop refused 35 %: {REASONS['hop.stop']}"
     )
     # One question fewer than balance dropped: that is a reason too.
-    assert told(COUNTS, asked(two_hop=4))["two_hop"]["why"].endswith(f"balance refused 3 %: {REASONS['balance']}")
+    assert told(COUNTS, asked(two_hop=4))["two_hop"]["why"].endswith(f"selection refused 3 %: {REASONS['selection']}")
 
 
 def test_shares_too_small_for_a_percent_are_not_called_none():
@@ -68,14 +68,14 @@ def test_shares_too_small_for_a_percent_are_not_called_none():
 def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
     assert told(COUNTS, asked(two_hop=30))["two_hop"]["why"] is None
     assert told(COUNTS, asked(two_hop=29))["two_hop"]["why"] is not None
-    assert told(COUNTS, asked(two_hop=10), aim=10)["two_hop"]["why"] is None
-    assert told(COUNTS, asked(two_hop=9), aim=10)["two_hop"]["why"] is not None
+    assert told(COUNTS, asked(two_hop=10), quota=10)["two_hop"]["why"] is None
+    assert told(COUNTS, asked(two_hop=9), quota=10)["two_hop"]["why"] is not None
 
 
 def test_the_answers_that_are_left_explain_what_balance_refused():
-    row = told(COUNTS, asked(two_hop=40), aim=50, shortage="only sitting is left")["two_hop"]
+    row = told(COUNTS, asked(two_hop=40), quota=50, shortage="only sitting is left")["two_hop"]
     assert row["why"].startswith("40 questions of 235 candidates, 45 proven; anchor refused 43 %")
-    assert row["why"].endswith("; balance refused 2 %: only sitting is left")
+    assert row["why"].endswith("; selection refused 2 %: only sitting is left")
 
 
 def test_no_candidate_says_what_the_scenes_do_not_hold():
@@ -95,18 +95,3 @@ def test_a_missing_layer_is_the_reason():
 def test_every_rule_and_template_has_its_words():
     assert tuple(REASONS) == REFUSALS and REFUSALS[: len(RULES)] == tuple(RULES)
     assert all(forms[0].seeks for forms in FORMS.values())
-
-
-def test_who_fills_for_whom():
-    rows = [
-        {"family": "long_range", "template": "gap", "aim": 10, "kept": 15},
-        {"family": "long_range", "template": "consequence", "aim": 10, "kept": 4},
-        {"family": "long_range", "template": "later_action", "aim": 10, "kept": 10},
-        {"family": "chain_2hop", "template": "two_hop", "aim": 76, "kept": 76},
-        {"family": "unique_anchor", "template": "change", "aim": None, "kept": 700},
-    ]
-    assert fillings(rows) == [
-        {"family": "long_range", "aimed": 30, "reached": 29, "missing": 1}
-        | {"short": "consequence 4 of 10", "filled_by": "gap +5"},
-        {"family": "chain_2hop", "aimed": 76, "reached": 76, "missing": 0, "short": None, "filled_by": None},
-    ]

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import msgspec
 import pyarrow as pa
-import pyarrow.compute as pc
 import pytest
-from keyframe_layers import search_one
+from keyframe_layers import make_all, search_one
 from loaded_stores import graphless_store
 from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import run
+from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.question import COLUMNS, key_of
 from jrdb_avr.queries.manifest import SequenceEntry
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
@@ -28,21 +29,22 @@ KILOBYTES = 60
 @pytest.mark.slow
 def test_a_candidate_more_takes_some_kilobytes(tmp_path):
     store = graphless_store(tmp_path, lively_world(random.Random(5), NAME))
-    found = search_one(store, NAME, Rules())
-    assert len(found.pool) > 20 and found.refused
-    once, many = (measured(store, found, count) for count in (5, 65))
-    more = 60 * len(found.pool)
+    found, entries = search_one(store, NAME, Rules())
+    assert len(entries) > 20 and found.refused
+    rows, _ = make_all(store, NAME, Rules(), entries, found.counts)
+    once, many = (measured(store, found, rows[0], count) for count in (5, 65))
+    more = 60 * len(entries)
     assert many["questions"] > 8 * once["questions"] > 0
     assert (many["kilobytes"] - once["kilobytes"]) / more < KILOBYTES
 
 
-def measured(store, found, count):
+def measured(store, found, row, count):
     """Questions and highest resident memory of a generation over so many sequences that all have this result."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(publish_copies, store.path, found, [f"{NAME}{n}" for n in range(count)]).result()
+        return pool.submit(publish_copies, store.path, found, row, [f"{NAME}{n}" for n in range(count)]).result()
 
 
-def publish_copies(path, found, names):
+def publish_copies(path, found, row, names):
     store = Store(path)
     manifest = store.manifest()
     (entry, *_) = manifest.sequences.values()
@@ -56,20 +58,28 @@ def publish_copies(path, found, names):
     run.ensure_layer = lambda *_: dict.fromkeys(names, 0)
     run.hold_graph = lambda *_: contextlib.nullcontext()
     run.search_sequence = lambda job: copied(found, job.sequence)
-    run.find_faults = lambda job: {}
-    questions = sum(row["kept"] for row in run.generate(store, workers=1).selection)
+    run.make_questions = lambda job: (made(job, row), {})
+    questions = sum(row["reached"] for row in run.generate(store, workers=1).selection)
     peak = re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())
     return {"questions": questions, "kilobytes": int(peak[1])}
 
 
+def made(job, row):
+    """Questions that differ in their ids only."""
+    own = [(key_of(one.question), one.question.candidate) for one in job.chosen]
+    rows = [
+        row | {"key": key, "question_id": f"{hash_of(key):016x}", "sequence": one.sequence, "template": one.template}
+        for key, one in own
+    ]
+    return pa.Table.from_pylist(rows, schema=COLUMNS)
+
+
 def copied(found, name):
     """The result as of a sequence of another name."""
-    pool = found.pool
-    for column, values in {
-        "sequence": pa.repeat(pa.scalar(name), len(pool)),
-        "key": pc.binary_join_element_wise(name, pool["key"], " "),
-        "question_id": pc.binary_join_element_wise(name, pool["question_id"], " "),
-    }.items():
-        pool = pool.set_column(pool.column_names.index(column), column, values)
+    entries = run._ENTRIES.decode(found.pool)
+    own = [
+        one._replace(candidate=one.candidate._replace(sequence=name, key=f"{name} {one.candidate.key}"))
+        for one in entries
+    ]
     refused = [{**row, "sequence": name} for row in found.refused]
-    return run.Found({**found.head, "sequence": name}, pool.cast(found.pool.schema), refused, found.lacking)
+    return found._replace(head={**found.head, "sequence": name}, pool=msgspec.msgpack.encode(own), refused=refused)

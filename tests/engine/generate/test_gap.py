@@ -7,19 +7,18 @@ from collections import Counter
 
 import msgspec
 import pytest
-from keyframe_layers import make_prover, search_one, searched
+from keyframe_layers import make_all, make_prover, proposals, search_one, searched
 from loaded_stores import memory_store
 from worlds import member, person, person_3d
 
 from jrdb_avr.engine.generate import run
 from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
-from jrdb_avr.engine.generate.propose import propose
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
-from jrdb_avr.schema.wording.text import render
+from jrdb_avr.schema.wording.text import question_key, render
 
 NAME = "yard-2020-01-01_0"
 FORMS = [template for template in TEMPLATES.values() if template.name == "gap"]
@@ -83,9 +82,10 @@ def counts_of(found):
 def test_forms_are_judged_together(tmp_path, only_gaps):
     store = memory_store(tmp_path, busy_world(random.Random(9)))
     rules = msgspec.structs.replace(RULES, max_per_person=2)
-    found = search_one(store, NAME, rules)
+    found, entries = search_one(store, NAME, rules)
     assert found.lacking == {} and counts_of(found).keys() <= {*REASONS, "choices"}
-    kept = found.pool.to_pylist()
+    kept, faults = make_all(store, NAME, rules, entries, found.counts)
+    assert not faults
     assert {parse_plan(row["plan"]).times["t1"].event for row in kept} == {"start", "leaves", None}
     # The caps of a person over all answers are for the selection across sequences.
     alike = [(row["target_track"], row["answer"]) for row in kept]
@@ -98,7 +98,8 @@ def test_forms_are_judged_together(tmp_path, only_gaps):
     for row in kept:
         answer = decode_answer("number", row["answer"])
         assert encode_answer(answer) == row["answer"]
-        assert render("gap", parse_plan(row["plan"]), row["key"], True)
+        plan = parse_plan(row["plan"])
+        assert render("gap", plan, question_key(NAME, row["target_track"], plan), True)
 
 
 def test_people_who_are_met_between_keyframes_are_counted(tmp_path):
@@ -107,8 +108,8 @@ def test_people_who_are_met_between_keyframes_are_counted(tmp_path):
     with searched(store, NAME, RULES) as search:
         prover = make_prover(search)
         (form,) = (form for form in FORMS if form.counts)
-        proven = [prover.prove(one) is not None for one in propose(search, form)]
-    assert "count" in {refused.rule for refused in prover.refused} and any(proven)
+        proven = [prover.prove(one) is not None for one in proposals(search, form)]
+    assert prover.counts["count"] and any(proven)
 
 
 def test_without_actions_absences_and_counts_are_asked_about(tmp_path, only_gaps):
@@ -116,11 +117,11 @@ def test_without_actions_absences_and_counts_are_asked_about(tmp_path, only_gaps
     for rows in world[NAME]["2d"].values():
         for row in rows:
             del row["action_label"]
-    found = search_one(memory_store(tmp_path, world), NAME, RULES)
-    assert found.lacking == {} and len(found.pool) + counts_of(found).total() > 0
+    found, entries = search_one(memory_store(tmp_path, world), NAME, RULES)
+    assert found.lacking == {} and len(entries) + counts_of(found).total() > 0
 
 
 def test_without_boxes_there_is_nothing_to_ask(tmp_path, only_gaps):
     store = memory_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
-    found = search_one(store, NAME, RULES)
-    assert found.lacking == {"gap": ("2d",)} and found.refused == [] and len(found.pool) == 0
+    found, entries = search_one(store, NAME, RULES)
+    assert found.lacking == {"gap": ("2d",)} and found.refused == entries == []

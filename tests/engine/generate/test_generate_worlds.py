@@ -53,7 +53,7 @@ def judge(store, claimed):
                 if one.target not in claimed[template.query]:
                     continue
                 when = tuple(one.frames[name] // 15 for name in template.stated)
-                rule = None if prover.prove(one) is not None else refusal(search, prover.refused[-1])
+                rule = None if prover.prove(one) is not None else refusal(search, one, prover)
                 place = (
                     template.query,
                     one.target,
@@ -75,16 +75,17 @@ def judge(store, claimed):
 
 def kept(store):
     """{(template, target): questions} without near-duplicates and those above the cap."""
-    table = search_one(store, SEQUENCE, RULES).pool
-    return Counter(zip(*(table[name].to_pylist() for name in ("template", "target_track")), strict=True))
+    _, entries = search_one(store, SEQUENCE, RULES)
+    return Counter((entry.candidate.template, entry.candidate.track) for entry in entries)
 
 
-def refusal(search, refused):
+def refusal(search, one, prover):
     """The rule that refused a proposal, with what those of its perturbed programs answer that prove nothing."""
-    rule = refused.rule
+    (rule,) = prover.counts
+    prover.counts.clear()
     if rule.partition(".")[0] not in ("hop", "time") or rule == "time.drop":
         return rule
-    failed = [proof for proof in all_proofs(search, refused.proposal) if proof.kind == rule and not proof.holds]
+    failed = [proof for proof in all_proofs(search, one) if proof.kind == rule and not proof.holds]
     return f"{rule} {', '.join(' '.join((proof.variant.removesuffix(' s'), proof.outcome)) for proof in failed)}"
 
 

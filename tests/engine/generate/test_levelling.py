@@ -8,18 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.answer_levels import answer_contexts, select_answers
-from jrdb_avr.engine.generate.asked import Candidate, Question, choice_contexts, offer_of, sequence_cap
+from jrdb_avr.engine.generate.answer_levels import answer_contexts
+from jrdb_avr.engine.generate.asked import Candidate, Question, choice_contexts, keep_most, offer_of, sequence_cap
+from jrdb_avr.engine.generate.choice_levels import ChoiceLevel, level_choices
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import LabelCounts, above_bound
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.levelling import Level, keep_most, level_choices, select_choices
-from jrdb_avr.engine.generate.mix import quota_of, select_mix
+from jrdb_avr.engine.generate.levelling import select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
+from jrdb_avr.engine.generate.selection import PROFILES, quota_of, select
 from jrdb_avr.engine.generate.twins import match_twins, may_be_twins
 from jrdb_avr.schema.choice_labels import may_be_same
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
 from jrdb_avr.schema.rules import Rules
+from jrdb_avr.schema.templates import FAMILIES
 
 LABELS = ("walking", "standing", "sitting", "skating", "eating sth", "talking to someone", "holding sth")
 SEQUENCES = ("s0", "s1", "s2")
@@ -89,7 +91,7 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
         one = candidate(number)
         if triples := wrong_sets(one.wrong):
             questions.append(Question(one, triples[choice % len(triples)]))
-    level = Level([one.candidate for one in questions], COUNTS)
+    level = ChoiceLevel([one.candidate for one in questions], COUNTS)
     for place, question in enumerate(questions):
         before = cost_from_scratch(questions[:place])
         assert level.cost_of(question) == cost_from_scratch(questions[: place + 1]) - before
@@ -106,7 +108,8 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
 
 
 def selected(candidates, quota=30, twins=()):
-    return select_choices(candidates, quota, COUNTS, Taken(Rules()), len(SEQUENCES), twins).questions
+    cap = sequence_cap(quota, len(SEQUENCES))
+    return select_level(candidates, quota, COUNTS, Taken(Rules()), cap, twins).questions
 
 
 def test_selection_depends_on_the_candidates_and_not_on_their_order():
@@ -197,8 +200,9 @@ def presence(number):
 
 def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
     pool = [presence(number) for number in range(1500)]
-    questions = select_answers(pool, 120, Taken(Rules()), len(SEQUENCES)).questions
-    assert questions == select_answers(pool[::-1], 120, Taken(Rules()), len(SEQUENCES)).questions
+    cap = sequence_cap(120, len(SEQUENCES), 10)
+    questions = select_level(pool, 120, COUNTS, Taken(Rules()), cap).questions
+    assert questions == select_level(pool[::-1], 120, COUNTS, Taken(Rules()), cap).questions
     answers = Counter(one.candidate.truth for one in questions)
     assert 100 * max(answers.values()) <= 31 * len(questions)
     assert len(questions) > 100
@@ -208,15 +212,20 @@ def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
 
 
 @pytest.mark.parametrize(
-    ("selected", "located", "distance", "presence"),
-    [({"change": 300}, True, 660, 660), ({"change": 350}, False, 0, 1270), ({}, True, 810, 810)],
+    ("reached", "distance", "presence"), [({"change": 300}, 660, 660), ({"change": 351}, 634, 635), ({}, 810, 810)]
 )
-def test_presence_takes_what_change_and_distance_leave(selected, located, distance, presence):
-    quotas = {"unique_anchor": 1620, "two_hop": 76}
-    assert quota_of("change", quotas, {}, located) == 350
-    assert quota_of("distance", quotas, selected, located) == distance
-    assert quota_of("presence", quotas, selected | {"distance": distance}, located) == presence
-    assert quota_of("two_hop", quotas, selected, located) == 76
+def test_presence_takes_what_change_and_distance_leave(reached, distance, presence):
+    quotas = PROFILES["paper"]
+    assert quota_of("change", quotas, {}) == 350
+    assert quota_of("distance", quotas, reached) == distance
+    assert quota_of("presence", quotas, reached | {"distance": distance}) == presence
+    assert quota_of("two_hop", quotas, reached) == 76
+
+
+def test_later_action_takes_what_counts_and_consequences_leave_of_the_long_waits():
+    quotas = PROFILES["paper"]
+    assert quota_of("consequence", quotas, {"gap": 10}) == 10
+    assert quota_of("later_action", quotas, {"gap": 7, "consequence": 1, "two_hop": 76}) == 22
 
 
 def test_a_mix_reports_each_template_and_keeps_the_caps_of_people_in_all():
@@ -225,16 +234,28 @@ def test_a_mix_reports_each_template_and_keeps_the_caps_of_people_in_all():
         "change": [candidate(number) for number in range(80, 200)],
         "presence": [presence(number) for number in range(300)],
     }
-    taken = Taken(Rules())
-    questions, rows = select_mix(pool, {"unique_anchor": 100, "two_hop": 20}, COUNTS, taken, 3, False)
+    questions, rows = select(pool, COUNTS, Rules(), "paper")
     by_template = Counter(one.candidate.template for one in questions)
+    assert [row["template"] for row in rows] == list(FAMILIES)
     assert by_template == {row["template"]: row["reached"] for row in rows if row["reached"]}
-    assert {row["template"]: row["quota"] for row in rows}["change"] == 100
-    assert by_template["presence"] <= 100 - by_template["change"]
     assert all(row["shortage"] or row["reached"] == row["quota"] for row in rows if row["quota"])
     people = Counter((one.candidate.sequence, one.candidate.track) for one in questions)
-    assert people == taken.questions
     assert max(people.values()) <= Rules().max_per_person_in_all
+
+
+@pytest.mark.parametrize("n", [None, 41])
+def test_a_profile_without_quotas_keeps_near_duplicates_apart_and_lets_templates_take_turns(n):
+    pool = {"two_hop": [candidate(number, "two_hop") for number in range(80)], "presence": [presence(5), presence(6)]}
+    pool["start"] = [one._replace(template="start", wrong=frozenset(), contexts=()) for one in pool["two_hop"]]
+    questions, rows = select(pool, COUNTS, Rules(), "train", n)
+    assert n is None or len(questions) <= n
+    taken = Taken(Rules())
+    for one in questions:
+        assert taken.admits(one.candidate.subject)
+        taken.add(one.candidate.subject)
+    by_template = Counter(one.candidate.template for one in questions)
+    assert by_template["presence"] == 2 and by_template["two_hop"] > 5 < by_template["start"]
+    assert all(row["quota"] is None and row["proven"] == len(pool.get(row["template"], ())) for row in rows)
 
 
 @pytest.mark.parametrize("limit", [*range(0, 11), 50])
@@ -249,6 +270,6 @@ def test_as_many_twins_stay_as_the_bound_allows(limit):
 def test_twins_never_exceed_the_size_of_a_template():
     pairs = [(twin(n, 60, "walking"), twin(100 + n, 150, "sitting")._replace(track=n)) for n in range(20, 29)]
     pool = [one for pair in pairs for one in pair]
-    questions = select_choices(pool, 10, COUNTS, Taken(Rules()), 1, pairs).questions
+    questions = select_level(pool, 10, COUNTS, Taken(Rules()), 20, pairs).questions
     assert len(questions) == 10
     assert sum(one.twin is not None for one in questions) == 10
