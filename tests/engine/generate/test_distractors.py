@@ -8,11 +8,14 @@ from loaded_stores import memory_store
 from msgspec.structs import replace
 from random_worlds import SEQUENCE, build
 
-from jrdb_avr.engine.generate import run
+from jrdb_avr.engine.generate import pool, run
 from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.templates import FORMS
 
-CHORUS = [f"{20 + n} | {20 * ' '}{letter} | column {2000 + 100 * n}" for n, letter in enumerate("wtslk")]
+CHORUS = [
+    f"{20 + n} | {20 * '-'}{pose} | column {2000 + 100 * n} | {action} 20-20"
+    for n, (pose, action) in enumerate(zip("wtst", ("typing", "eating sth", "pushing", "holding sth"), strict=True))
+]
 """People who each do one thing in the last second, so that these may be choices."""
 
 
@@ -22,6 +25,7 @@ def named(tmp_path, people, template, *seconds):
     rules = replace(ANY_VIEW, max_per_person=1000, near_duplicate_s=0.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "FORMS", {template: FORMS[template]})
+        patch.setattr(pool, "_DESCRIPTIONS", 100)
         found, entries = search_one(store, SEQUENCE, rules)
     rows, faults = make_all(store, SEQUENCE, rules, entries, found.counts)
     assert rows and not faults
