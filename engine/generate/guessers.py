@@ -22,8 +22,8 @@ COUNTING: Final = ("data", "sequence", "label", "set", "pair")
 """Guessers that the bound judges: the commonest choice in all data and in the sequence; the choice that is most often
 true elsewhere, by itself, with its set of choices, and beside each of the other choices."""
 
-_MAX_ANSWER_PERCENT: Final = 31
-"""Maximum share of one answer in a template with four fixed answers, in percent."""
+MAX_ANSWER_SHARE: Final = Fraction(31, 100)
+"""Maximum share of one answer in a template with four fixed answers."""
 
 _PRIOR: Final = 4
 """Weight of the prior belief, in questions: one choice of four is true."""
@@ -159,9 +159,16 @@ def above_bound(offers: Sequence[Offer]) -> str | None:
     share, name = max((shares[name], name) for name in COUNTING if name in shares)
     if share > BOUND:
         return f"{name} {float(100 * share):.1f} %"
-    answer, number = min(Counter(offer.truth for offer in offers).items(), key=lambda item: (-item[1], item[0]))
-    common = not offers[0].ranks and 100 * number > _MAX_ANSWER_PERCENT * len(offers)
-    return f"the answer {answer!r}, {100 * number / len(offers):.1f} %" if common else None
+    answer, share = commonest_answer(offers)
+    common = not offers[0].ranks and share > MAX_ANSWER_SHARE
+    return f"the answer {answer!r} is true in {float(100 * share):.1f} %" if common else None
+
+
+def commonest_answer(offers: Sequence[Offer]) -> tuple[str, Fraction]:
+    """Return the answer that is true most often, and its share. Of equals it is the first in the alphabet."""
+    numbers = Counter(offer.truth for offer in offers)
+    answer = min(numbers, key=lambda answer: (-numbers[answer], answer))
+    return answer, Fraction(numbers[answer], len(offers))
 
 
 _Key = tuple[object, ...]

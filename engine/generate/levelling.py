@@ -26,7 +26,14 @@ from jrdb_avr.engine.generate.asked import (
 )
 from jrdb_avr.engine.generate.choice_levels import ChoiceLevel
 from jrdb_avr.engine.generate.choices import wrong_sets
-from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, above_bound
+from jrdb_avr.engine.generate.guessers import (
+    JUDGED,
+    MAX_ANSWER_SHARE,
+    LabelCounts,
+    Offer,
+    above_bound,
+    commonest_answer,
+)
 from jrdb_avr.engine.generate.hashes import hash_of, permute
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.choice_labels import CHOICE_LABELS
@@ -79,6 +86,7 @@ class Selector:
     Attributes:
         moments: Candidates of each moment, one per right choice, by the moment's hash.
         level: The state of the cost.
+        counts: How common actions are.
         taken: Account of near-duplicates and caps of all templates.
         cap: Maximum number of questions from one sequence.
         chosen: The selected question of each moment, by the moment's hash.
@@ -87,6 +95,7 @@ class Selector:
 
     moments: dict[int, list[Candidate]]
     level: Level
+    counts: LabelCounts
     taken: Taken
     cap: int
     chosen: dict[int, Question] = field(default_factory=dict)
@@ -155,6 +164,7 @@ class Selector:
         """Look for better choices of each question, and then for better moments."""
         if isinstance(self.level, AnswerLevel):
             # The choices are fixed, and other moments lower the cost too little for their time.
+            self._drop_frequent()
             return
         for _ in range(_PASSES):
             if not sum(self._replace(moment, [moment]) for moment in self._loose()):
@@ -167,9 +177,18 @@ class Selector:
                 self.put(moment, question)
                 self._replace(moment, drawn)
 
-    def offers(self, counts: LabelCounts) -> list[Offer]:
+    def _drop_frequent(self) -> None:
+        """Drop the costliest questions with the most frequent answer until its share is within bounds. Twins stay."""
+        while len(self.chosen) >= JUDGED:
+            answer, share = commonest_answer(self.offers())
+            loose = [moment for moment in self._loose() if self.chosen[moment].candidate.truth == answer]
+            if share <= MAX_ANSWER_SHARE or not loose:
+                return
+            self.take_out(max(loose, key=lambda moment: (self.level.cost_of(self.chosen[moment]), moment)))
+
+    def offers(self) -> list[Offer]:
         """Return what guessers see of the selected questions."""
-        return [offer_of(question, counts) for _, question in sorted(self.chosen.items())]
+        return [offer_of(question, self.counts) for _, question in sorted(self.chosen.items())]
 
     def _loose(self) -> list[int]:
         return sorted(self.chosen.keys() - self.twins)
@@ -234,7 +253,7 @@ def select_level(
     def attempt(size: int, pairs: Sequence[Twins], order: Sequence[Question] | None = None) -> Selector:
         actions = candidates[0].truth in CHOICE_LABELS
         level = ChoiceLevel(candidates, counts) if actions else AnswerLevel(candidates)
-        selector = Selector(moments, level, taken.copy(), cap)
+        selector = Selector(moments, level, counts, taken.copy(), cap)
         for pair in pairs:
             if len(selector.chosen) + 2 <= size:
                 selector.put_twins(pair)
@@ -252,7 +271,7 @@ def select_level(
     for size in sizes:
         best = attempt(size, (), order)
         best.improve()
-        guesser = above_bound(best.offers(counts))
+        guesser = above_bound(best.offers())
         if guesser is None:
             break
         shortage = f"of {size} questions a guesser would have too many right: {guesser}"
@@ -261,7 +280,7 @@ def select_level(
     def with_twins(count: int) -> Selector | None:
         paired = attempt(size, twins[:count])
         paired.improve()
-        return paired if above_bound(paired.offers(counts)) is None else None
+        return paired if above_bound(paired.offers()) is None else None
 
     best = keep_most(len(twins), with_twins) or best
     for _, question in sorted(best.chosen.items()):

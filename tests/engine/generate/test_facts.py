@@ -98,8 +98,7 @@ def check_descriptions(oracle, facts):
                 if (conditions := oracle.description(frame, who, quiet)) is not None:
                     expected[frozenset(condition_of(*one) for one in conditions)] = not quiet
             found = {
-                frozenset(one.conditions): one.general
-                for one in describe(facts, oracle.sequence, who, frame, Rules())
+                frozenset(one.conditions): one.general for one in describe(facts, oracle.sequence, who, frame, Rules())
             }
             assert found == expected, (oracle.sequence, frame, who)
             leads = {label: oracle.step(frame, who, label) for label in RELATIONS}
