@@ -321,10 +321,13 @@ class _QuestionCheck:
             if name is not None and label == record.answer_text:
                 return False
             # No proof has the actions at the time of the description or the answers of look-alikes.
-            if name is not None and name != AT_FIRST and not name.startswith("look-alike "):
-                proof = proofs.get(name)
-                if proof is None or proof.outcome != "different" or proof.answer not in (None, label):
-                    return False
+            if name is None or name == AT_FIRST or name.startswith("look-alike "):
+                continue
+            proof = proofs.get(name)
+            # A person may perform the wrong choice beside the answer, so that the proof may have any outcome.
+            actions = forms_of(record.template)[0].asks_action
+            if proof is None or not (actions or (proof.outcome, proof.answer) == ("different", label)):
+                return False
         return len(record.distractors) == len(record.choices)
 
 
