@@ -206,11 +206,11 @@ class SceneReader(Reader):
     def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
         """See `Reader.starts`."""
         rows = [person.row(action=action, posture=action in POSES, after=after) for person, action, after in queries]
-        return {row.pop("id"): Segment(**row) for row in self._read("start", self._on_grid(rows))}
+        return {row.pop("id"): Segment(**row) for row in self._read("start", self.rows_on_grid(rows))}
 
     def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
         """See `Reader.absences`."""
-        rows = self._on_grid(person.row(after=after) for person, after in queries)
+        rows = self.rows_on_grid(person.row(after=after) for person, after in queries)
         return {row["id"]: (row["leaves"], row["returns"]) for row in self._read("absence", rows)}
 
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
@@ -227,7 +227,7 @@ class SceneReader(Reader):
 
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
         """See `Reader.counts`."""
-        rows = self._on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
+        rows = self.rows_on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
         known = {row["id"] for row in self._read("company", rows)}
         by_text: dict[str, list[dict[str, Any]]] = defaultdict(list)
         for person, relation, first, last in queries:
@@ -244,7 +244,7 @@ class SceneReader(Reader):
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
         return self.run(read_statement(f"{self.mapping.reads}/{name}.cypher"), rows)
 
-    def _on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    def rows_on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         """Add the frames with action labels of the sequence to each row.
 
         Rows of sequences without such frames are left out.
