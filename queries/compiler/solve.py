@@ -168,9 +168,9 @@ def _answers(reader: Reader, read: str, found: Sequence[_Found], rules: Rules) -
     if read == "count":
         stretches = [(one.target, one.plan.answer.relation or "", first, last) for one, (first, last) in stated]
         return {i: encode_answer(Number(float(count))) for i, count in reader.counts(stretches).items()}
-    if read in _CHANGES:
+    if read in CHANGES:
         seen = reader.seen([(one.target, frame) for one, frames in stated for frame in frames])
-        change = _CHANGES[read]
+        change = CHANGES[read]
         return {one.id: change(seen[one.id, first], seen[one.id, second], rules) for one, (first, second) in stated}
     return {one.id: encode_answer(_BY_FRAMES[read](one, frames)) for one, frames in stated}
 
@@ -205,10 +205,11 @@ def _distance_change(first: Seen, second: Seen, rules: Rules) -> str | None:
     return DISTANCE_ANSWERS[2] if abs(nearer) < rules.distance_same_m else None
 
 
-_CHANGES: Final[Mapping[str, Callable[[Seen, Seen, Rules], str | None]]] = {
+CHANGES: Final[Mapping[str, Callable[[Seen, Seen, Rules], str | None]]] = {
     "presence": _presence_change,
     "distance_change": _distance_change,
 }
+"""Answers of two views of a person, by read. None is an unknown answer."""
 
 _BY_FRAMES: Final[Mapping[str, Callable[[_Found, list[int]], Answer]]] = {
     "start": lambda one, frames: FrameAnswer(frames[0]),
