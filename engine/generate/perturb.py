@@ -1,14 +1,12 @@
 """Perturbations of a plan, and the proofs that they give.
 
-A perturbation is another program: a condition left out, another target, a hop left out, or other times. A program runs
-over facts, which a source of facts returns by key. The same code therefore proves a question from the sets of `Facts`
-and from statements over the stored graph.
+A perturbation is another program: a condition or a hop left out, another target, or other times. A source returns facts
+by key. So the same code proves a question from the sets of `Facts` and from statements over the stored graph.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import reduce
 from typing import Any, Final, Protocol, cast
 
 import msgspec
@@ -153,7 +151,7 @@ def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
     """
     people = {"a": _only(match(program, source)) if program.held is None else program.held}
     failures, missing = [], False
-    for node in program.nodes[1:]:
+    for node in program.nodes[1:] if program.edges else ():
         edges = [edge for edge in program.edges if edge.target == node]
         if not all(edge.source in people for edge in edges):
             continue
@@ -190,7 +188,9 @@ def _step(program: Program, source: FactSource, people: dict[str, int], edges: S
 
 
 def _overlap(fits: Sequence[Fit]) -> Fit:
-    could, certain = (reduce(lambda some, more: some & more, map(set, sets)) for sets in zip(*fits, strict=True))
+    could, certain = fits[0]
+    for fit in fits[1:]:
+        could, certain = could & fit.could, certain & fit.certain
     return Fit(could, certain)
 
 

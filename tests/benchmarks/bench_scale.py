@@ -98,9 +98,8 @@ def measure(folder, count, workers):
 
 
 def found_in(folder, workers):
-    """The names of a small store's sequences, and a folder with what their searches found."""
-    from jrdb_avr.engine.generate.found import search_into
-    from jrdb_avr.engine.generate.sequence import SequenceJob
+    """A file with the candidates of a small store."""
+    from jrdb_avr.engine.generate.run import SearchJob, search_sequence
     from jrdb_avr.engine.generate.stored_layer import ensure_layer
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules
@@ -108,20 +107,19 @@ def found_in(folder, workers):
     write(folder / "root", SEQUENCES, workers)
     load(folder / "root", folder / "store", workers)
     lows = ensure_layer(Store(folder / "store"), Rules(), workers)
-    found = folder / "found"
-    found.mkdir()
-    for name, low in lows.items():
-        search_into(found, SequenceJob(folder / "store", name, low, Rules()))
-    return found, sorted(lows)
+    jobs = [SearchJob(folder / "store", name, low, Rules()) for name, low in lows.items()]
+    pq.write_table(pa.concat_tables(search_sequence(job).pool for job in jobs), folder / "pool.parquet")
+    return folder / "pool.parquet"
 
 
-def select_copies(found, names, copies):
+def select_copies(found, copies):
     """Select among the same candidates many times, as of sequences of other names."""
-    from jrdb_avr.engine.generate.found import slim_pool
+    from jrdb_avr.engine.generate.run import SELECTED_BY
     from jrdb_avr.engine.generate.selection import select
     from jrdb_avr.schema.rules import Rules
 
-    pool, parts = slim_pool(found, names), []
+    pool, parts = pq.read_table(found).select(SELECTED_BY), []
+    pool = pool.append_column("row", pa.array(range(len(pool)), pa.int64()))
     for number in range(copies):
         columns = {name: [f"{number} {text}" for text in pool[name].to_pylist()] for name in ("sequence", "key")}
         part = pool
@@ -133,9 +131,9 @@ def select_copies(found, names, copies):
 
 def measure_selection(folder, workers):
     """Cost of selection among 50 and 200 times the candidates of the small store."""
-    found, names = found_in(folder, workers)
-    rows = sum(pq.read_metadata(found / "pool" / f"{name}.parquet").num_rows for name in names)
-    costs = {copies: in_new_process(select_copies, found, names, copies) for copies in (50, 200)}
+    found = found_in(folder, workers)
+    rows = pq.read_metadata(found).num_rows
+    costs = {copies: in_new_process(select_copies, found, copies) for copies in (50, 200)}
     print("\nselection:")
     for copies, row in costs.items():
         print(f"{rows * copies:9,} candidates {row['cpu']:8.1f} cpu s {row['leads']:8.0f} MB")
