@@ -13,9 +13,9 @@ import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.queries.compiler.solve import CHANGES
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Condition, Edge, Plan
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
@@ -231,15 +231,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
             raise NoAnswerError("empty")
         return str(_known(pose))
     first, second = source.ask(seen)
-    if program.read == "presence":
-        return PRESENCE_ANSWERS[3 - 2 * _known(first.present) - _known(second.present)]
-    before = _known(first.distance)
-    if not _known(second.present):
-        return DISTANCE_ANSWERS[3]
-    nearer = before - _known(second.distance)
-    if abs(nearer) >= rules.distance_changed_m:
-        return DISTANCE_ANSWERS[0 if nearer > 0 else 1]
-    return DISTANCE_ANSWERS[_known(2 if abs(nearer) < rules.distance_same_m else None)]
+    return str(_known(CHANGES[program.read](first, second, rules)))
 
 
 def _known(value: Any) -> Any:
