@@ -8,5 +8,4 @@ WITH id, at, people, listed, n, m, r.certain AS sure
 OPTIONAL MATCH (m)-[z:SeenIn]->(f:Frame) WHERE f.id = at
 WITH id, n, people, listed, count(z) AS labels,
      coalesce(max(sure AND z.frame IS NOT NULL AND (z.clear OR NOT $in_view)), false) AS certain
-WHERE labels > 0 OR people > 1 AND NOT listed
-RETURN id, n.track AS who, certain ORDER BY id, who
+WHERE labels > 0 OR people > 1 AND NOT listed RETURN id, n.track AS who, certain ORDER BY id, who
