@@ -2,7 +2,7 @@
 
 Labels are identified by name, never by number, because projects number the last actions differently. Values are spelled
 as in the annotation format, so that "food-truck", "food truck" and "food_truck" are one value. The loader reports a
-label that no table has, and no question uses it. The value None is the decision "unknown".
+label that no table has, and no question uses it. None means that the annotators could not decide.
 
 Each phrase of an action or interaction begins with a verb in -ing, so that it fits after "is" and after "starts". All
 phrases differ. No phrase contains " and " or a comma, because lists of phrases are split there. The order of poses,

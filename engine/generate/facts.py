@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 from jrdb_avr.queries.compiler.reads import Seen
 from jrdb_avr.queries.graph.handle import Graph
@@ -52,8 +52,8 @@ _LABELS: Final = ("performs", "handles", "pairs", "member")
 WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
 """Values of columns of sightings that generation knows. Any other value counts as unknown."""
 
-_COLUMNS: Final = {"distance": "distance_word"}
-"""Columns of sightings that have another name than the kind of condition."""
+_COLUMNS: Final = {"distance": ("distance_word", "distance_other")}
+"""Columns of sightings that have other names than the kind of condition."""
 
 _LISTS: Final = {"social": "interactions_listed", "first": "robot_view_listed", "person": "person_view_listed"}
 """Columns of sightings that are true if the relations of a kind were read for the person."""
@@ -200,27 +200,14 @@ class Facts:
         return Fit(could, certain)
 
     def _match_value(self, condition: Condition, frame: int) -> Fit:
-        if condition.kind == "group_size":
-            return self._match_group_size(cast(int, condition.value), frame)
-        people, column = self.people[frame], _COLUMNS.get(condition.kind, condition.kind)
-        wanted = condition.value if condition.action is None else condition.action
-        possible = {None, wanted}
-        if condition.kind != "pose":
-            possible |= may_be_called(str(wanted))
-        could = {who for who, row in people.items() if row[column] in possible}
-        certain = {who for who in could if people[who][column] == wanted}
-        if condition.kind == "pose":
+        kind, wanted = condition.kind, condition.value if condition.action is None else condition.action
+        values = {who: _possible_values(kind, row) for who, row in self.people[frame].items()}
+        fitting = {wanted} if kind == "pose" else {wanted, *may_be_called(str(wanted))}
+        could = {who for who, possible in values.items() if not possible or possible & fitting}
+        if kind == "pose":
             # A closed gap of a pose leaves the pose possible beside the pose that is listed.
             could |= self._labels[frame].get(("action", wanted), {}).keys()
-        if condition.kind == "distance":
-            could |= {who for who, row in people.items() if row["distance_other"] == wanted}
-            certain = {who for who in certain if people[who]["distance_other"] is None}
-        return Fit(could, certain)
-
-    def _match_group_size(self, size: int, frame: int) -> Fit:
-        sizes = {who: (row["size_min"], row["size_max"]) for who, row in self.people[frame].items()}
-        could = {who for who, (least, most) in sizes.items() if least is None or least <= size <= most}
-        return Fit(could, {who for who in could if sizes[who] == (size, size)})
+        return Fit(could, {who for who, possible in values.items() if possible == {wanted}})
 
     def _without_covered(self, fit: Fit, frame: int) -> Fit:
         people = self.uncovered[frame]
@@ -358,6 +345,13 @@ class Facts:
 
 def _fit(marks: _Marks, possible: Iterable[int]) -> Fit:
     return Fit(marks.keys() | set(possible), {who for who, certain in marks.items() if certain})
+
+
+def _possible_values(kind: str, row: Sighting) -> set[Any]:
+    """Return the possible values of a condition of this kind for a person, or none if nothing is known."""
+    if kind == "group_size" and row["size_min"] is not None:
+        return {*range(row["size_min"], row["size_max"] + 1)}
+    return {row[column] for column in _COLUMNS.get(kind, (kind,))} - {None}
 
 
 def _labels_of(pairs: Iterable[tuple[int, str]]) -> dict[int, tuple[str, ...]]:

@@ -14,9 +14,9 @@ from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.choices import outcome
 from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.queries.compiler.solve import CHANGES
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Condition, Edge, Plan
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
@@ -227,15 +227,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
         return cast(FrameViewpoint, _known(start))
     seen = [("seen", program.sequence, who, frame) for frame in program.times]
     first, second = source.ask(seen)
-    if program.read == "presence":
-        return PRESENCE_ANSWERS[3 - 2 * _known(first.present) - _known(second.present)]
-    before = _known(first.distance)
-    if not _known(second.present):
-        return DISTANCE_ANSWERS[3]
-    nearer = before - _known(second.distance)
-    if abs(nearer) >= rules.distance_changed_m:
-        return DISTANCE_ANSWERS[0 if nearer > 0 else 1]
-    return DISTANCE_ANSWERS[_known(2 if abs(nearer) < rules.distance_same_m else None)]
+    return str(_known(CHANGES[program.read](first, second, rules)))
 
 
 def read_action(program: Program, label: str, source: FactSource) -> str:

@@ -1,6 +1,6 @@
 """Attributes of people and groups by majority, and the things of a sequence.
 
-A frame votes for a value if it states the value with difficulty 1 or 2. "Cannot be decided" is not a value. A
+A frame votes for a value if it states the value with difficulty 1 or 2. An undecided label is not a vote. A
 person has the value with more than half of the person's votes. A group has every value that more than half of the
 records with the attribute state. A venue counts only if it is the only such venue of the group.
 

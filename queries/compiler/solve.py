@@ -187,9 +187,9 @@ def _answers(reader: Reader, read: str, plans: Sequence[_BoundPlan], rules: Rule
     if read == "count":
         stretches = [(bound.target, bound.plan.answer.relation or "", first, last) for bound, (first, last) in stated]
         return {i: encode_answer(Number(float(count))) for i, count in reader.counts(stretches).items()}
-    if read in _CHANGES:
+    if read in CHANGES:
         looks = reader.seen([(bound.target, frame) for bound, frames in stated for frame in frames])
-        change = _CHANGES[read]
+        change = CHANGES[read]
         return {b.id: change(looks[b.id, first], looks[b.id, second], rules) for b, (first, second) in stated}
     return {bound.id: encode_answer(_BY_FRAMES[read](bound, frames)) for bound, frames in stated}
 
@@ -224,10 +224,11 @@ def _distance_change(first: Seen, second: Seen, rules: Rules) -> str | None:
     return DISTANCE_ANSWERS[2] if abs(nearer) < rules.distance_same_m else None
 
 
-_CHANGES: Final[Mapping[str, Callable[[Seen, Seen, Rules], str | None]]] = {
+CHANGES: Final[Mapping[str, Callable[[Seen, Seen, Rules], str | None]]] = {
     "presence": _presence_change,
     "distance_change": _distance_change,
 }
+"""Answers of two views of a person, by read. None is an unknown answer."""
 
 _BY_FRAMES: Final[Mapping[str, Callable[[_BoundPlan, list[int]], Answer]]] = {
     "start": lambda bound, frames: FrameAnswer(frames[0]),

@@ -5,5 +5,4 @@ OPTIONAL MATCH (n)-[r:Performs|MayPerform]->(x:Action)
 WHERE x.name = v AND (r.first <= t AND r.last >= t OR label(r) = 'Performs' AND list_contains($flickering, v)
   AND (r.first <= t - 15 AND r.last >= t - 15 OR r.first <= t + 15 AND r.last >= t + 15))
 WITH id, n, s, count(r) AS labels, coalesce(max(r.certain AND r.first <= t AND r.last >= t), false) AS certain
-WHERE labels > 0 OR NOT s.listed
-RETURN id, n.track AS who, certain ORDER BY id, who
+WHERE labels > 0 OR NOT s.listed RETURN id, n.track AS who, certain ORDER BY id, who

@@ -1,4 +1,4 @@
-// Return the people who may be in a person's group. Whoever has no group label may be in any group.
+// Return the people who may be in a person's group. A person without a group label may be in any group.
 UNWIND $asked AS q WITH q.id AS id, q.at AS at, q.t AS t, q.person AS person
 MATCH (n:Person)-[:SeenIn]->(f:Frame) WHERE f.id = at AND n.id = person WITH id, t, n, f
 OPTIONAL MATCH (n)-[r:MemberOf|MayBelong]->(g:SocialGroup) WHERE r.first <= t AND r.last >= t

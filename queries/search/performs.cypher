@@ -1,4 +1,4 @@
-// Return who performs, or may perform, which action at each keyframe (`now`), or is labelled so one second away.
+// Return which person performs, or may perform, which action at each keyframe (`now`), or is labelled so a second away.
 MATCH (f:Frame), (p:Person)-[r:Performs|MayPerform]->(x:Action) WHERE f.sequence = $sequence AND f.keyframe
   AND r.sequence = $sequence AND (r.first <= f.frame AND r.last >= f.frame OR label(r) = 'Performs'
   AND (r.first <= f.frame - 15 AND r.last >= f.frame - 15 OR r.first <= f.frame + 15 AND r.last >= f.frame + 15))

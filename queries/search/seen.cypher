@@ -1,4 +1,4 @@
-// Return who is seen once per second in a sequence, how each person is seen, and which labels were read.
+// Return how each person of a sequence is seen once per second, and which labels of the person were read.
 MATCH (f:Frame) WHERE f.sequence = $sequence AND f.keyframe WITH min(f.frame) % 15 AS phase
 MATCH (p:Person)-[s:SeenIn]->(:Frame) WHERE s.sequence = $sequence AND s.frame % 15 = phase
 RETURN s.frame AS frame, p.track AS who, s.clear AS clear, s.covered AS covered, s.pose AS pose, s.angle AS angle,

@@ -52,56 +52,41 @@ def _view(row):
 # -- the covered share ------------------------------------------------------------------------------------------------
 
 BEHIND = (1000, 100, 100, 200)
+HALF = Fraction(1, 2)
+SHARES = [
+    ([BEHIND, (1050, 100, 100, 210)], [HALF, 0]),
+    ([BEHIND, (1000, 200, 100, 200)], [HALF, 0]),  # from half of its height down
+    ([BEHIND, (1000, 100, 50, 210), (1025, 100, 50, 220)], [Fraction(3, 4), HALF, 0]),  # what two cover counts once
+    ([BEHIND, (1000, 100, 50, 210), (1050, 200, 50, 210)], [Fraction(3, 4), 0, 0]),
+    ([BEHIND, (900, 0, 300, 400)], [1, 0]),
+    ([BEHIND, (1050, 100, 100, 202)], [0, 0]),  # lower by 2 px is not nearer
+    ([BEHIND, (1050, 100, 100, 202 + 1 / UNIT)], [HALF, 0]),
+    ([BEHIND, (1100, 100, 100, 300)], [0, 0]),  # side by side
+    ([BEHIND, (1050 + 3760, 100, 100, 300)], [HALF, 0]),  # the same column one turn later
+    ([BEHIND, (1050 - 3760, 100, 100, 300)], [HALF, 0]),
+    ([BEHIND, (1000, -100, 100, 800)], [1, 0]),  # cut to the picture
+    ([BEHIND, (1000, 500, 100, 50)], [0, None]),  # below the picture
+    ([BEHIND, (500, 100, 5000, 300)], [1, 0]),  # wider than the panorama
+    # Both leave the picture: more than 4 px higher is nearer, from y = 478 on.
+    ([(100, 200, 50, 280), (125, 195, 50, 285)], [HALF, 0]),
+    ([(100, 200, 50, 280), (125, 196, 50, 284)], [0, 0]),
+    ([(100, 200, 50, 278), (125, 190, 50, 288)], [HALF, 0]),
+    ([(100, 200, 50, 277), (125, 300, 50, 180)], [Fraction(177, 554), 0]),
+    ([(100, 200, 50, 277), (125, 300, 50, 179)], [0, 0]),
+    ([(100, 200, 50, 400), (125, 300, 50, 180)], [0, HALF]),  # bottoms are those of the cut boxes
+    ([(100, 490, 50, 40), (100, 100, 50, 200)], [None, 0]),  # an empty box covers nobody
+    ([(100, 100, 0.001, 300), (100, 100, 50, 200)], [None, 0]),
+]
+SEAM = [
+    ([(3740, 100, 40, 200), (0, 100, 40, 300)], [HALF, 0]),
+    ([(-20, 100, 40, 200), (0, 100, 40, 300)], [HALF, 0]),
+    ([(10, 100, 40, 200), (3750, 100, 40, 300)], [HALF, 0]),
+]
 
 
-@pytest.mark.parametrize(
-    ("nearer", "share"),
-    [
-        ([(1050, 100, 100, 210)], Fraction(1, 2)),
-        ([(1000, 200, 100, 200)], Fraction(1, 2)),  # from half of its height down
-        ([(1000, 100, 50, 210), (1025, 100, 50, 220)], Fraction(3, 4)),  # what two cover counts once
-        ([(1000, 100, 50, 210), (1050, 200, 50, 210)], Fraction(3, 4)),
-        ([(900, 0, 300, 400)], Fraction(1)),
-        ([(1050, 100, 100, 202)], Fraction(0)),  # lower by 2 px is not nearer
-        ([(1050, 100, 100, 202 + 1 / UNIT)], Fraction(1, 2)),
-        ([(1050, 100, 100, 198)], Fraction(0)),
-        ([(1100, 100, 100, 300)], Fraction(0)),  # side by side
-        ([(1050 + 3760, 100, 100, 300)], Fraction(1, 2)),  # the same column one turn later
-        ([(1050 - 3760, 100, 100, 300)], Fraction(1, 2)),
-        ([(1000, -100, 100, 800)], Fraction(1)),  # cut to the picture
-        ([(1000, 500, 100, 50)], Fraction(0)),  # below the picture
-        ([(500, 100, 5000, 300)], Fraction(1)),  # wider than the panorama
-    ],
-)
-def test_the_share_of_a_box_that_nearer_boxes_cover(nearer, share):
-    assert shares([BEHIND, *nearer])[0] == share
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "covered"),
-    [
-        ((100, 200, 50, 280), (125, 195, 50, 285), 1),  # both leave the picture: more than 4 px higher is nearer
-        ((100, 200, 50, 280), (125, 196, 50, 284), None),
-        ((100, 200, 50, 278), (125, 190, 50, 288), 1),  # from y = 478 on
-        ((100, 200, 50, 277), (125, 300, 50, 180), 1),  # else the lower one, if it is lower by more than 2 px
-        ((100, 200, 50, 277), (125, 300, 50, 179), None),
-        ((100, 200, 50, 400), (125, 300, 50, 180), 2),  # bottoms are those of the cut boxes
-    ],
-)
-def test_of_two_boxes_that_reach_the_last_rows_the_higher_one_is_nearer(one, other, covered):
-    assert [share > 0 for share in shares([one, other])] == [covered == 1, covered == 2]
-
-
-def test_boxes_meet_across_the_seam():
-    left, right = (3740, 100, 40, 200), (0, 100, 40, 300)
-    assert shares([left, right]) == [Fraction(1, 2), 0]
-    assert shares([(-20, 100, 40, 200), right]) == [Fraction(1, 2), 0]
-    assert shares([(10, 100, 40, 200), (3750, 100, 40, 300)]) == [Fraction(1, 2), 0]
-
-
-def test_an_empty_box_has_no_share_and_covers_nobody():
-    assert shares([(100, 490, 50, 40), (100, 100, 50, 200)]) == [None, 0]
-    assert shares([(100, 100, 0.001, 300), (100, 100, 50, 200)]) == [None, 0]
+@pytest.mark.parametrize(("boxes", "expected"), SHARES + SEAM)
+def test_the_share_of_a_box_that_nearer_boxes_cover(boxes, expected):
+    assert shares(boxes) == expected
 
 
 EDGES = st.sampled_from((0, 1, 2, 3, 3758, 3759, 3760, 1879.5, 40, 44, -5))

@@ -56,7 +56,7 @@ def test_load_counts_them_in_one_line(store, tmp_path):
 
 
 def test_generate_says_so_and_skips_them_on_demand(store):
-    with pytest.warns(AvrWarning, match="counts as a clear view.*--require-occlusion skips them"):
+    with pytest.warns(AvrWarning, match="boxes decide who is in clear view.*--require-occlusion skips them"):
         generate(store, workers=1)
     assert store.questions("sequences")["sequence"].to_pylist() == [SEEN, UNSEEN]
     with pytest.warns(AvrWarning, match="1 of 2 sequences have no occlusion attributes and are skipped"):

@@ -199,8 +199,7 @@ def test_what_became_of_the_candidates(tables, ask):
     rows = ask(
         """SELECT template, sum(n)::int, (sum(n) FILTER (WHERE late))::int, (sum(n) FILTER (WHERE asked))::int FROM (
             SELECT template, count(*) AS n, true AS late, true AS asked FROM questions GROUP BY ALL UNION ALL
-            SELECT template, candidates, rule IN
-                ('rederive', 'choices', 'near_duplicate', 'max_per_person', 'balance'), false
+            SELECT template, candidates, rule IN ('choices', 'unconfirmed', 'balance'), false
             FROM rejected WHERE kind = 'count'
         ) GROUP BY ALL"""
     )
