@@ -172,7 +172,7 @@ def blind_check(
 
 def _shares(scores: Mapping[str, Chances], aim: float | None) -> dict[str, Any]:
     """Return n, the share of right answers of each guesser, the aim, and the guessers above the aim as the reason."""
-    shares = {name: float(sum(of)) / len(of) for name, of in scores.items()}
+    shares = {name: sum(of) / len(of) for name, of in scores.items()}
     above = [name for name, share in shares.items() if aim is not None and share > aim and name not in INFORMATION]
     reason = ", ".join(f"{name} {100 * shares[name]:.0f} %" for name in above)
     n = len(next(iter(scores.values())))
@@ -183,7 +183,7 @@ def _combined(scores: Mapping[str, Chances], boxes: Mapping[str, Chances]) -> di
     """Return the shares of right boxes, and the share of questions that the best guessers have right together."""
     shares = {name: sum(of) / len(of) for name, of in boxes.items()}
     answers = max((of for name, of in scores.items() if name not in INFORMATION), key=sum)
-    right = [float(answer) * box for answer, box in zip(answers, max(boxes.values(), key=sum), strict=True)]
+    right = [answer * box for answer, box in zip(answers, max(boxes.values(), key=sum), strict=True)]
     return {**shares, "combined": sum(right) / len(right)}
 
 
@@ -214,7 +214,12 @@ def counting_guesser(counts: LabelCounts | None = None) -> Guesser:
     Returns:
         The function from questions to the scores of the guessers.
     """
-    return lambda group: guesser_scores(offers_of(group, counts)) if group[0].choices else {}
+
+    def guess(group: Sequence[QuestionText]) -> Mapping[str, Chances]:
+        scores = guesser_scores(offers_of(group, counts)) if group[0].choices else {}
+        return {name: list(map(float, of)) for name, of in scores.items()}
+
+    return guess
 
 
 def offers_of(questions: Iterable[QuestionText], counts: LabelCounts | None = None) -> list[Offer]:
