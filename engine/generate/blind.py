@@ -2,9 +2,9 @@
 
 A question that its own text answers is a defect. Guessers that see no image are scored on each template, as predictions
 are. The simple guessers are a uniform choice, the best constant, and the best constant offset from a stated time.
-Constants are chosen with hindsight, so their score is the most that such a guesser can reach. For spans and viewpoints
-the constants tried are the template's own answers. Counting guessers know how often each choice is true in other
-sequences (`guessers`). Further guessers learn from all words (`learned`) or know the store's people (`scene_guessers`).
+Constants are chosen with hindsight, so their score is the most that such a guesser can reach. Counting guessers know how
+often each choice is true in other sequences (`guessers`). Further guessers learn from all words (`learned`) or know the
+store's people (`scene_guessers`).
 
 The forms of a template are checked separately, because their texts differ.
 """
@@ -24,7 +24,7 @@ import pyarrow as pa
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name
 from jrdb_avr.engine.generate.guessers import COUNTING, LabelCounts, Offer, guesser_scores
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, mode_of, same_answer
-from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, Span, encode_answer
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, encode_answer
 from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.wording.text import actions_of, form_of, parse, stated_frames
@@ -37,6 +37,9 @@ GUESSERS: Final = (
     *INFORMATION,
 )
 """Guessers of answers, in the order of their columns."""
+
+_TRIED: Final = 500
+"""Maximum number of answers that are tried as a constant. A benchmark has fewer in a template, a training set more."""
 
 FEW: Final = 30
 """With fewer questions, a share of right answers is not reliable."""
@@ -257,37 +260,17 @@ def best_guess(relative: Sequence[Answer]) -> Answer:
         relative: The true answers, with frames counted from a frame of each question.
 
     Returns:
-        The answer, the smallest one of equals.
+        The answer, the first one of equals. At most `_TRIED` true answers are tried. If answers are frames or numbers,
+        a true answer is tried as the lower limit of what counts as right, because the best limits begin at one.
     """
-    match relative[0]:
-        case FrameAnswer():
-            # A window that holds the most answers can begin at one of them.
-            frames = np.sort([a.frame for a in relative if isinstance(a, FrameAnswer)])
-            window = round(FPS)
-            held = np.searchsorted(frames, frames + 2 * window, "right") - np.arange(len(frames))
-            return FrameAnswer(int(frames[held.argmax()]) + window)
-        case Number():
-            values = np.sort([a.value for a in relative if isinstance(a, Number)])
-            held = np.searchsorted(values, values * 4, "right") - np.arange(len(values))
-            return Number(float(values[held.argmax()]) * 2)
     distinct = sorted(set(relative), key=repr)
-    if isinstance(relative[0], Span):
-        counts = _matching_spans(distinct, relative)
-    else:
-        counts = [sum(same_answer(guess, answer) for answer in relative) for guess in distinct]
-    return distinct[int(np.argmax(counts))]
-
-
-def _matching_spans(guesses: Sequence[Answer], answers: Sequence[Answer]) -> list[int]:
-    """Count for each guess the spans that it matches by `same_answer`. Pair by pair, thousands would take seconds."""
-    starts, ends = np.array([(a.start_frame, a.end_frame + 1) for a in answers if isinstance(a, Span)]).T
-    counts = []
-    for guess in guesses:
-        assert isinstance(guess, Span)
-        both = np.minimum(ends, guess.end_frame + 1) - np.maximum(starts, guess.start_frame)
-        either = ends - starts + guess.end_frame + 1 - guess.start_frame - both
-        counts.append(int(np.count_nonzero((both > 0) & (2 * both >= either))))
-    return counts
+    tried: list[Answer] = distinct[:: -(-len(distinct) // _TRIED)]
+    if isinstance(tried[0], FrameAnswer):
+        tried = [_moved(answer, round(FPS)) for answer in tried]
+    elif isinstance(tried[0], Number):
+        tried = [Number(2 * answer.value) for answer in tried if isinstance(answer, Number)]
+    counts = [sum(same_answer(guess, answer) for answer in relative) for guess in tried]
+    return tried[int(np.argmax(counts))]
 
 
 def _moved(answer: Answer, frames: int) -> Answer:
