@@ -2,9 +2,9 @@
 
 A question that its own text answers is a defect. Guessers that see no image are scored on each template, as predictions
 are. The simple guessers are a uniform choice, the best constant, and the best constant offset from a stated time.
-Constants are chosen with hindsight, so their score is the most that such a guesser can reach. Counting guessers know how
-often each choice is true in other sequences (`guessers`). Further guessers learn from all words (`learned`) or know the
-store's people (`scene_guessers`).
+Constants are chosen with hindsight, so their score is the most that such a guesser can reach. Counting guessers know
+how often each choice is true in other sequences (`guessers`). Further guessers learn from all words (`learned`) or know
+the store's people (`scene_guessers`).
 
 The forms of a template are checked separately, because their texts differ.
 """
