@@ -153,8 +153,8 @@ def blind_check(
         One row per form: n, the share of right answers of each guesser of `GUESSERS`, the aim, and the guessers above
         the aim as the reason, None without any. With `boxes` also the shares of right boxes, and `combined`, the share
         of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser that does
-        not apply has None. Counts of people have no aim. If a form has time twins, a second row has their number of
-        pairs as n and the shares of pairs with both answers right.
+        not apply has None. Counts of people have no aim. If a form has time twins, a second row, "FORM, two twins",
+        has their number of pairs as n and the shares of pairs with both answers right.
     """
     groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:
@@ -169,7 +169,8 @@ def blind_check(
         pairs = [pair for pair in pairwise(numbers) if group[pair[0]].twin == group[pair[1]].twin is not None]
         if pairs:
             both = {name: [of[first] * of[second] for first, second in pairs] for name, of in scores.items()}
-            rows.append(dict.fromkeys(rows[-1]) | head | {"asks": "two twins"} | _shares(both, None))
+            head["form"] += ", two twins"
+            rows.append(dict.fromkeys(rows[-1]) | head | _shares(both, None))
     return rows
 
 
