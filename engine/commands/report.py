@@ -136,7 +136,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
         note(f"wrote {html}")
         return
     rows_of = found.tables(names)
-    names = [name for name in names if name != "twins" or rows_of[name]]
+    names = tuple(name for name in names if name != "twins" or rows_of[name])
     if form == "csv":
         print_data(rows_of[names[0]], form)
         return

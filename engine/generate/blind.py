@@ -2,9 +2,9 @@
 
 A question that its own text answers is a defect. Guessers that see no image are scored on each template, as predictions
 are. The simple guessers are a uniform choice, the best constant, and the best constant offset from a stated time.
-Constants are chosen with hindsight, so their score is the most that such a guesser can reach. For spans and viewpoints
-the constants tried are the template's own answers. Counting guessers know how often each choice is true in other
-sequences (`guessers`). Further guessers learn from all words (`learned`) or know the store's people (`scene_guessers`).
+Constants are chosen with hindsight, so their score is the most that such a guesser can reach. Counting guessers know
+how often each choice is true in other sequences (`guessers`). Further guessers learn from all words (`learned`) or know
+the store's people (`scene_guessers`).
 
 The forms of a template are checked separately, because their texts differ.
 """
@@ -24,7 +24,7 @@ import pyarrow as pa
 from jrdb_avr.engine.generate.bins import answer_bin, bin_name
 from jrdb_avr.engine.generate.guessers import COUNTING, LabelCounts, Offer, guesser_scores
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, mode_of, same_answer
-from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, Span, encode_answer
+from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, encode_answer
 from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.wording.text import actions_of, form_of, parse, stated_frames
@@ -37,6 +37,9 @@ GUESSERS: Final = (
     *INFORMATION,
 )
 """Guessers of answers, in the order of their columns."""
+
+_TRIED: Final = 500
+"""Maximum number of answers that are tried as a constant. A benchmark has fewer in a template, a training set more."""
 
 FEW: Final = 30
 """With fewer questions, a share of right answers is not reliable."""
@@ -150,8 +153,8 @@ def blind_check(
         One row per form: n, the share of right answers of each guesser of `GUESSERS`, the aim, and the guessers above
         the aim as the reason, None without any. With `boxes` also the shares of right boxes, and `combined`, the share
         of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser that does
-        not apply has None. Counts of people have no aim. If a form has time twins, a second row has their number of
-        pairs as n and the shares of pairs with both answers right.
+        not apply has None. Counts of people have no aim. If a form has time twins, a second row, "FORM, two twins",
+        has their number of pairs as n and the shares of pairs with both answers right.
     """
     groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:
@@ -166,13 +169,14 @@ def blind_check(
         pairs = [pair for pair in pairwise(numbers) if group[pair[0]].twin == group[pair[1]].twin is not None]
         if pairs:
             both = {name: [of[first] * of[second] for first, second in pairs] for name, of in scores.items()}
-            rows.append(dict.fromkeys(rows[-1]) | head | {"asks": "two twins"} | _shares(both, None))
+            head["form"] += ", two twins"
+            rows.append(dict.fromkeys(rows[-1]) | head | _shares(both, None))
     return rows
 
 
 def _shares(scores: Mapping[str, Chances], aim: float | None) -> dict[str, Any]:
     """Return n, the share of right answers of each guesser, the aim, and the guessers above the aim as the reason."""
-    shares = {name: float(sum(of)) / len(of) for name, of in scores.items()}
+    shares = {name: sum(of) / len(of) for name, of in scores.items()}
     above = [name for name, share in shares.items() if aim is not None and share > aim and name not in INFORMATION]
     reason = ", ".join(f"{name} {100 * shares[name]:.0f} %" for name in above)
     n = len(next(iter(scores.values())))
@@ -183,7 +187,7 @@ def _combined(scores: Mapping[str, Chances], boxes: Mapping[str, Chances]) -> di
     """Return the shares of right boxes, and the share of questions that the best guessers have right together."""
     shares = {name: sum(of) / len(of) for name, of in boxes.items()}
     answers = max((of for name, of in scores.items() if name not in INFORMATION), key=sum)
-    right = [float(answer) * box for answer, box in zip(answers, max(boxes.values(), key=sum), strict=True)]
+    right = [answer * box for answer, box in zip(answers, max(boxes.values(), key=sum), strict=True)]
     return {**shares, "combined": sum(right) / len(right)}
 
 
@@ -214,7 +218,12 @@ def counting_guesser(counts: LabelCounts | None = None) -> Guesser:
     Returns:
         The function from questions to the scores of the guessers.
     """
-    return lambda group: guesser_scores(offers_of(group, counts)) if group[0].choices else {}
+
+    def guess(group: Sequence[QuestionText]) -> Mapping[str, Chances]:
+        scores = guesser_scores(offers_of(group, counts)) if group[0].choices else {}
+        return {name: list(map(float, of)) for name, of in scores.items()}
+
+    return guess
 
 
 def offers_of(questions: Iterable[QuestionText], counts: LabelCounts | None = None) -> list[Offer]:
@@ -252,37 +261,17 @@ def best_guess(relative: Sequence[Answer]) -> Answer:
         relative: The true answers, with frames counted from a frame of each question.
 
     Returns:
-        The answer, the smallest one of equals.
+        The answer, the first one of equals. At most `_TRIED` true answers are tried. If answers are frames or numbers,
+        a true answer is tried as the lower limit of what counts as right, because the best limits begin at one.
     """
-    match relative[0]:
-        case FrameAnswer():
-            # A window that holds the most answers can begin at one of them.
-            frames = np.sort([a.frame for a in relative if isinstance(a, FrameAnswer)])
-            window = round(FPS)
-            held = np.searchsorted(frames, frames + 2 * window, "right") - np.arange(len(frames))
-            return FrameAnswer(int(frames[held.argmax()]) + window)
-        case Number():
-            values = np.sort([a.value for a in relative if isinstance(a, Number)])
-            held = np.searchsorted(values, values * 4, "right") - np.arange(len(values))
-            return Number(float(values[held.argmax()]) * 2)
     distinct = sorted(set(relative), key=repr)
-    if isinstance(relative[0], Span):
-        counts = _matching_spans(distinct, relative)
-    else:
-        counts = [sum(same_answer(guess, answer) for answer in relative) for guess in distinct]
-    return distinct[int(np.argmax(counts))]
-
-
-def _matching_spans(guesses: Sequence[Answer], answers: Sequence[Answer]) -> list[int]:
-    """Count for each guess the spans that it matches by `same_answer`. Pair by pair, thousands would take seconds."""
-    starts, ends = np.array([(a.start_frame, a.end_frame + 1) for a in answers if isinstance(a, Span)]).T
-    counts = []
-    for guess in guesses:
-        assert isinstance(guess, Span)
-        both = np.minimum(ends, guess.end_frame + 1) - np.maximum(starts, guess.start_frame)
-        either = ends - starts + guess.end_frame + 1 - guess.start_frame - both
-        counts.append(int(np.count_nonzero((both > 0) & (2 * both >= either))))
-    return counts
+    tried: list[Answer] = distinct[:: -(-len(distinct) // _TRIED)]
+    if isinstance(tried[0], FrameAnswer):
+        tried = [_moved(answer, round(FPS)) for answer in tried]
+    elif isinstance(tried[0], Number):
+        tried = [Number(2 * answer.value) for answer in tried if isinstance(answer, Number)]
+    counts = [sum(same_answer(guess, answer) for answer in relative) for guess in tried]
+    return tried[int(np.argmax(counts))]
 
 
 def _moved(answer: Answer, frames: int) -> Answer:

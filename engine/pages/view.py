@@ -217,14 +217,17 @@ class Viewer:
             raise InputError(f"no question {question_id[:40]!r}", field="question_id")
         return self._by_id[question_id]
 
-    def _find_twins(self) -> dict[str, tuple[QuestionRow, str]]:
-        """Return the time twin of each question that has one, with the twin's true answer as JSON, by question id."""
+    def _find_twins(self) -> dict[str, tuple[QuestionRow, str, str]]:
+        """Return, by question id, the time twin of each question that has one, and the true answers as JSON.
+
+        The twin's answer comes first, then the question's.
+        """
         pairs: dict[str, list[StoredRow]] = {}
         for row in self.store.questions("answers", ["question_id", "answer", "twin_id"]).to_pylist():
             if row["twin_id"] is not None:
                 pairs.setdefault(row["twin_id"], []).append(row)
         return {
-            first["question_id"]: (self._by_id[second["question_id"]], second["answer"])
+            first["question_id"]: (self._by_id[second["question_id"]], second["answer"], first["answer"])
             for pair in pairs.values()
             for first, second in permutations(pair, 2)
         }

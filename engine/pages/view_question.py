@@ -71,7 +71,7 @@ def question_page(
     runs: Sequence[Any],
     chosen: Any | None,
     transcript: Transcript | None,
-    twin: tuple[QuestionRow, str] | None,
+    twin: tuple[QuestionRow, str, str] | None,
     missing: str,
     near: Sequence[QuestionRow | None],
     pictured: bool,
@@ -86,8 +86,8 @@ def question_page(
         chosen: The run to show in detail, or None.
         transcript: Record of the chosen run's work on the question. None if there is no transcript. If scores may be
             shown, the record is a `Trace`.
-        twin: The time twin of the question and the twin's true answer as JSON. None without a twin, or if the page may
-            not show true answers.
+        twin: The time twin of the question, the twin's true answer as JSON, and the question's own. None without a
+            twin, or if the page may not show true answers.
         missing: Reason why there is no transcript, or an empty text.
         near: The previous and the next question of the store. None stands for a question that does not exist.
         pictured: Whether the panoramas of the store are available.
@@ -101,8 +101,10 @@ def question_page(
     unit = "" if trace is None else unit_of(parse_plan(trace.answer["plan"]))
     mode, fps = question.answer_mode, info.fps
     given = {run.name: readable(mode, _answer(run, question), question.choices, fps, unit) for run in runs}
-    asked = [_asked(question, true, None if twin is None else twin[0], chosen)]
-    asked += [] if twin is None else [_asked(*twin, question, chosen)]
+    if twin is None:
+        asked = [_asked(question, true, None, chosen)]
+    else:
+        asked = [_asked(question, twin[2], twin[0], chosen), _asked(twin[0], twin[1], question, chosen)]
     return render(
         "view_question.html",
         question=question,

@@ -84,7 +84,7 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
         scores = [row["combined"] for _, row in pairs]
         entries = []
         for bundle, row in pairs:
-            head = {"rank": 1 + scores.index(row["combined"]), "questions": name, "bundle": bundle.folder.name}
+            head: Row = {"rank": 1 + scores.index(row["combined"]), "questions": name, "bundle": bundle.folder.name}
             entries.append((bundle, head | row | {"run": bundle.run.run_id}))
         ranked.append(entries)
     ranked.sort(key=lambda entries: (-entries[0][1]["n"], entries[0][0].question_set))

@@ -97,7 +97,8 @@ class ScoredRun:
     @cached_property
     def invalid(self) -> Digits:
         """1 for each question with an output of the model that could not be read, else 0. Shape: (n,)."""
-        return self.table["invalid"].to_numpy().astype(np.int8)
+        invalid: Digits = self.table["invalid"].to_numpy().astype(np.int8)
+        return invalid
 
     @property
     def n(self) -> int:

@@ -88,7 +88,7 @@ def test_guessers_are_scored_on_pairs_of_time_twins_too():
     counts = LabelCounts({("a", 60): {"walking": 1}, ("a", 120): {"standing": 1}, ("b", 60): {"walking": 3}})
     single, both = blind_check(rows, [counting_guesser(counts)], lambda group: {"largest": [1] * len(group)})
     assert (single["asks"], single["n"], single["constant"], single["largest"]) == ("choice", 5, 0.4, 1)
-    assert (both["form"], both["asks"], both["n"]) == ("change", "two twins", 2)
+    assert (both["form"], both["asks"], both["n"]) == ("change, two twins", "choice", 2)
     assert (both["uniform"], both["constant"], both["data"], both["frame"]) == (1 / 16, 0, 0, 0.5)
     assert both["aim"] is both["reason"] is both["largest"] is both["combined"] is None
 

@@ -129,24 +129,37 @@ def sql_of(store):
     return connection
 
 
-def test_the_likeliest_action_is_that_of_sql(sample_benchmark, texts, sample):
-    connection = sql_of(sample_benchmark)
-    count = """SELECT action, count(*) FROM (SELECT unnest(later.actions) AS action
+LIKELIEST = {
+    "change": """SELECT action, count(*) FROM (SELECT unnest(later.actions) AS action
         FROM doing d JOIN doing later ON d.sequence = later.sequence AND d.track = later.track
-            AND later.frame = d.frame + $wait
-        WHERE d.sequence <> $sequence AND list_has_all(d.actions, $described::VARCHAR[])) GROUP BY ALL"""
-    scores = []
-    for question in (own for own in texts if own.form == "change"):
+            AND later.frame = d.frame + $waits[1]
+        WHERE d.sequence <> $sequence AND list_has_all(d.actions, $described::VARCHAR[])) GROUP BY ALL""",
+    "presence": """SELECT CASE WHEN one AND two THEN 'both times' WHEN one THEN 'only at the first time'
+            WHEN two THEN 'only at the second time' ELSE 'neither time' END AS answer, count(*)
+        FROM (SELECT EXISTS (FROM sightings s WHERE s.sequence = d.sequence AND s.track = d.track
+                AND s.frame = d.frame + $waits[1]) AS one,
+            EXISTS (FROM sightings s WHERE s.sequence = d.sequence AND s.track = d.track
+                AND s.frame = d.frame + $waits[2]) AS two
+            FROM doing d JOIN sequence USING (sequence)
+            WHERE d.sequence <> $sequence AND list_has_all(d.actions, $described::VARCHAR[])
+                AND d.frame + $waits[2] < frame_count) GROUP BY ALL""",
+}
+
+
+@pytest.mark.parametrize("form", LIKELIEST)
+def test_the_likeliest_answer_is_that_of_sql(form, sample_benchmark, texts, sample):
+    connection, scores = sql_of(sample_benchmark), []
+    for question in (own for own in texts if own.form == form):
         for described in (question.described, ()):
-            values = {"wait": question.times[1] - question.times[0], "sequence": question.sequence}
-            found = dict(connection.execute(count, values | {"described": list(described)}).fetchall())
-            people = {text: found.get(answer_of_choice(text), 0) for text in question.choices}
+            values = {"waits": [time - question.times[0] for time in question.times[1:]], "described": list(described)}
+            found = connection.execute(LIKELIEST[form], values | {"sequence": question.sequence}).fetchall()
+            people = {text: dict(found).get(answer_of_choice(text), 0) for text in question.choices}
             if any(people.values()):
                 break
         best = [text for text in people if people[text] == max(people.values())]
         scores.append((question.chosen in best) / len(best))
     assert len(scores) > 5 and len(set(scores)) > 1
-    assert sample["change", "choice"]["people"] == pytest.approx(sum(scores) / len(scores))
+    assert sample[form, "choice"]["people"] == pytest.approx(sum(scores) / len(scores))
 
 
 def test_boxes_are_those_of_the_evidence(sample_benchmark, texts, sample):

@@ -185,6 +185,9 @@ def test_a_time_twin_is_shown_beside_its_question_with_the_time_that_differs(tmp
     words = " ".join(re.sub("<.*?>", " ", text).split())
     assert "answered 0 ✓ ✓ ✓ ✗ never looked there" in words
     assert len(re.findall('<ol class="choices">', text)) == 2
+    # Both true answers are shown even if the steps of the run are missing, as they are of imported predictions.
+    (store.run_path("r") / "steps.parquet").unlink()
+    assert len(re.findall('<li class="right', page(scored, "b1"))) == 2
     # A question without a twin, and pages without answers, say nothing of twins.
     for viewer, question in ((scored, "e"), (public, "b1"), (public, "e")):
         text = page(viewer, question)
