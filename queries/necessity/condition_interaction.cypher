@@ -4,8 +4,7 @@ MATCH (:Person)-[z:SeenIn]->(f:Frame) WHERE f.id = at
 WITH id, at, t, v, count(*) AS people, min(z.interactions_listed) AS listed
 MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at AND NOT s.covered
 OPTIONAL MATCH (n)-[r:Interacts|MayInteract]->(m:Person) WHERE r.label = v AND r.first <= t AND r.last >= t
-WITH id, at, people, listed, n, m, r.certain AS sure
-OPTIONAL MATCH (m)-[z:SeenIn]->(f:Frame) WHERE f.id = at
+WITH id, at, people, listed, n, m, r.certain AS sure OPTIONAL MATCH (m)-[z:SeenIn]->(f:Frame) WHERE f.id = at
 WITH id, n, people, listed, count(z) AS labels,
      coalesce(max(sure AND z.frame IS NOT NULL AND (z.clear OR NOT $in_view)), false) AS certain
 WHERE labels > 0 OR people > 1 AND NOT listed RETURN id, n.track AS who, certain ORDER BY id, who
