@@ -126,7 +126,7 @@ def is_true(verb, value, rules):
     if verb == "gives":
         return rules.get(value, "not proposed") is None
     # A generator does not propose what its own row refuses.
-    return not rules or verb == "refuses" and None not in rules.values() and value in rules.values()
+    return not rules or (verb == "refuses" and None not in rules.values() and value in rules.values())
 
 
 CLAIM = re.compile(
