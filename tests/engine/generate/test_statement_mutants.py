@@ -111,7 +111,9 @@ def keys_by_statement(search):
         found.setdefault(statement_of(key), []).append(key)
     starts = [(row["track"], row["action"], row["first"]) for row in search.layer.segments.values()]
     # A person without a list may do anything, and a person with two postures may have either.
-    unread = [(who, frame) for frame, some in search.layer.facts.people.items() for who in some if not some[who]["pose"]]
+    unread = [
+        (who, frame) for frame, some in search.layer.facts.people.items() for who in some if not some[who]["pose"]
+    ]
     starts += [(who, action, frame) for who, frame in unread[:40] for action in ("walking", "holding sth")]
     return found | {"onsets": [("onsets", search.sequence, *start) for start in starts]}
 
@@ -125,7 +127,12 @@ def results(search, keys, path):
         return sorted((entry.candidate.key, repr(sorted(entry.row.items()))) for entry in pool)
     if folder == "search":
         found = Facts(search.graph, search.sequence, RULES.load, with_faces=True)
-        return found.people, found.lists, found.keyframes, [found.ask(some) for kind, some in keys.items() if kind != "onsets"]
+        return (
+            found.people,
+            found.lists,
+            found.keyframes,
+            [found.ask(some) for kind, some in keys.items() if kind != "onsets"],
+        )
     source = CypherFacts(search.graph, RULES.load)
     return source.complete(lambda: source.ask(keys.get(name, [])))
 
