@@ -291,8 +291,7 @@ class _QuestionCheck:
             self.check("text", False, str(error))
             return
         self.check("text", written == record.question, f"the text of the plan is {written!r}")
-        same = (template, canonical(stated)) == (record.template, record.plan)
-        self.check("text", same, "the text states another plan")
+        self.check("text", (template, canonical(stated)) == (record.template, record.plan), "the text has another plan")
         times = _STATED_TIME.findall(record.question)
         fitting = all(seconds == f"{int(frame) / self.info['fps']:.1f}" for seconds, frame in times)
         self.check("text", bool(times) and fitting, "stated seconds are not frame / fps")
