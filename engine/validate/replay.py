@@ -304,7 +304,7 @@ def run_compiled(
         except PlanError as error:
             differences.append(Difference(stored.record.question_id, "compiled", str(error)))
     with Graph.open(store.graph_path, read_only=True) as graph:
-        queries = [PlanQuery(stored.plan, stored.record.sequence) for stored in compiled]
+        queries = [PlanQuery(stored.plan, stored.record.sequence, stored.record.choices) for stored in compiled]
         solutions = solve(SceneReader(graph, SCENE, rules.load), queries, rules, advance)
     for (record, plan, _), solution in zip(compiled, solutions, strict=True):
         if solution.outcome != "defined":

@@ -136,13 +136,18 @@ class BeliefReader(Reader):
     # -- reads ----------------------------------------------------------------------------------------------------
 
     def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
+        return self._values([(person, frame, name, ()) for person, frame, name in queries])
+
+    def actions_at(self, queries: Sequence[tuple[Person, int, Sequence[str]]]) -> dict[int, str]:
+        return self._values([(person, frame, "action", offered) for person, frame, offered in queries])
+
+    def _values(self, queries: Sequence[tuple[Person, int, str, Sequence[str]]]) -> dict[int, str]:
         found = {}
-        for person, frame, name in queries:
+        for person, frame, name, offered in queries:
             self._add_evidence(person, [frame])
-            key = (person.who, "action" if name == "posture" else name)
-            rows = [row for row in self.all("attributes") if (row["who"], row["name"]) == key]
+            rows = [row for row in self.all("attributes") if (row["who"], row["name"]) == (person.who, name)]
             values = {row["value"] for row in rows if row["first"] <= frame <= row["last"]}
-            values &= {*POSES} if name == "posture" else values
+            values &= {*offered} if name == "action" else values
             if self._at(person, frame) is None:
                 self._note(person, "value", f"{person.who} is not seen at {_at(frame)}")
             elif len(values) != 1:

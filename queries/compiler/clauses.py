@@ -64,6 +64,19 @@ def in_column(value: str, other: str = "", rows: Clause | None = None, near: str
     return Clause(f"coalesce({value} = {{v}}{alone}, false)", could)
 
 
+def in_range(low: str, high: str) -> Clause:
+    """A fact stored as the least and the greatest possible value, null where nothing is known."""
+    sure = f"coalesce({low} = {{v}} AND {high} = {{v}}, false)"
+    return Clause(sure, f"({low} IS NULL OR {low} <= {{v}} AND {high} >= {{v}})")
+
+
+def unless_flickering(rows: Clause) -> Clause:
+    """An action stored as rows: a label `w` frames earlier or later makes it possible, if only clear views count."""
+    times = (f"r.first <= {{t}} {sign} {{w}} AND r.last >= {{t}} {sign} {{w}}" for sign in "-+")
+    near = f"EXISTS {{{{ MATCH ({{n}})-[r:Performs]->(x:Action) WHERE x.name = {{v}} AND ({' OR '.join(times)}) }}}}"
+    return Clause(rows.sure, f"{rows.could} OR $in_view AND {near}")
+
+
 def unless_listed(rows: Clause, listed: str) -> Clause:
     """A fact stored as rows: without a row it is false where `listed` holds, else unknown."""
     return Clause(rows.sure, f"({rows.could} OR NOT {listed})")

@@ -13,18 +13,21 @@ from typing import Final
 from jrdb_avr.queries.compiler.clauses import (
     Clause,
     in_column,
+    in_range,
     in_rows,
     seen_with,
     to_anybody,
     towards,
     unless_both_listed,
+    unless_flickering,
     unless_listed,
     within,
 )
 from jrdb_avr.schema.errors import PlanError
-from jrdb_avr.schema.labels import ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.labels import FLICKERING, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
+from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import VERBS
 
 PersonId = int | str
@@ -35,12 +38,14 @@ PersonId = int | str
 class SchemaMapping:
     """A namespace of the graph. The property `id` identifies its people.
 
-    pattern, there: a person `n` with a sighting `s`, and the condition for one at frame `t` of `scope`; who: the
-    person's number or name in its scope; conditions, edges: clauses by kind, see `Condition.kind` and `edge_kind`;
-    reads: folder of the statements that read answers; things: the things `n` of `scope`, None where there are none.
+    pattern, boxed, there: a person `n` with a sighting `s`, the condition for one at frame `t` of `scope`, and for one
+    of a person who counts then; who: the person's number or name in its scope; conditions, edges: clauses by kind, see
+    `Condition.kind` and `edge_kind`; reads: folder of the statements that read answers; things: the things `n` of
+    `scope`, None where there are none.
     """
 
     pattern: str
+    boxed: str
     there: str
     who: str
     conditions: Mapping[str, Clause]
@@ -73,6 +78,8 @@ def condition_values(condition: Condition) -> dict[str, str | float | list[str]]
     values: dict[str, str | float | list[str]] = {"v": next(value for value in wanted if value is not None)}
     if condition.attribute == "age":
         values["w"] = sorted(may_be_called(str(condition.value)))
+    if condition.kind == "action":
+        values["w"] = KEYFRAME_STEP if condition.action in FLICKERING else 0
     return values if condition.verb is None else values | {"w": condition.verb}
 
 
@@ -109,6 +116,7 @@ def edge_values(relation: str) -> dict[str, str | float]:
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
 _THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
+_CLEAR: Final = "(NOT $in_view OR {z}.clear)"
 
 _PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"}, may="MayPerform")
 _HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"}, may="MayHandle")
@@ -128,17 +136,18 @@ _SOCIAL: Final = unless_both_listed(
 
 SCENE: Final = SchemaMapping(
     pattern=_PATTERN,
-    there=_THERE,
+    boxed=_THERE,
+    there=f"{_THERE} AND NOT {{s}}.covered",
     who="{n}.track",
     conditions={
         "gender": in_column("{n}.gender"),
         "age": in_column("{n}.age", near="list_contains({w}, {n}.age)"),
         # A closed gap of a pose leaves it possible beside the pose that is listed.
         "pose": in_column("{s}.pose", rows=_PERFORMS),
-        "action": unless_listed(_PERFORMS, "{s}.listed"),
+        "action": unless_listed(unless_flickering(_PERFORMS), "{s}.listed"),
         "object": unless_listed(_HANDLES, "{s}.handles_listed"),
-        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_THERE}"),
-        "group_size": in_column("{s}.group_size"),
+        "interaction": to_anybody(Clause(f"{_CLEAR} AND {_SOCIAL.sure}", _SOCIAL.could), f"{_PATTERN} WHERE {_THERE}"),
+        "group_size": in_range("{s}.group_size_min", "{s}.group_size_max"),
         "sector": towards("{s}.angle"),
         "distance": in_column("{s}.distance_word", "{s}.distance_word_other"),
     },

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
@@ -19,7 +19,8 @@ from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS
+from jrdb_avr.schema.choice_labels import CALLED, ListedActions, list_actions
+from jrdb_avr.schema.labels import ACTIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
@@ -100,7 +101,10 @@ class Reader(Protocol):
         return rows
 
     def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
-        """The posture, or the value of an attribute by its name, of people at frames at which they are seen."""
+        """The value of an attribute, by its name, of people at frames at which they are seen."""
+
+    def actions_at(self, queries: Sequence[tuple[Person, int, Sequence[str]]]) -> dict[int, str]:
+        """The one of the offered actions that people do at a frame, if they do none of the others."""
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """Presence and distance, by question and frame."""
@@ -150,6 +154,27 @@ class SceneReader(Reader):
             value = (row | {"sector": sector})[names[row["id"]]]
             found |= {} if value is None else {row["id"]: str(value)}
         return found
+
+    def actions_at(self, queries: Sequence[tuple[Person, int, Sequence[str]]]) -> dict[int, str]:
+        rows = [
+            {"id": one.id, "at": f"{one.scope}/{frame:06d}", "t": frame, "person": f"{one.scope}/{one.who}"}
+            for one, frame, _ in queries
+        ]
+        listed, found = self.listed_actions(rows), {}
+        for person, _, offered in queries:
+            outcomes = {label: outcome_of_action(listed.get(person.id), label) for label in offered}
+            if sorted(outcomes.values()) == ["different"] * (len(outcomes) - 1) + ["same"]:
+                found[person.id] = next(label for label in outcomes if outcomes[label] == "same")
+        return found
+
+    def listed_actions(self, rows: Rows) -> dict[int, ListedActions]:
+        """The action labels of people, by the number of the row in `$asked`; without people who are covered."""
+        labels: dict[int, dict[str, bool]] = defaultdict(dict)
+        complete: dict[int, bool] = {}
+        for row in self.query(read_statement("necessity/labels.cypher"), {"asked": list(rows)}):
+            complete[row["id"]] = row["listed"]
+            labels[row["id"]] |= {row["label"]: row["easy"]} if row["label"] in ACTIONS else {}
+        return {number: list_actions(labels[number], complete[number]) for number in complete}
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         found = {}
@@ -206,6 +231,30 @@ class SceneReader(Reader):
         return {row.pop("scope"): row for row in self.query(read_statement(f"{self.mapping.reads}/grid.cypher"), {})}
 
 
+def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same", "different", "unknown"]:
+    """Compare an action with the labels of a person who has a box and is not covered.
+
+    Args:
+        labels: The labels at a keyframe, or None if no list exists.
+        label: The action.
+
+    Returns:
+        "same" if the action is certain. "different" if it is certainly false: the list is complete, and neither the
+        action nor one that may be called so is in it. A pose is certainly false only beside exactly one certain pose.
+    """
+    if labels is None:
+        return "unknown"
+    if label in labels.certain:
+        return "same"
+    listed = labels.certain | labels.hard
+    if not labels.complete or label in listed or any(label in CALLED.get(other, ()) for other in listed):
+        return "unknown"
+    poses = listed.intersection(POSES)
+    if label in POSES and (len(poses) != 1 or poses & labels.hard):
+        return "unknown"
+    return "different"
+
+
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
 
 
@@ -222,12 +271,13 @@ def compile_count(relation: str, mapping: SchemaMapping) -> str:
             f"WITH {', '.join(f'q.{name} AS {name}' for name in ('id', 'scope', 'who', 't1', 't2', *values))}",
             "UNWIND range(t1, t2) AS t",
             f"MATCH {mapping.pattern.format(**at)}",
-            f"WHERE {mapping.there.format(**at)} AND {mapping.who.format(**at)} = who",
+            f"WHERE {mapping.boxed.format(**at)} AND {mapping.who.format(**at)} = who",
             f"WITH {carried}, t, n, s",
             f"MATCH {mapping.pattern.format(**other)}",
             f"WHERE {mapping.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
             f"WITH {carried}, t, n, s, m, z",
-            f"WITH id, m, {clause.sure.format(**at)} AS sure",
+            # In a conversation with somebody who is not in clear view, or is not in it oneself, is unknown.
+            f"WITH id, m, (NOT $in_view OR s.clear AND z.clear) AND {clause.sure.format(**at)} AS sure",
             f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, sure",
             "ORDER BY id, other, sure",
         ]

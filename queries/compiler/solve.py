@@ -15,17 +15,18 @@ from jrdb_avr.queries.compiler.find import Outcome
 from jrdb_avr.queries.compiler.mapping import PersonId
 from jrdb_avr.queries.compiler.reads import Person, Reader, Seen, Segment, events_of
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS, Rules
 
 
 @dataclass(frozen=True)
 class PlanQuery:
-    """A plan and its scope: a sequence, or an episode."""
+    """A plan, its scope (a sequence, or an episode), and the choices that its question offers."""
 
     plan: Plan
     scope: str
+    choices: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,7 @@ class _Found:
         self.id = number
         self.plan = query.plan
         self.scope = query.scope
+        self.offered = [answer_of_choice(choice) for choice in query.choices]
         self.people = people
         self.times = {name: time.frame for name, time in query.plan.times.items() if time.frame is not None}
         self.segments: dict[str, Segment] = {}
@@ -162,9 +164,10 @@ def _answers(reader: Reader, read: str, found: Sequence[_Found], rules: Rules) -
     if read == "next_action":
         return _next_actions(reader, found)
     stated = [(one, one.frames) for one in found if len(one.frames) == len(one.plan.answer.times)]
-    if read in ("action", "attribute"):
-        asked = [(one.target, frames[0], one.plan.answer.attribute or "posture") for one, frames in stated]
-        return reader.values_at(asked)
+    if read == "action":
+        return reader.actions_at([(one.target, frames[0], one.offered) for one, frames in stated])
+    if read == "attribute":
+        return reader.values_at([(one.target, frames[0], one.plan.answer.attribute or "") for one, frames in stated])
     if read == "count":
         stretches = [(one.target, one.plan.answer.relation or "", first, last) for one, (first, last) in stated]
         return {i: encode_answer(Number(float(count))) for i, count in reader.counts(stretches).items()}
