@@ -44,7 +44,7 @@ def keys_of(facts, sequence, rng, most=300):
                 keys.setdefault(statement_of(key), []).append(key)
         for who in tracks:
             keys.setdefault("seen", []).append(("seen", sequence, who, frame))
-            keys.setdefault("pose", []).append(("pose", sequence, who, frame))
+            keys.setdefault("labels", []).append(("labels", sequence, who, frame))
     return [key for kind in keys.values() for key in rng.sample(kind, min(most, len(kind)))]
 
 
@@ -60,7 +60,7 @@ def check_facts(graph, sequences, rng, rules=RULES, with_faces=lambda sequence: 
             source.ask(keys)
         assert source.fill()
         for key, expected, found in zip(keys, facts.ask(keys), source.ask(keys), strict=True):
-            if statement_of(key) not in ("seen", "pose"):
+            if statement_of(key) not in ("seen", "labels"):
                 expected, found = tuple(map(set, expected)), tuple(map(set, found))
             assert found == expected, key
             compared[statement_of(key)] += 1
@@ -75,6 +75,6 @@ def test_each_fact_by_statement_equals_that_of_the_sets(worlds):
     assert compared.keys() == {
         *(f"condition_{kind}" for kind in CONDITION_KINDS),
         *(f"relation_{kind}" for kind in relations),
-        *("people_at", "seen", "pose"),
+        *("people_at", "seen", "labels"),
     }
     assert min(compared.values()) > 5, compared
