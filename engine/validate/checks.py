@@ -48,7 +48,7 @@ CHECKS: Final = {
     "evidence": "the evidence has all boxes of the target and no other box",
     "proofs": "all required proofs are present and hold; distractors and bindings fit",
     "rules": "generation used the same rules",
-    "selection": "shares of answers and questions per person obey the rules; no two questions are alike",
+    "selection": "questions per person obey the rules; no two questions are alike",
     "rederive": "the second program finds the same person, answer, needed boxes, measures and proofs",
 }
 """Names of the checks of stored questions, each with what it checks, in the order of the report."""
@@ -448,16 +448,6 @@ def _check_selection(report: Validation, records: Sequence[QuestionRecord], rule
         few = count <= rules.max_per_person_in_all
         report.check("selection", few, f"{count} questions of person {track} in {sequence}")
     _check_alike(report, records, rules)
-    answers: dict[str, Counter[str]] = defaultdict(Counter)
-    for record in records:
-        if MODES[record.answer_mode].is_choice:
-            answers[record.template][record.answer_text] += 1
-    for template, counts in sorted(answers.items()):
-        ((commonest, count),) = counts.most_common(1)
-        share = count / counts.total()
-        report.check(
-            "selection", share <= rules.max_answer_share, f"{template}: {commonest!r} has a share of {share:.1%}"
-        )
 
 
 def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:

@@ -244,7 +244,7 @@ def test_waits_are_levelled_within_an_answer():
     for wait, count in ((60, 400), (100, 30), (200, 30)):
         rows += choices({"w": count, "x": count, "y": count}, times=(0, wait))
     rows += choices({"w": 300}, times=(0, 60), start=10_000)
-    kept = select(table(rows), Rules(max_answer_share=0.34), "all", 0).table.to_pylist()
+    kept = select(table(rows), RULES, "all", 0).table.to_pylist()
     for answer in "wxy":
         waits = Counter(row["times"][1] for row in kept if row["answer"] == answer)
         assert waits[100] == waits[200] == 30
