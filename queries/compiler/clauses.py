@@ -71,10 +71,10 @@ def in_range(low: str, high: str) -> Clause:
 
 
 def unless_flickering(rows: Clause) -> Clause:
-    """An action stored as rows: a label `w` frames earlier or later makes it possible, if only clear views count."""
-    times = (f"r.first <= {{t}} {sign} {{w}} AND r.last >= {{t}} {sign} {{w}}" for sign in "-+")
+    """An action stored as rows: if `w` is 1, a label `$flicker` frames earlier or later makes it possible too."""
+    times = (f"r.first <= {{t}} {sign} {{w}} * $flicker AND r.last >= {{t}} {sign} {{w}} * $flicker" for sign in "-+")
     near = f"EXISTS {{{{ MATCH ({{n}})-[r:Performs]->(x:Action) WHERE x.name = {{v}} AND ({' OR '.join(times)}) }}}}"
-    return Clause(rows.sure, f"{rows.could} OR $in_view AND {near}")
+    return Clause(rows.sure, f"{rows.could} OR {near}")
 
 
 def unless_listed(rows: Clause, listed: str) -> Clause:

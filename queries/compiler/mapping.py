@@ -27,7 +27,6 @@ from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import FLICKERING, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
-from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import VERBS
 
 PersonId = int | str
@@ -79,7 +78,7 @@ def condition_values(condition: Condition) -> dict[str, str | float | list[str]]
     if condition.attribute == "age":
         values["w"] = sorted(may_be_called(str(condition.value)))
     if condition.kind == "action":
-        values["w"] = KEYFRAME_STEP if condition.action in FLICKERING else 0
+        values["w"] = int(condition.action in FLICKERING)
     return values if condition.verb is None else values | {"w": condition.verb}
 
 
@@ -116,7 +115,7 @@ def edge_values(relation: str) -> dict[str, str | float]:
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
 _THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
-_CLEAR: Final = "(NOT $in_view OR {z}.clear)"
+_CLEAR: Final = "({z}.clear OR $flicker = 0)"
 
 _PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"}, may="MayPerform")
 _HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"}, may="MayHandle")

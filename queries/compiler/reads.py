@@ -137,6 +137,7 @@ class SceneReader(Reader):
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
             "in_view": rules.visibility == "clear",
+            "flicker": KEYFRAME_STEP if rules.visibility == "clear" else 0,
         }
 
     def find(self, plan: Plan) -> Find:
@@ -216,7 +217,9 @@ class SceneReader(Reader):
         does: dict[int, set[int]] = {i: set() for i in known}
         for text, members in by_text.items():
             for row in self.run(text, members):
-                (does if row["sure"] else could)[row["id"]].add(row["other"])
+                # Whether somebody counts is unknown unless both people are in clear view.
+                sure = row["sure"] and (row["clear"] or not self.values["in_view"])
+                (does if sure else could)[row["id"]].add(row["other"])
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
@@ -276,10 +279,9 @@ def compile_count(relation: str, mapping: SchemaMapping) -> str:
             f"MATCH {mapping.pattern.format(**other)}",
             f"WHERE {mapping.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
             f"WITH {carried}, t, n, s, m, z",
-            # In a conversation with somebody who is not in clear view, or is not in it oneself, is unknown.
-            f"WITH id, m, (NOT $in_view OR s.clear AND z.clear) AND {clause.sure.format(**at)} AS sure",
-            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, sure",
-            "ORDER BY id, other, sure",
+            f"WITH id, m, s.clear AND z.clear AS clear, {clause.sure.format(**at)} AS sure",
+            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, clear, sure",
+            "ORDER BY id, other, clear, sure",
         ]
     )
 

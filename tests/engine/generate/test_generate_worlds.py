@@ -53,7 +53,8 @@ def judge(store, claimed):
                 if one.target not in claimed[template.query]:
                     continue
                 when = tuple(one.frames[name] // 15 for name in template.stated)
-                rule = None if prover.prove(one) is not None else refusal(search, prover.refused[-1])
+                before = prover.counts.copy()
+                rule = None if prover.prove(one) is not None else refusal(search, one, *prover.counts - before)
                 place = (
                     template.query,
                     one.target,
@@ -79,12 +80,11 @@ def kept(store):
     return Counter(zip(*(table[name].to_pylist() for name in ("template", "target_track")), strict=True))
 
 
-def refusal(search, refused):
+def refusal(search, refused, rule):
     """The rule that refused a proposal, with what those of its perturbed programs answer that prove nothing."""
-    rule = refused.rule
     if rule.partition(".")[0] not in ("hop", "time") or rule == "time.drop":
         return rule
-    failed = [proof for proof in all_proofs(search, refused.proposal) if proof.kind == rule and not proof.holds]
+    failed = [proof for proof in all_proofs(search, refused) if proof.kind == rule and not proof.holds]
     return f"{rule} {', '.join(' '.join((proof.variant.removesuffix(' s'), proof.outcome)) for proof in failed)}"
 
 
