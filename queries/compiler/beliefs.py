@@ -15,7 +15,7 @@ from typing import Any, Final
 from jrdb_avr.queries.compiler.believed import find_believed
 from jrdb_avr.queries.compiler.find import Agreed, Find, outcome_of_target, people_of
 from jrdb_avr.queries.compiler.mapping import PersonId
-from jrdb_avr.queries.compiler.reads import Looks, Person, Queryable, Reader, Rows, Seen, Segment
+from jrdb_avr.queries.compiler.reads import Looks, Offers, Person, Queryable, Reader, Rows, Seen, Segment
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.beliefs import episode_hash
@@ -135,13 +135,7 @@ class BeliefReader(Reader):
 
     # -- reads ----------------------------------------------------------------------------------------------------
 
-    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
-        return self._values([(person, frame, name, ()) for person, frame, name in queries])
-
-    def actions_at(self, queries: Sequence[tuple[Person, int, Sequence[str]]]) -> dict[int, str]:
-        return self._values([(person, frame, "action", offered) for person, frame, offered in queries])
-
-    def _values(self, queries: Sequence[tuple[Person, int, str, Sequence[str]]]) -> dict[int, str]:
+    def values_at(self, queries: Offers) -> dict[int, str]:
         found = {}
         for person, frame, name, offered in queries:
             self._add_evidence(person, [frame])

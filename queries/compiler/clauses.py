@@ -71,8 +71,9 @@ def in_range(low: str, high: str) -> Clause:
 
 
 def unless_flickering(rows: Clause) -> Clause:
-    """An action stored as rows: if `w` is 1, a label `$flicker` frames earlier or later makes it possible too."""
-    times = (f"r.first <= {{t}} {sign} {{w}} * $flicker AND r.last >= {{t}} {sign} {{w}} * $flicker" for sign in "-+")
+    """An action stored as rows: a label `w` frames earlier or later makes it possible, if only clear views count."""
+    by = "CASE WHEN $in_view = true THEN {w} ELSE 0 END"
+    times = (f"r.first <= {{t}} {sign} {by} AND r.last >= {{t}} {sign} {by}" for sign in "-+")
     near = f"EXISTS {{{{ MATCH ({{n}})-[r:Performs]->(x:Action) WHERE x.name = {{v}} AND ({' OR '.join(times)}) }}}}"
     return Clause(rows.sure, f"{rows.could} OR {near}")
 

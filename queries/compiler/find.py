@@ -103,11 +103,7 @@ class _Pattern:
 
     def _space(self, node: str) -> SchemaMapping | ThingMapping:
         """The mapping of people, or that of things."""
-        if node not in self.things:
-            return self.mapping
-        if self.mapping.things is None:
-            raise PlanError(f"nodes.{node}", "there are no things; use conditions of people")
-        return self.mapping.things
+        return self.mapping.things if node in self.things else self.mapping
 
     def _clauses(self, node: str, edges: Edges) -> Iterator[tuple[str, Clause, Variables]]:
         """Clauses of a node's conditions and of the edges to earlier nodes, by name, with their variables."""
@@ -174,15 +170,10 @@ def search_order(plan: Plan) -> list[tuple[str, Edges]]:
     while len(known) < len(plan.nodes):
         reached = [target for source, target in plan.ways if source in known]
         known.append(next(node for node in (*reached, *(one.id for one in plan.nodes)) if node not in known))
-    return joined(plan, known)
-
-
-def joined(plan: Plan, order: Sequence[str]) -> list[tuple[str, Edges]]:
-    """Nodes in this order, each with the edges, by their places, that join it to those before."""
     edges = list(enumerate(plan.edges))
     return [
-        (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*order[: k + 1]}])
-        for k, node in enumerate(order)
+        (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*known[: k + 1]}])
+        for k, node in enumerate(known)
     ]
 
 

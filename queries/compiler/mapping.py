@@ -27,6 +27,7 @@ from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.labels import FLICKERING, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS, SAME_GROUP
+from jrdb_avr.schema.rules import KEYFRAME_STEP
 from jrdb_avr.schema.things import VERBS
 
 PersonId = int | str
@@ -39,8 +40,7 @@ class SchemaMapping:
 
     pattern, boxed, there: a person `n` with a sighting `s`, the condition for one at frame `t` of `scope`, and for one
     of a person who counts then; who: the person's number or name in its scope; conditions, edges: clauses by kind, see
-    `Condition.kind` and `edge_kind`; reads: folder of the statements that read answers; things: the things `n` of
-    `scope`, None where there are none.
+    `Condition.kind` and `edge_kind`; things: the things `n` of `scope`.
     """
 
     pattern: str
@@ -49,8 +49,7 @@ class SchemaMapping:
     who: str
     conditions: Mapping[str, Clause]
     edges: Mapping[str, Clause]
-    reads: str
-    things: ThingMapping | None = None
+    things: ThingMapping
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def condition_values(condition: Condition) -> dict[str, str | float | list[str]]
     if condition.attribute == "age":
         values["w"] = sorted(may_be_called(str(condition.value)))
     if condition.kind == "action":
-        values["w"] = int(condition.action in FLICKERING)
+        values["w"] = KEYFRAME_STEP if condition.action in FLICKERING else 0
     return values if condition.verb is None else values | {"w": condition.verb}
 
 
@@ -115,7 +114,7 @@ def edge_values(relation: str) -> dict[str, str | float]:
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
 _THERE: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
-_CLEAR: Final = "({z}.clear OR $flicker = 0)"
+_CLEAR: Final = "({z}.clear OR $in_view = false)"
 
 _PERFORMS: Final = in_rows("({n})-[r:Performs]->(x:Action)", {"x.name": "v"}, may="MayPerform")
 _HANDLES: Final = in_rows("({n})-[r:Handles]->(x:Object)", {"r.verb": "w"}, {"x.category": "v"}, may="MayHandle")
@@ -158,7 +157,6 @@ SCENE: Final = SchemaMapping(
         "left": within("{s}.angle", "{z}.angle"),
         "right": within("{z}.angle", "{s}.angle"),
     },
-    reads="reads/scene",
     things=ThingMapping(
         pattern="({n}:Object)",
         there="{n}.sequence = {scope}",

@@ -72,6 +72,9 @@ Rows = Sequence[Mapping[str, Any]]
 Looks = Sequence[tuple[Person, int]]
 """People, each with a frame."""
 
+Offers = Sequence[tuple[Person, int, str, Sequence[str]]]
+"""People, each with a frame, the name of an attribute, or "action", and the actions that are offered."""
+
 
 class Reader(Protocol):
     """Facts of people in a graph.
@@ -100,11 +103,8 @@ class Reader(Protocol):
         rows: list[dict[str, Any]] = found.to_pylist()
         return rows
 
-    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
-        """The value of an attribute, by its name, of people at frames at which they are seen."""
-
-    def actions_at(self, queries: Sequence[tuple[Person, int, Sequence[str]]]) -> dict[int, str]:
-        """The one of the offered actions that people do at a frame, if they do none of the others."""
+    def values_at(self, queries: Offers) -> dict[int, str]:
+        """The value of an attribute, or the one of the offered actions that people do if they do none of the others."""
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """Presence and distance, by question and frame."""
@@ -137,7 +137,6 @@ class SceneReader(Reader):
             "edge": frames(rules.segment_edge_s),
             "quiet": frames(rules.segment_quiet_s),
             "in_view": rules.visibility == "clear",
-            "flicker": KEYFRAME_STEP if rules.visibility == "clear" else 0,
         }
 
     def find(self, plan: Plan) -> Find:
@@ -146,33 +145,30 @@ class SceneReader(Reader):
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         return outcome_of_people(find, rows)
 
-    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
-        names = {person.id: name for person, _, name in queries}
-        found: dict[int, str] = {}
-        for row in self._read("value", [person.row(t=frame) for person, frame, _ in queries]):
+    def values_at(self, queries: Offers) -> dict[int, str]:
+        names = {person.id: name for person, _, name, _ in queries if name != "action"}
+        found = self._actions_at([one for one in queries if one[2] == "action"])
+        for row in self._read("value", [one.row(t=frame) for one, frame, *_ in queries if one.id in names]):
             off = {word: angle_error(row["angle"], axis) for word, axis in ROBOT_SECTORS.items()}
             sector = next((word for word in off if off[word] <= self.values["sector_true"]), None)
             value = (row | {"sector": sector})[names[row["id"]]]
             found |= {} if value is None else {row["id"]: str(value)}
         return found
 
-    def actions_at(self, queries: Sequence[tuple[Person, int, Sequence[str]]]) -> dict[int, str]:
-        rows = [
-            {"id": one.id, "at": f"{one.scope}/{frame:06d}", "t": frame, "person": f"{one.scope}/{one.who}"}
-            for one, frame, _ in queries
-        ]
+    def _actions_at(self, queries: Offers) -> dict[int, str]:
+        rows = [one.row(at=f"{one.scope}/{t:06d}", t=t, person=f"{one.scope}/{one.who}") for one, t, *_ in queries]
         listed, found = self.listed_actions(rows), {}
-        for person, _, offered in queries:
-            outcomes = {label: outcome_of_action(listed.get(person.id), label) for label in offered}
-            if sorted(outcomes.values()) == ["different"] * (len(outcomes) - 1) + ["same"]:
-                found[person.id] = next(label for label in outcomes if outcomes[label] == "same")
+        for person, _, _, offered in queries:
+            outcomes = [outcome_of_action(listed.get(person.id), label) for label in offered]
+            if sorted(outcomes) == ["different"] * (len(offered) - 1) + ["same"]:
+                found[person.id] = offered[outcomes.index("same")]
         return found
 
     def listed_actions(self, rows: Rows) -> dict[int, ListedActions]:
         """The action labels of people, by the number of the row in `$asked`; without people who are covered."""
         labels: dict[int, dict[str, bool]] = defaultdict(dict)
         complete: dict[int, bool] = {}
-        for row in self.query(read_statement("necessity/labels.cypher"), {"asked": list(rows)}):
+        for row in self.query(read_statement("necessity/labels.cypher"), {"asked": list(rows)}) if rows else ():
             complete[row["id"]] = row["listed"]
             labels[row["id"]] |= {row["label"]: row["easy"]} if row["label"] in ACTIONS else {}
         return {number: list_actions(labels[number], complete[number]) for number in complete}
@@ -223,7 +219,7 @@ class SceneReader(Reader):
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
-        return self.run(read_statement(f"{self.mapping.reads}/{name}.cypher"), rows)
+        return self.run(read_statement(f"reads/scene/{name}.cypher"), rows)
 
     def rows_on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         """The rows, each with the frames of its sequence that have action labels; without sequences that have none."""
@@ -231,7 +227,7 @@ class SceneReader(Reader):
 
     @cached_property
     def _grids(self) -> dict[str, dict[str, int]]:
-        return {row.pop("scope"): row for row in self.query(read_statement(f"{self.mapping.reads}/grid.cypher"), {})}
+        return {row.pop("scope"): row for row in self.query(read_statement("reads/scene/grid.cypher"), {})}
 
 
 def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same", "different", "unknown"]:
@@ -250,12 +246,10 @@ def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same
     if label in labels.certain:
         return "same"
     listed = labels.certain | labels.hard
-    if not labels.complete or label in listed or any(label in CALLED.get(other, ()) for other in listed):
-        return "unknown"
+    called = label in listed or any(label in CALLED.get(other, ()) for other in listed)
     poses = listed.intersection(POSES)
-    if label in POSES and (len(poses) != 1 or poses & labels.hard):
-        return "unknown"
-    return "different"
+    unsure = label in POSES and (len(poses) != 1 or poses & labels.hard)
+    return "unknown" if called or unsure or not labels.complete else "different"
 
 
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)

@@ -164,10 +164,9 @@ def _answers(reader: Reader, read: str, found: Sequence[_Found], rules: Rules) -
     if read == "next_action":
         return _next_actions(reader, found)
     stated = [(one, one.frames) for one in found if len(one.frames) == len(one.plan.answer.times)]
-    if read == "action":
-        return reader.actions_at([(one.target, frames[0], one.offered) for one, frames in stated])
-    if read == "attribute":
-        return reader.values_at([(one.target, frames[0], one.plan.answer.attribute or "") for one, frames in stated])
+    if read in ("action", "attribute"):
+        asked = [(one.target, frames[0], one.plan.answer.attribute or read, one.offered) for one, frames in stated]
+        return reader.values_at(asked)
     if read == "count":
         stretches = [(one.target, one.plan.answer.relation or "", first, last) for one, (first, last) in stated]
         return {i: encode_answer(Number(float(count))) for i, count in reader.counts(stretches).items()}
