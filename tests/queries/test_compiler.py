@@ -53,11 +53,6 @@ class Site:
 def sites(tmp_path_factory):
     worlds = ((with_chorus(sociable_world), 7), (with_chorus(sociable_world), 12))
     worlds += ((random_world, 26), (random_world, 48))
-        (with_chorus(sociable_world), 7),
-        (with_chorus(sociable_world), 12),
-        (random_world, 26),
-        (random_world, 48),
-    )
     worlds += ((in_other_words(lively_world), 5), (sociable_world, 3))
     made = [Site(tmp_path_factory.mktemp("site"), make, seed) for make, seed in worlds]
     yield made
