@@ -321,8 +321,7 @@ class _Attention:
         for beside in (frame + KEYFRAME_STEP, frame - KEYFRAME_STEP):
             at = self.legal(beside)
             if 0 < abs(at - frame) <= KEYFRAME_STEP and not self._beside_known(who, frame):
-                found = self._search(who, at, _ANSWER_BITS / 2, "absence")
-                if found is not None:
+                if (found := self._search(who, at, _ANSWER_BITS / 2, "absence")) is not None:
                     yield found
 
     def _unlike(self, readings: Sequence[PersonReading]) -> bool:
