@@ -320,9 +320,9 @@ class _Attention:
             return
         for beside in (frame + KEYFRAME_STEP, frame - KEYFRAME_STEP):
             at = self.legal(beside)
-            if 0 < abs(at - frame) <= KEYFRAME_STEP and not self._beside_known(who, frame):
-                if (found := self._search(who, at, _ANSWER_BITS / 2, "absence")) is not None:
-                    yield found
+            near = 0 < abs(at - frame) <= KEYFRAME_STEP and not self._beside_known(who, frame)
+            if near and (found := self._search(who, at, _ANSWER_BITS / 2, "absence")) is not None:
+                yield found
 
     def _unlike(self, readings: Sequence[PersonReading]) -> bool:
         """Whether distances that were read for one answer are too far apart for both to be right."""

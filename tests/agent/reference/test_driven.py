@@ -78,8 +78,7 @@ def test_the_offered_actions_are_read_if_the_plan_reads_an_action():
     plan = Plan("a", "a", WOMAN.times, (Node("a"),), (), spec)
     added = {field.key for field in fields_of(plan, offered)} - {field.key for field in fields_of(plan)}
     assert added == {"pose", "action talking to someone", "action holding sth"}
-    start = AnswerSpec("multiple_choice", "next_action", "a", at="t0")
-    other = msgspec.structs.replace(plan, answer=start)
+    other = Plan("a", "a", WOMAN.times, (Node("a"),), (), AnswerSpec("multiple_choice", "next_action", "a", at="t0"))
     assert fields_of(other, offered) == fields_of(other)
 
 
