@@ -26,7 +26,6 @@ def keyframe_values(rules: Rules) -> dict[str, int | float]:
         "wait": frames(rules.min_wait_s),
         "later": frames(rules.long_wait_s),
         "search": frames(rules.search_wait_s),
-        "by": frames(rules.shift_s),
         "turn": rules.turn_deg,
         "gap": frames(rules.gap_min_s),
         "least": rules.count_min,

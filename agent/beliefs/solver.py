@@ -125,7 +125,7 @@ class BeliefSolver:
         if match.bindings is None:
             return _TOO_MANY
         outcome, people = find(reader, match)
-        solution = read_with(reader, PlanQuery(plan, self.key), people, self._cut) if people else Solution(outcome)
+        solution = read_with(reader, self._query(plan), people, self._cut) if people else Solution(outcome)
         return _belief(reader, match, solution)
 
     def _compiled(self, reader: BeliefReader, match: PlanMatch) -> Agreed:
@@ -177,7 +177,7 @@ class BeliefSolver:
             return None
         fits = {who: match.likeliest({plan.target: who})[1] for who in people}
         best = min(people, key=lambda who: (-fits[who], -len({one.frame for one in reader.moments(who)}), who))
-        solution = read_with(reader, PlanQuery(plan, self.key), {plan.target: best}, self._cut)
+        solution = read_with(reader, self._query(plan), {plan.target: best}, self._cut)
         if solution.outcome == "unknown":
             reader.evidence.clear()
         held = fits[best] / max(len(match.counted), 1)
@@ -225,6 +225,9 @@ class BeliefSolver:
         """Rules under which distances are compared as the protocol of the agent says."""
         cut = DISTANCE_CUT_M - TIE
         return msgspec.structs.replace(self.rules, distance_changed_m=cut, distance_same_m=cut)
+
+    def _query(self, plan: Plan) -> PlanQuery:
+        return PlanQuery(plan, self.key, self.choices)
 
     def _match(self, plan: Plan, rows: BeliefRows | None, anywhen: bool = False) -> tuple[BeliefReader, PlanMatch]:
         reader = self._reader(rows, anywhen)

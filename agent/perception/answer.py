@@ -20,7 +20,7 @@ from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.beliefs import free_value
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, choice_of
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, answer_of_choice, choice_of
 from jrdb_avr.schema.method import Verdict
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
@@ -113,10 +113,8 @@ class _Reader:
     def read(self) -> ReadAnswer:
         """The answer as the plan has it read, and how far readings bear it out."""
         match self.plan.answer.read:
-            case "action":
-                return self._action()
-            case "attribute":
-                return self._attribute()
+            case "action" | "attribute":
+                return self._value()
             case "next_action":
                 return self._next_action()
             case "presence":
@@ -130,21 +128,10 @@ class _Reader:
 
     # -- choices ------------------------------------------------------------------------------------------------------
 
-    def _action(self) -> ReadAnswer:
-        frame = self._stated(0)
-        seen = sorted({one.frame for one in self.tracks.people[self.who]}, key=lambda at: (abs(at - frame), at))
-        for at in seen:
-            tallies = self.tracks.values(self.who, "pose", at)
-            found = next((one for one in tallies if one.weight > 0 and self._choice(one.value)), None)
-            if found is not None:
-                sure = at == frame and found is tallies[0] and settled(tallies)
-                return ReadAnswer(self._choice(found.value), at, "certain" if sure else "supported")
-        return ReadAnswer(None, frame, "open")
-
-    def _attribute(self) -> ReadAnswer:
-        """The choice that readings bear out best as the attribute's value."""
-        name, frame = self.plan.answer.attribute or "", self._stated(0)
-        values = {place: free_value(text) for place, text in enumerate(self.choices, 1)}
+    def _value(self) -> ReadAnswer:
+        """The choice that readings bear out best as the attribute's value, or as what the person does."""
+        name, frame = self.plan.answer.attribute or "action", self._stated(0)
+        values = {place: answer_of_choice(free_value(text)) for place, text in enumerate(self.choices, 1)}
         told = {
             place: self.tracks.statement(self.who, name, value, frame)
             for place, value in values.items()

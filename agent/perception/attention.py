@@ -25,7 +25,7 @@ from jrdb_avr.agent.perception.support import (
     parts_of,
     slot_supports,
 )
-from jrdb_avr.agent.perception.votes import SETTLING, UNIT, Support, Tracks, settled
+from jrdb_avr.agent.perception.votes import SETTLING, UNIT, Support, Tracks
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
@@ -308,9 +308,10 @@ class _Attention:
         """Find the target at a stated frame and read it until two readings agree; else show that it is absent."""
         readings = self.tracks.at(who, frame)
         if readings:
-            topic = {"action": "pose", "attribute": self.plan.answer.attribute}.get(self.plan.answer.read)
-            told = topic is not None and settled(self.tracks.values(who, topic, frame))
-            most = MOST_READINGS if topic or self._unlike(readings) else SETTLING
+            name = {"action": "action", "attribute": self.plan.answer.attribute}.get(self.plan.answer.read)
+            read = [label for one in readings for label in one.labels if label.name == name]
+            told = bool(read) and all(self.tracks.statement(who, *label[:2], frame).settled for label in read)
+            most = MOST_READINGS if name or self._unlike(readings) else SETTLING
             if not told and len(readings) < most:
                 yield NextLook(frame, self._angle(who, frame), "verify", _ANSWER_BITS * _learned(USUAL))
             return
@@ -319,10 +320,9 @@ class _Attention:
             return
         for beside in (frame + KEYFRAME_STEP, frame - KEYFRAME_STEP):
             at = self.legal(beside)
-            if 0 < abs(at - frame) <= KEYFRAME_STEP and not self._beside_known(who, frame):
-                found = self._search(who, at, _ANSWER_BITS / 2, "absence")
-                if found is not None:
-                    yield found
+            near = 0 < abs(at - frame) <= KEYFRAME_STEP and not self._beside_known(who, frame)
+            if near and (found := self._search(who, at, _ANSWER_BITS / 2, "absence")) is not None:
+                yield found
 
     def _unlike(self, readings: Sequence[PersonReading]) -> bool:
         """Whether distances that were read for one answer are too far apart for both to be right."""

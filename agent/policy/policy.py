@@ -11,7 +11,7 @@ from typing import Any, Final
 from jrdb_avr.agent.policy.explorer import AROUND, NEARBY, BudgetExhausted, Sighting
 from jrdb_avr.agent.policy.finding import find, likely
 from jrdb_avr.agent.policy.hops import look_round, path
-from jrdb_avr.agent.policy.searches import count_people, find_next_pose, find_seconds, find_span, find_start
+from jrdb_avr.agent.policy.searches import count_people, find_next_pose, find_seconds, find_span, find_start, performs
 from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Condition
@@ -76,16 +76,15 @@ def _hidden(state: EpisodeState, frame: int) -> list[Sighting]:
 
 def find_answer(state: EpisodeState, person: Sighting | None) -> Any:
     """The contract's `answer` for the person found; a guess where there is none."""
-    pose = person.mark.pose if person else None
     match state.plan.answer.read:
         case "action":
-            return state.choose(_pose(state, person), pose)
+            return state.choose(_action(state, person), _offered_actions(state, person))
         case "presence":
             return state.choose(_presence(state, person))
         case "distance_change":
             return state.choose(_distance(state, person))
         case "next_action":
-            return state.choose(find_next_pose(state, person), pose)
+            return state.choose(find_next_pose(state, person), (person.mark.pose,) if person else ())
         case "start":
             return answer_of_moments(state, find_start(state, person)[0])
         case "span":
@@ -136,9 +135,14 @@ def _seen_at(state: EpisodeState, person: Sighting, name: str, reserve: int = 0)
     return seen
 
 
-def _pose(state: EpisodeState, person: Sighting | None) -> str | None:
+def _action(state: EpisodeState, person: Sighting | None) -> str | None:
     seen = person and _seen_at(state, person, state.plan.answer.times[0])
-    return seen.mark.pose if seen else None
+    return next(iter(_offered_actions(state, seen)), None)
+
+
+def _offered_actions(state: EpisodeState, seen: Sighting | None) -> list[str]:
+    """The offered actions that a sighting shows."""
+    return [action for action in state.offered if seen is not None and performs(action, seen)]
 
 
 def _presence(state: EpisodeState, person: Sighting | None) -> str | None:

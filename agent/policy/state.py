@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -66,9 +66,13 @@ class EpisodeState:
         except BudgetExhausted:
             self.note(f"budget: {lack}")
 
-    def choose(self, text: str | None, not_this: str | None = None) -> int:
+    @property
+    def offered(self) -> list[str]:
+        """The answers that the choices say."""
+        return [answer_of_choice(choice) for choice in self.choices]
+
+    def choose(self, text: str | None, wrong: Collection[str | None] = ()) -> int:
         """The number of the choice that says this, else of the first that is not known to be wrong."""
-        answers = [answer_of_choice(choice) for choice in self.choices]
-        if text in answers:
-            return answers.index(text) + 1
-        return next((n for n, answer in enumerate(answers, 1) if answer != not_this), 1)
+        if text in self.offered:
+            return self.offered.index(text) + 1
+        return next((n for n, answer in enumerate(self.offered, 1) if answer not in wrong), 1)

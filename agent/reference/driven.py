@@ -59,7 +59,7 @@ class DrivenEpisode:
     def play(self) -> Prediction:
         """Look until nothing more is worth it, and commit."""
         frames = self.attempt.task.sequence.frames
-        perceiver = Perceiver(self.attempt, fields_of(self.plan))
+        perceiver = Perceiver(self.attempt, fields_of(self.plan, self.attempt.task.question.choices))
         hypotheses = rank(self.plan, self.tracks)
         while (left := self.looks - len(self.attempt.made)) > 0:
             started = time.perf_counter()

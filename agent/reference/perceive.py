@@ -27,7 +27,7 @@ from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie
 from jrdb_avr.queries.compiler.find import limits
 from jrdb_avr.schema.beliefs import ALWAYS, free_value
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES
+from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES, answer_of_choice
 from jrdb_avr.schema.method import Observation
 from jrdb_avr.schema.panorama import CROP, from_crop, iou
 from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Node, Plan, Time, canonical
@@ -140,16 +140,18 @@ def _free_name(edge: Edge) -> str:
     return edge.wanted.replace(" ", "_")
 
 
-def fields_of(plan: Plan) -> tuple[Field, ...]:
+def fields_of(plan: Plan, choices: Sequence[str] = ()) -> tuple[Field, ...]:
     """The fields that a plan needs, statements and relations among as many others, in an order that tells nothing.
 
-    Where a plan needs most statements of a kind, there are fewer others.
+    If an action is read, the offered actions are fields too, without others, as most of them are false. Where a plan
+    needs most statements of a kind, there are fewer others.
     """
     needed = dict.fromkeys(_needed(plan))
     stated = [field for field in needed if field.value]
     for field in stated:
         rest = [one for value in _OTHERS[field.name] if (one := field._replace(value=value)) not in needed]
         needed |= dict.fromkeys(sorted(rest, key=lambda one: _shuffled(plan, one))[:1])
+    needed |= dict.fromkeys(_offered(choices) if plan.answer.read == "action" else ())
     order = sorted((field for field in needed if field.value), key=lambda one: _shuffled(plan, one))
     return (*(field for field in needed if not field.value), *order)
 
@@ -173,13 +175,21 @@ def _needed(plan: Plan) -> Iterator[Field]:
             yield Field("statement", name, value)
         elif name not in ATTRIBUTES:
             yield Field("words", name)
-    if answer.read in ("action", "next_action"):
+    if answer.read == "next_action":
         yield Field("labels", "pose")
     if answer.read == "distance_change":
         yield Field("metres", "distance")
     for relation in (*(edge.relation for edge in plan.edges), answer.relation):
         if relation is not None and relation not in DERIVED:
             yield Field("relation", "relation", relation)
+
+
+def _offered(choices: Sequence[str]) -> Iterator[Field]:
+    for label in map(answer_of_choice, choices):
+        if label in POSES:
+            yield Field("labels", "pose")
+        elif label in OTHER_ACTIONS:
+            yield Field("statement", "action", label)
 
 
 def _shuffled(plan: Plan, field: Field) -> str:

@@ -15,6 +15,7 @@ import msgspec
 
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.policy.explorer import Look, Sighting
+from jrdb_avr.agent.policy.searches import performs
 from jrdb_avr.agent.simulated.requests import AHEAD, FrameId, Request
 from jrdb_avr.agent.simulated.same_person import told_apart
 from jrdb_avr.schema.beliefs import TIMELESS
@@ -260,7 +261,7 @@ class Draft:
         for condition in conditions:
             self.attribute(seen, *attribute_of(condition))
 
-    def read(self, plan: Plan, seen: Sighting) -> None:
+    def read(self, plan: Plan, seen: Sighting, offered: Sequence[str]) -> None:
         """Write a sighting of the question's person, with what the plan reads of it."""
         self.person(seen)
         times = [plan.times[name] for name in plan.answer.times]
@@ -270,7 +271,8 @@ class Draft:
             case "next_action":
                 self.attribute(seen, "action", mark.pose)
             case "action" if stated:
-                self.attribute(seen, "action", mark.pose)
+                for action in offered:
+                    self.attribute(seen, "action", action if performs(action, seen) else None)
             case "distance_change" if stated and mark.distance_dm is not None:
                 self.attribute(seen, "distance_m", mark.distance_dm / 10)
             case "start" | "span" | "start_view" | "seconds_between":

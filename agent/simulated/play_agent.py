@@ -138,7 +138,7 @@ class _Player:
         identity = person.identity
         for frame in sorted({look.frame for look in self.notes.newest} | {self._then}):
             if (seen := self.notes.of(identity, frame)) is not None:
-                self.draft.read(self._plan, seen)
+                self.draft.read(self._plan, seen, self.state.offered)
         # The first looks were made to find the person, all at the time of the description.
         survey = list(itertools.takewhile(lambda look: look.frame == self._then, self.notes.looks))
         self.state.explorer = self._explorer(len(survey))
@@ -239,7 +239,7 @@ def _remember_shown(request: Request) -> StageReply:
     if person is not None:
         for frame in state.explorer.frames:
             if (seen := notes.of(person.identity, frame)) is not None:
-                draft.read(state.plan, seen)
+                draft.read(state.plan, seen, state.offered)
         answer = {"answer": find_answer(state, person), "entity": entity_name(person.identity)}
     state.note_unseen()
     return _hand_in(request, draft, (), answer, state)

@@ -9,13 +9,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Mapping
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Final
 
-from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, ListedActions, may_be_same
+from jrdb_avr.queries.compiler.reads import outcome_of_action
+from jrdb_avr.schema.choice_labels import CHOICE_LABELS, ListedActions, may_be_same
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP
-
-LabelOutcome = Literal["same", "different", "unknown"]
 
 _POSES: Final = frozenset(POSES)
 _WINDOW: Final = 3
@@ -60,32 +59,8 @@ def false_labels(timeline: Timeline, frame: int) -> frozenset[str]:
 
 @lru_cache(maxsize=4096)
 def different_labels(labels: ListedActions | None) -> tuple[str, ...]:
-    """Return the actions with the outcome "different". The parameter is that of `outcome`."""
-    return tuple(label for label in CHOICE_LABELS if outcome(labels, label) == "different")
-
-
-def outcome(labels: ListedActions | None, label: str) -> LabelOutcome:
-    """Compare an action with the labels of a person who has a box and is not covered.
-
-    Args:
-        labels: The labels at a keyframe, or None if no list exists.
-        label: The action.
-
-    Returns:
-        "same" if the action is certain. "different" if it is certainly false: the list is complete, and neither the
-        action nor one that may be called so is in it. A pose is certainly false only beside exactly one certain pose.
-    """
-    if labels is None:
-        return "unknown"
-    if label in labels.certain:
-        return "same"
-    listed = labels.certain | labels.hard
-    if not labels.complete or label in listed or any(label in CALLED.get(other, ()) for other in listed):
-        return "unknown"
-    poses = listed & _POSES
-    if label in _POSES and (len(poses) != 1 or poses & labels.hard):
-        return "unknown"
-    return "different"
+    """Return the actions with the outcome "different". The parameter is that of `outcome_of_action`."""
+    return tuple(label for label in CHOICE_LABELS if outcome_of_action(labels, label) == "different")
 
 
 def wrong_choices(

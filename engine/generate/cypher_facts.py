@@ -18,8 +18,7 @@ from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.choice_labels import list_actions
-from jrdb_avr.schema.labels import ACTIONS, POSES, ROBOT_SECTORS, may_be_called
+from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS, may_be_called
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import LoadRules
@@ -117,15 +116,16 @@ class CypherFacts:
             self._known |= zip(keys, getattr(self, f"_read_{name}")(keys), strict=True)
             return
         text, values = self.statement(name, keys)
+        if name == "labels":
+            listed = self._reader.listed_actions(values["asked"])
+            self._known |= {key: listed.get(number) for number, key in enumerate(keys)}
+            return
         rows: dict[int, list[dict[str, Any]]] = defaultdict(list)
         for row in self._reader.query(text, values):
             rows[row["id"]].append(row)
         for number, key in enumerate(keys):
             found = rows[number]
-            if name == "labels":
-                labels = {row["label"]: row["easy"] for row in found if row["label"] in ACTIONS}
-                self._known[key] = list_actions(labels, found[0]["listed"]) if found else None
-            elif name == "onsets":
+            if name == "onsets":
                 self._known[key] = [
                     tuple(row[part] for part in ("frame", "angle", "could", "certain")) for row in found
                 ]

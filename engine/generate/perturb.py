@@ -12,8 +12,8 @@ from typing import Any, Final, Protocol, cast
 import msgspec
 from msgspec.structs import replace
 
-from jrdb_avr.engine.generate.choices import outcome
 from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.queries.compiler.reads import outcome_of_action
 from jrdb_avr.queries.compiler.solve import CHANGES
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
@@ -247,7 +247,7 @@ def read_action(program: Program, label: str, source: FactSource) -> str:
     """
     about = program.sequence, find_tracks(program, source)[program.target], program.times[0]
     seen, labels = source.ask([("seen", *about), ("labels", *about)])
-    return "empty" if seen.present is False else outcome(labels, label)
+    return "empty" if seen.present is False else outcome_of_action(labels, label)
 
 
 def _known(value: Any) -> Any:

@@ -269,7 +269,7 @@ def run_compiled(
         LockedError: If another process writes the graph.
     """
     with Graph.open(store.graph_path, read_only=True) as graph:
-        queries = [PlanQuery(stored.plan, stored.record.sequence) for stored in plans]
+        queries = [PlanQuery(stored.plan, stored.record.sequence, stored.record.choices) for stored in plans]
         solutions = solve(SceneReader(graph, SCENE, rules.load), queries, rules, advance)
     differences = []
     for (record, plan, _), solution in zip(plans, solutions, strict=True):

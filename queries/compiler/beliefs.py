@@ -15,7 +15,7 @@ from typing import Any, Final
 from jrdb_avr.queries.compiler.believed import find_believed
 from jrdb_avr.queries.compiler.find import Agreed, Find, outcome_of_target, people_of
 from jrdb_avr.queries.compiler.mapping import PersonId
-from jrdb_avr.queries.compiler.reads import Looks, Person, Queryable, Reader, Rows, Seen, Segment
+from jrdb_avr.queries.compiler.reads import Looks, Offers, Person, Queryable, Reader, Rows, Seen, Segment
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.beliefs import episode_hash
@@ -135,14 +135,13 @@ class BeliefReader(Reader):
 
     # -- reads ----------------------------------------------------------------------------------------------------
 
-    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
+    def values_at(self, queries: Offers) -> dict[int, str]:
         found = {}
-        for person, frame, name in queries:
+        for person, frame, name, offered in queries:
             self._add_evidence(person, [frame])
-            key = (person.who, "action" if name == "posture" else name)
-            rows = [row for row in self.all("attributes") if (row["who"], row["name"]) == key]
+            rows = [row for row in self.all("attributes") if (row["who"], row["name"]) == (person.who, name)]
             values = {row["value"] for row in rows if row["first"] <= frame <= row["last"]}
-            values &= {*POSES} if name == "posture" else values
+            values &= {*offered} if name == "action" else values
             if self._at(person, frame) is None:
                 self._note(person, "value", f"{person.who} is not seen at {_at(frame)}")
             elif len(values) != 1:

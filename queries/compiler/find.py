@@ -110,11 +110,7 @@ class _Pattern:
 
     def _space(self, node: str) -> SchemaMapping | ThingMapping:
         """Return the mapping of people, or the mapping of things."""
-        if node not in self.things:
-            return self.mapping
-        if self.mapping.things is None:
-            raise PlanError(f"nodes.{node}", "there are no things; use conditions of people")
-        return self.mapping.things
+        return self.mapping.things if node in self.things else self.mapping
 
     def _clauses(self, node: str, edges: Edges) -> Iterator[tuple[str, Clause, Variables]]:
         """Yield name, clause and variables of the conditions of a node, and of its edges to earlier nodes."""
@@ -192,19 +188,6 @@ def search_order(plan: Plan) -> list[tuple[str, Edges]]:
     while len(order) < len(plan.nodes):
         reached = [target for source, target in plan.ways if source in order]
         order.append(next(node for node in (*reached, *(node.id for node in plan.nodes)) if node not in order))
-    return joined(plan, order)
-
-
-def joined(plan: Plan, order: Sequence[str]) -> list[tuple[str, Edges]]:
-    """Find the edges that join each node to earlier nodes.
-
-    Args:
-        plan: Plan.
-        order: Ids of the nodes.
-
-    Returns:
-        Each node, with its edges.
-    """
     edges = list(enumerate(plan.edges))
     return [
         (node, [(i, e) for i, e in edges if node in (e.source, e.target) and {e.source, e.target} <= {*order[: k + 1]}])

@@ -45,8 +45,7 @@ class SchemaMapping:
         who: Number or name of the person in the scope.
         conditions: Clauses of conditions by kind, as in `Condition.kind`.
         edges: Clauses of edges by kind, as in `edge_kind`.
-        reads: Folder of the statements that read answers.
-        things: Things of the namespace, or None if there are none.
+        things: Things of the namespace.
     """
 
     pattern: str
@@ -55,8 +54,7 @@ class SchemaMapping:
     who: str
     conditions: Mapping[str, Clause]
     edges: Mapping[str, Clause]
-    reads: str
-    things: ThingMapping | None = None
+    things: ThingMapping
 
 
 @dataclass(frozen=True)
@@ -190,7 +188,6 @@ SCENE: Final = SchemaMapping(
         "left": within("{s}.angle", "{z}.angle"),
         "right": within("{z}.angle", "{s}.angle"),
     },
-    reads="reads/scene",
     things=ThingMapping(
         pattern="({n}:Object)",
         there="{n}.sequence = {scope}",

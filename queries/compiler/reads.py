@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
@@ -19,7 +19,8 @@ from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
-from jrdb_avr.schema.labels import FLICKERING, POSES, ROBOT_SECTORS
+from jrdb_avr.schema.choice_labels import CALLED, ListedActions, list_actions
+from jrdb_avr.schema.labels import ACTIONS, FLICKERING, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.panorama import angle_error
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
@@ -91,6 +92,9 @@ Rows = Sequence[Mapping[str, Any]]
 Looks = Sequence[tuple[Person, int]]
 """Pairs of a person and a frame."""
 
+Offers = Sequence[tuple[Person, int, str, Sequence[str]]]
+"""People, each with a frame, an attribute or "action", and the offered actions."""
+
 
 class Reader(Protocol):
     """Reader of facts about people in a graph.
@@ -138,8 +142,8 @@ class Reader(Protocol):
         rows: list[dict[str, Any]] = table.to_pylist()
         return rows
 
-    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
-        """Return the posture or an attribute of people, at frames that show them."""
+    def values_at(self, queries: Offers) -> dict[int, str]:
+        """Return an attribute of people, or the only offered action that they do. The other actions must be false."""
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """Return presence and distance, by id of the plan and frame."""
@@ -183,16 +187,38 @@ class SceneReader(Reader):
         """See `Reader.agreed`."""
         return outcome_of_people(find, rows)
 
-    def values_at(self, queries: Sequence[tuple[Person, int, str]]) -> dict[int, str]:
+    def values_at(self, queries: Offers) -> dict[int, str]:
         """See `Reader.values_at`."""
-        names = {person.id: name for person, _, name in queries}
-        found: dict[int, str] = {}
-        for row in self._read("value", [person.row(t=frame) for person, frame, _ in queries]):
+        names = {person.id: name for person, _, name, _ in queries if name != "action"}
+        found = self._actions_at([query for query in queries if query[2] == "action"])
+        for row in self._read("value", [person.row(t=t) for person, t, *_ in queries if person.id in names]):
             off = {word: angle_error(row["angle"], axis) for word, axis in ROBOT_SECTORS.items()}
             sector = next((word for word in off if off[word] <= self.values["sector_true"]), None)
             value = (row | {"sector": sector})[names[row["id"]]]
             found |= {} if value is None else {row["id"]: str(value)}
         return found
+
+    def _actions_at(self, queries: Offers) -> dict[int, str]:
+        rows = [p.row(at=f"{p.scope}/{t:06d}", t=t, person=f"{p.scope}/{p.who}") for p, t, *_ in queries]
+        listed, found = self.listed_actions(rows), {}
+        for person, _, _, offered in queries:
+            outcomes = [outcome_of_action(listed.get(person.id), label) for label in offered]
+            if sorted(outcomes) == ["different"] * (len(offered) - 1) + ["same"]:
+                found[person.id] = offered[outcomes.index("same")]
+        return found
+
+    def listed_actions(self, rows: Rows) -> dict[int, ListedActions]:
+        """Return the action labels of people who are not covered, by id of the row.
+
+        Args:
+            rows: Rows of `$asked` of the statement `necessity/labels.cypher`.
+        """
+        labels: dict[int, dict[str, bool]] = defaultdict(dict)
+        complete: dict[int, bool] = {}
+        for row in self.query(read_statement("necessity/labels.cypher"), {"asked": list(rows)}) if rows else ():
+            complete[row["id"]] = row["listed"]
+            labels[row["id"]] |= {row["label"]: row["easy"]} if row["label"] in ACTIONS else {}
+        return {number: list_actions(labels[number], complete[number]) for number in complete}
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """See `Reader.seen`."""
@@ -242,7 +268,7 @@ class SceneReader(Reader):
         return {i: len(does[i]) for i in known if could[i] <= does[i]}
 
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
-        return self.run(read_statement(f"{self.mapping.reads}/{name}.cypher"), rows)
+        return self.run(read_statement(f"reads/scene/{name}.cypher"), rows)
 
     def rows_on_grid(self, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         """Add the frames with action labels of the sequence to each row.
@@ -253,7 +279,29 @@ class SceneReader(Reader):
 
     @cached_property
     def _grids(self) -> dict[str, dict[str, int]]:
-        return {row.pop("scope"): row for row in self.query(read_statement(f"{self.mapping.reads}/grid.cypher"), {})}
+        return {row.pop("scope"): row for row in self.query(read_statement("reads/scene/grid.cypher"), {})}
+
+
+def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same", "different", "unknown"]:
+    """Compare an action with the labels of a person who has a box and is not covered.
+
+    Args:
+        labels: The labels at a keyframe, or None if no list exists.
+        label: The action.
+
+    Returns:
+        "same" if the action is certain. "different" if it is certainly false: the list is complete, and neither the
+        action nor one that may be called so is in it. A pose is certainly false only beside exactly one certain pose.
+    """
+    if labels is None:
+        return "unknown"
+    if label in labels.certain:
+        return "same"
+    listed = labels.certain | labels.hard
+    called = label in listed or any(label in CALLED.get(other, ()) for other in listed)
+    poses = listed.intersection(POSES)
+    unsure = label in POSES and (len(poses) != 1 or poses & labels.hard)
+    return "unknown" if called or unsure or not labels.complete else "different"
 
 
 _NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)

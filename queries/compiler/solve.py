@@ -17,17 +17,24 @@ from jrdb_avr.queries.compiler.find import Outcome
 from jrdb_avr.queries.compiler.mapping import PersonId
 from jrdb_avr.queries.compiler.reads import Person, Reader, Seen, Segment, events_of
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
-from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, answer_of_choice
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS, Rules
 
 
 @dataclass(frozen=True)
 class PlanQuery:
-    """A plan and its scope, which is a sequence or an episode."""
+    """A plan with its scope and the choices of its question.
+
+    Attributes:
+        plan: Plan.
+        scope: Name of the sequence, or key of the episode.
+        choices: Texts of the choices, as stored. Only the read `action` needs them.
+    """
 
     plan: Plan
     scope: str
+    choices: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,7 @@ class _BoundPlan:
         self.id = plan_id
         self.plan = query.plan
         self.scope = query.scope
+        self.offered = [answer_of_choice(choice) for choice in query.choices]
         self.people = people
         self.times = {name: time.frame for name, time in query.plan.times.items() if time.frame is not None}
         self.segments: dict[str, Segment] = {}
@@ -182,8 +190,8 @@ def _answers(reader: Reader, read: str, plans: Sequence[_BoundPlan], rules: Rule
         return _next_actions(reader, plans)
     stated = [(bound, bound.frames) for bound in plans if len(bound.frames) == len(bound.plan.answer.times)]
     if read in ("action", "attribute"):
-        asked = [(bound.target, frames[0], bound.plan.answer.attribute or "posture") for bound, frames in stated]
-        return reader.values_at(asked)
+        looks = [(b.target, frames[0], b.plan.answer.attribute or read, b.offered) for b, frames in stated]
+        return reader.values_at(looks)
     if read == "count":
         stretches = [(bound.target, bound.plan.answer.relation or "", first, last) for bound, (first, last) in stated]
         return {i: encode_answer(Number(float(count))) for i, count in reader.counts(stretches).items()}

@@ -72,6 +72,16 @@ def people(*listed):
 # -- what is asked ----------------------------------------------------------------------------------------------------
 
 
+def test_the_offered_actions_are_read_if_the_plan_reads_an_action():
+    offered = ("walking", "bending down", "talking to someone", "holding something")
+    spec = AnswerSpec("multiple_choice", "action", "a", at="t0")
+    plan = Plan("a", "a", WOMAN.times, (Node("a"),), (), spec)
+    added = {field.key for field in fields_of(plan, offered)} - {field.key for field in fields_of(plan)}
+    assert added == {"pose", "action talking to someone", "action holding sth"}
+    other = Plan("a", "a", WOMAN.times, (Node("a"),), (), AnswerSpec("multiple_choice", "next_action", "a", at="t0"))
+    assert fields_of(other, offered) == fields_of(other)
+
+
 def test_statements_stand_among_as_many_others():
     stated = [field for field in fields_of(WORDY) if field.value]
     kinds = [field.name for field in stated]

@@ -304,7 +304,7 @@ def test_what_was_written_makes_the_answer_legal(world, graph):
     script = [PLAN, turn(look()), turn(*SEEN[:2], final(2)), turn(SEEN[2], final(3)), turn(final(2, "p2"))]
     game = play(world, [*script, turn(final(2))], graph=graph, solver="real")
     told = [results(request)[-1].partition("refused: ")[2] for request in game.requests[3:6]]
-    assert told[0].startswith("the graph does not give the answer; missing: the answer: the posture of p1 at frame")
+    assert told[0].startswith("the graph does not give the answer; missing: the answer: the action of p1 at frame")
     assert told[1] == "the graph's answer is choice 2, 'standing', which the proposed one is not"
     assert told[2] == "the plan's target in the graph is p1, not p2"
     assert (game.prediction.status, game.prediction.answer) == ("answered", Choice(2))

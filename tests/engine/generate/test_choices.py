@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from jrdb_avr.engine.generate.choices import (
     ListedActions,
     false_labels,
-    outcome,
     true_labels,
     wrong_choices,
     wrong_sets,
 )
+from jrdb_avr.queries.compiler.reads import outcome_of_action
 from jrdb_avr.schema.choice_labels import CALLED, CHOICE_LABELS, implied_actions, may_be_same
 from jrdb_avr.schema.labels import ACTIONS, POSES
 
@@ -56,9 +56,9 @@ def test_choices_follow_the_rules_read_one_by_one(timeline, frame, label):
 
 @given(timelines(), st.sampled_from(range(0, 150, 15)))
 def test_a_false_choice_reads_as_different_and_a_true_one_as_same(timeline, frame):
-    assert all(outcome(timeline.get(frame), label) == "same" for label in true_labels(timeline, frame))
-    assert all(outcome(timeline.get(frame), label) == "different" for label in false_labels(timeline, frame))
-    assert outcome(None, "walking") == "unknown"
+    assert all(outcome_of_action(timeline.get(frame), label) == "same" for label in true_labels(timeline, frame))
+    assert all(outcome_of_action(timeline.get(frame), label) == "different" for label in false_labels(timeline, frame))
+    assert outcome_of_action(None, "walking") == "unknown"
 
 
 @given(st.frozensets(st.sampled_from(CHOICE_LABELS), max_size=8))

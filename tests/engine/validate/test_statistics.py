@@ -12,11 +12,12 @@ from click.testing import CliRunner
 
 from jrdb_avr.engine.commands.generate import stats
 from jrdb_avr.engine.validate.statistics import TITLES, statistics
+from jrdb_avr.schema.labels import ACTIONS, choice_text
 from jrdb_avr.schema.templates import FAMILIES, TEMPLATES
 
 JOINED = "questions JOIN answers USING (question_id)"
-SAID = "MAP {'lying down': 'lying', 'bending down': 'bending', 'riding a scooter': 'scootering'}"
-"""Poses that a choice says in other words."""
+SAID = "MAP {" + ", ".join(f"'{choice_text(action)}': '{action}'" for action in ACTIONS) + "}"
+"""Actions by what a choice says."""
 ASKS = """CASE answer_mode WHEN 'multiple_choice' THEN 'choice' WHEN 'frame_viewpoint' THEN 'frame and angle'
     WHEN 'number' THEN if(json_extract_string(plan, '$.answer.read') = 'count', 'count', 'seconds')
     ELSE answer_mode END"""
