@@ -190,8 +190,8 @@ def _answers(reader: Reader, read: str, plans: Sequence[_BoundPlan], rules: Rule
         return _next_actions(reader, plans)
     stated = [(bound, bound.frames) for bound in plans if len(bound.frames) == len(bound.plan.answer.times)]
     if read in ("action", "attribute"):
-        looks = [(b.target, frames[0], b.plan.answer.attribute or read, b.offered) for b, frames in stated]
-        return reader.values_at(looks)
+        offers = [(b.target, frames[0], b.plan.answer.attribute or read, b.offered) for b, frames in stated]
+        return reader.values_at(offers)
     if read == "count":
         stretches = [(bound.target, bound.plan.answer.relation or "", first, last) for bound, (first, last) in stated]
         return {i: encode_answer(Number(float(count))) for i, count in reader.counts(stretches).items()}
