@@ -143,6 +143,11 @@ def test_the_readme_is_short():
     assert len(README.splitlines()) <= 180
 
 
+def test_the_picture_of_the_definitions_is_what_the_script_draws():
+    drawn = subprocess.run([sys.executable, DOCS / "draw_definitions.py"], capture_output=True, text=True, check=True)
+    assert drawn.stdout == (DOCS / "definitions.svg").read_text(encoding="utf-8")
+
+
 def test_every_test_that_holds_a_promise_exists():
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", (ROOT / "SECURITY.md").read_text(encoding="utf-8"))
     assert len(named) > 50
