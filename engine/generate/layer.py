@@ -54,6 +54,7 @@ class Layer:
         boxes: Columns of sightings by track and frame.
         images: Frames that have an image, or empty if the sequence has no images.
         present: Actions that a person in clear view certainly does at a keyframe.
+        low: First id of a node.
         length: Number of frames of the sequence.
         fps: Frames per second.
         action_step: Frames from one list of actions to the next.
@@ -66,6 +67,7 @@ class Layer:
     boxes: Mapping[tuple[int, int], Row] = field(default_factory=dict)
     images: frozenset[int] = frozenset()
     present: frozenset[str] = frozenset()
+    low: int = 0
     length: int = 0
     fps: float = FPS
     action_step: int = KEYFRAME_STEP
@@ -143,7 +145,7 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
     """
     images = frozenset(row["frame"] for row in tables["frames"].select(["frame", "image"]).to_pylist() if row["image"])
     columns = tables["sightings"].select(["track", "frame", "x", "y", "w", "h", "angle", "clear"]).to_pylist()
-    layer = Layer(facts, boxes={(row["track"], row["frame"]): row for row in columns}, images=images)
+    layer = Layer(facts, boxes={(row["track"], row["frame"]): row for row in columns}, images=images, low=low)
     (head,) = tables["sequence"].to_pylist()
     layer.fps, layer.action_step, layer.length = head["fps"], head["action_step"], head["frame_count"]
     layer.present = frozenset().union(*count_actions(facts).values())

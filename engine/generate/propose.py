@@ -22,6 +22,7 @@ from msgspec.structs import replace
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, Row
+from jrdb_avr.engine.generate.perturb import Answer, Program, make_program, parse_answer
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values
@@ -167,6 +168,13 @@ def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
         segments=tuple(segment["id"] for segment in segments),
         counted=row.get("counted", ()),
     )
+
+
+def program_of(proposal: Proposal) -> tuple[Program, Answer]:
+    """Return the program of a proposal, with the conditions in the order of the description, and the answer."""
+    program = make_program(proposal.sequence, proposal.plan, proposal.template)
+    program = replace(program, conditions=proposal.conditions)
+    return program, parse_answer(proposal.template.spec.mode, proposal.answer)
 
 
 # -- forms that need more than a statement ----------------------------------------------------------------------------
