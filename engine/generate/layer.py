@@ -25,7 +25,6 @@ from jrdb_avr.engine.generate.describe import conditions_json, describe, find_le
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.plan import Condition
@@ -89,23 +88,6 @@ class Layer:
     def _table(self, name: str, types: Mapping[str, str]) -> Iterator[tuple[str, pa.Table]]:
         if rows := self.rows[name]:
             yield name, pa.table({c: pa.array([row[c] for row in rows], _TYPES[kind]) for c, kind in types.items()})
-
-    def start(self, who: int, action: str, after: int) -> FrameViewpoint | None:
-        """Return the first start of an action after a frame at which the action is false, or None if none is certain.
-
-        Args:
-            who: Track of the person.
-            action: Label of the action.
-            after: Frame.
-
-        Returns:
-            The frame of the start, and the angle at the first frame with the action.
-        """
-        for row in self.segments.values():
-            mine = row["track"] == who and row["action"] == action
-            if mine and row["start"] > after >= row["quiet_from"]:
-                return FrameViewpoint(row["start"], row["angle"])
-        return None
 
 
 def read_layer(store: Store, graph: Graph, sequence: str, rules: Rules, low: int = 0) -> Layer:

@@ -89,9 +89,7 @@ class Prover:
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
-        if keys[0][0] == "start":
-            return [self._search.layer.start(*arguments) for _, _, *arguments in keys]
-        return self._cypher.ask(keys) if keys[0][0] == "onsets" else self._search.layer.facts.ask(keys)
+        return (self._cypher if keys[0][0] in ("start", "onsets") else self._search.layer.facts).ask(keys)
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""

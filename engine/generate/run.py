@@ -126,9 +126,10 @@ def generate(
         manifest = check_load_rules(store, rules)
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
-        lows = ensure_layer(store, rules, workers, progress)
         jobs = [
-            SearchJob(store.path, name, lows[name], rules, tuple(held_out.extents.get(name, ()))) for name in sequences
+            SearchJob(job.store, job.sequence, job.low, rules, tuple(held_out.extents.get(job.sequence, ())))
+            for job in ensure_layer(store, rules, workers, progress)
+            if job.sequence in sequences
         ]
         with hold_graph(store.graph_path, workers):
             found = _map(search_sequence, jobs, workers, step_counter(progress, "searching", len(jobs)))
@@ -354,11 +355,8 @@ def _make(
     by_sequence: dict[str, list[Question]] = defaultdict(list)
     for question in questions:
         by_sequence[question.candidate.sequence].append(question)
-    question_jobs = [
-        QuestionJob(job.store, job.sequence, job.low, job.rules, tuple(by_sequence[job.sequence]))
-        for job in jobs
-        if job.sequence in by_sequence
-    ]
+    own = ((job, tuple(by_sequence[job.sequence])) for job in jobs if job.sequence in by_sequence)
+    question_jobs = [QuestionJob(job.store, job.sequence, job.low, job.rules, some) for job, some in own]
     results = _map(make_questions, question_jobs, workers, step_counter(progress, "confirming", len(question_jobs)))
     faults = {key: fault for _, own in results for key, fault in own.items()}
     return pa.concat_tables([COLUMNS.empty_table(), *(table for table, _ in results)]), faults

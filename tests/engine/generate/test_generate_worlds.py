@@ -75,8 +75,8 @@ def judge(store, claimed):
 
 def kept(store):
     """{(template, target): questions} without near-duplicates and those above the cap."""
-    _, entries = search_one(store, SEQUENCE, RULES)
-    return Counter((entry.candidate.template, entry.candidate.track) for entry in entries)
+    _, candidates = search_one(store, SEQUENCE, RULES)
+    return Counter((one.template, one.track) for one in candidates)
 
 
 def refusal(search, one, prover):
