@@ -349,16 +349,6 @@ def _check_selection(report: Validation, records: Sequence[QuestionRecord], rule
         few = count <= (rules.max_per_person if template else rules.max_per_person_in_all)
         report.check("selection", few, f"{count} questions{template} of person {track} in {sequence}")
     _check_alike(report, records, rules)
-    answers: dict[str, Counter[str]] = defaultdict(Counter)
-    for record in records:
-        if MODES[record.answer_mode].is_choice:
-            answers[record.template][record.answer_text] += 1
-    for template, counts in sorted(answers.items()):
-        ((commonest, count),) = counts.most_common(1)
-        share = count / counts.total()
-        report.check(
-            "selection", share <= rules.max_answer_share, f"{template}: {commonest!r} has a share of {share:.1%}"
-        )
 
 
 def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:
