@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Final, NamedTuple, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
 
-from jrdb_avr.engine.generate.guessers import JUDGED, LabelCounts, Offer
+from jrdb_avr.engine.generate.guessers import LabelCounts, Offer
 from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.generate.near_duplicates import Subject
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-Result = TypeVar("Result")
-
 _ALL_WEIGHT: Final = 50
 _SEQUENCE_WEIGHT: Final = 20
 _CONTEXT_WEIGHT: Final = 10
-_STEPS: Final = 20
-"""Sizes of a template are so many parts of its quota."""
+
+_PARTS: Final = 4
+"""Times in a sequence are compared by its quarters."""
 
 
 class Candidate(NamedTuple):
@@ -33,6 +32,8 @@ class Candidate(NamedTuple):
         wrong: The answers that may be wrong choices.
         contexts: Names of the contexts and their weights. (`choice_contexts`, `answer_contexts`)
         event: The event of the target that only one question may be about, if any.
+        form: Form of the template.
+        row: The row of a generator that makes the proposal again, encoded.
     """
 
     key: str
@@ -45,6 +46,8 @@ class Candidate(NamedTuple):
     wrong: frozenset[str]
     contexts: tuple[tuple[str, int], ...]
     event: str | None = None
+    form: str = ""
+    row: bytes = b""
 
     @property
     def moment(self) -> tuple[str, int, tuple[int, ...]]:
@@ -65,12 +68,14 @@ class Question(NamedTuple):
     twin: str | None = None
 
     @property
+    def key(self) -> str:
+        """A key of the question with its choices and its twin."""
+        return " ".join((self.candidate.template, self.candidate.key, *self.choices, self.twin or ""))
+
+    @property
     def choices(self) -> tuple[str, ...]:
         """All choices in the order of the question. Time twins have the same order."""
         return in_hash_order((self.candidate.truth, *self.wrong), self.twin or self.candidate.key)
-
-
-Twins = tuple[Candidate, Candidate]
 
 
 class Selected(NamedTuple):
@@ -116,6 +121,34 @@ def choice_contexts(
     return (*every, *((name, _CONTEXT_WEIGHT) for name in others))
 
 
+def answer_contexts(
+    sequence: str, frames: int, described: int, asked: Sequence[int], conditions: Iterable[str]
+) -> tuple[tuple[str, int], ...]:
+    """List the contexts of a question with fixed answers.
+
+    Args:
+        sequence: Name of the sequence.
+        frames: Number of frames of the sequence.
+        described: Frame of the description.
+        asked: Frames asked about, ascending, without the frame of the description.
+        conditions: Words of each condition of the description.
+
+    Returns:
+        The name and the weight of each context.
+    """
+    times = (described, *asked)
+    waits = tuple(doublings(later - time) for time, later in zip(times, asked, strict=False))
+    words = sorted(set(conditions))
+    contexts = [("all", 10), (f"sequence {sequence}", 7), (f"waits {waits}", 7)]
+    for number, wait in enumerate(waits):
+        contexts += [(f"wait {number} {wait}", 7), (f"sequence {sequence} wait {number} {wait}", 4)]
+    contexts.append((f"end {min(_PARTS - 1, _PARTS * (frames - asked[-1]) // max(1, frames))}", 4))
+    contexts.append((f"left {doublings(frames - asked[0])} wait {waits[0]}", 4))
+    contexts.append((f"described {min(_PARTS - 1, _PARTS * described // max(1, frames))}", 4))
+    contexts.append((f"conditions {len(words)}", 3))
+    return (*contexts, *((f"condition {word}", 3) for word in words))
+
+
 def doublings(wait: int) -> int:
     """Return how many times one second must be doubled to exceed a wait in frames."""
     return (wait // KEYFRAME_STEP).bit_length()
@@ -138,30 +171,3 @@ def sequence_cap(quota: int, sequences: int, percent: int = 20) -> int:
 def moment_hash(candidate: Candidate) -> int:
     """Return the hash of a candidate's moment."""
     return hash_of(candidate.template, *candidate.moment)
-
-
-def sizes_of(quota: int) -> list[int]:
-    """Return the shares of a quota that are tried, the largest first; smaller ones are not judged."""
-    judged = [size for step in range(_STEPS, 0, -1) if (size := quota * step // _STEPS) >= JUDGED]
-    return [*judged, JUDGED - 1]
-
-
-def keep_most(most: int, attempt: Callable[[int], Result | None]) -> Result | None:
-    """Find the largest number of twins with which a selection succeeds, by halving.
-
-    Args:
-        most: Maximum number of pairs, which is tried first.
-        attempt: Returns the selection with so many of the first pairs, or None if the bound does not hold.
-
-    Returns:
-        The selection, or None if no attempt succeeds.
-    """
-    best, low, high, count = None, 0, most, most
-    while low < high:
-        result = attempt(count)
-        if result is None:
-            high = count - 1
-        else:
-            best, low = result, count
-        count = (low + high + 1) // 2
-    return best

@@ -1,4 +1,4 @@
-"""Bins of answers that are times or numbers, and of the waits that a question states."""
+"""Bins of answers that are times or numbers."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ import numpy as np
 
 from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.answers import Number
-from jrdb_avr.schema.rules import FPS, frames
-
-
-def wait_bin(wait: int) -> int:
-    """Bin of a wait in frames: 0 below 3 s, then [3, 6), [6, 12), [12, 24), ... seconds."""
-    return int(np.floor(np.log2(wait / frames(3.0)))) + 1 if wait >= frames(3.0) else 0
+from jrdb_avr.schema.rules import FPS
 
 
 def answer_bin(mode: str, answer: str, times: Sequence[int], read: str) -> int:
-    """Bin of a stored answer: of an event's offset from the first stated time, or of a gap's seconds; a count is its
-    own."""
+    """Return the bin of a stored answer.
+
+    Args:
+        mode: Answer mode.
+        answer: JSON of the answer.
+        times: Stated frames.
+        read: Kind of value that the answer reads.
+
+    Returns:
+        The number of the bin: of an event's offset from the first stated time, or of seconds. A count is its own bin.
+    """
     stored, edges = decode_answer(mode, answer), MODES[mode].bin_edges_s
     if frames := frames_of_answer(stored):
         return int(np.searchsorted(edges, (frames[0] - times[0]) / FPS, side="right"))
@@ -28,7 +32,15 @@ def answer_bin(mode: str, answer: str, times: Sequence[int], read: str) -> int:
 
 
 def bin_name(mode: str, read: str, number: int) -> str:
-    """What a bin of `answer_bin` holds: a range of seconds, or a count.
+    """Return the range of seconds, or the count, of a bin.
+
+    Args:
+        mode: Answer mode.
+        read: Kind of value that the answer reads.
+        number: Result of `answer_bin`.
+
+    Returns:
+        The text of the range.
 
     >>> bin_name("frame", "start", 2)
     '[6, 10)'

@@ -1,13 +1,14 @@
 """Facts of people that statements over the stored graph return, for many questions at a time.
 
-`CypherFacts` notes each fact that is asked for and not known yet. `fill` then runs one statement per kind of fact, with
-all noted facts as rows of its parameter `$asked`.
+`CypherFacts` notes each fact that is asked for and not known yet. `complete` then runs one statement per kind of fact,
+with all noted facts as rows of its parameter `$asked`.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
@@ -30,7 +31,9 @@ _BY_READS: Final = ("seen", "start")
 """Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
 
 
+K = TypeVar("K")
 T = TypeVar("T")
+Advance = Callable[[int], None]
 
 
 class CypherFacts:
@@ -54,7 +57,7 @@ class CypherFacts:
         self._keyframes: dict[str, list[int]] = {}
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
-        """Return facts by key. Raises MissingFactsError if some are not known yet; `fill` looks them up."""
+        """Return facts by key. Raises MissingFactsError if some are not known yet; `complete` looks them up."""
         self.asked.update(keys)
         missing = [key for key in keys if key not in self._known]
         if missing:
@@ -62,8 +65,8 @@ class CypherFacts:
             raise MissingFactsError
         return [self._known[key] for key in keys]
 
-    def fill(self) -> bool:
-        """Look up all noted facts. Return whether there were any."""
+    def _fill(self) -> None:
+        """Look up all noted facts."""
         by_statement: dict[str, list[Key]] = defaultdict(list)
         for key in sorted(self._noted, key=repr):
             by_statement[statement_of(key)].append(key)
@@ -71,15 +74,29 @@ class CypherFacts:
             for first in range(0, len(keys), AT_ONCE):
                 self._look_up(name, keys[first : first + AT_ONCE])
         self._noted.clear()
-        return bool(by_statement)
 
     def complete(self, function: Callable[[], T]) -> T:
         """Call a function, and look up the facts that it lacks, until it returns a value. Return this value."""
-        while True:
-            try:
-                return function()
-            except MissingFactsError:
-                self.fill()
+        return self.complete_all({0: function})[0]
+
+    def complete_all(self, functions: Mapping[K, Callable[[], T]], advance: Advance = lambda count: None) -> dict[K, T]:
+        """Call functions until all have returned a value. Look up the facts that they lack together.
+
+        Args:
+            functions: Functions by key.
+            advance: Function that receives the number of functions that have just returned.
+
+        Returns:
+            The values by key.
+        """
+        values: dict[K, T] = {}
+        while waiting := functions.keys() - values.keys():
+            for key in waiting:
+                with contextlib.suppress(MissingFactsError):
+                    values[key] = functions[key]()
+            advance(len(waiting & values.keys()))
+            self._fill()
+        return values
 
     def count(self, sequence: str, relation: str, who: int, first: int, last: int) -> int | None:
         """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""

@@ -6,7 +6,7 @@ All shares are exact fractions, so that they depend on no library and no process
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Final, NamedTuple
 
@@ -129,8 +129,8 @@ def guesser_scores(offers: Sequence[Offer]) -> dict[str, list[Fraction]]:
         for index, name in enumerate(("data", "sequence", "frame")):
             scores[name] = [Fraction(offer.ranks[index] == 0) for offer in offers]
     true, offered = _tallies(offers)
-    for name, keys in _KEYS.items():
-        beliefs = [_beliefs(offer, keys, true, offered) for offer in offers]
+    for name in ("label", "set", "pair"):
+        beliefs = [_beliefs(offer, name, true, offered) for offer in offers]
         for prefix, take in (("", max), ("least ", min)):
             scores[prefix + name] = [
                 _share(belief, offer.truth, take) for belief, offer in zip(beliefs, offers, strict=True)
@@ -174,26 +174,11 @@ def commonest_answer(offers: Sequence[Offer]) -> tuple[str, Fraction]:
 _Key = tuple[object, ...]
 
 
-def _label(choice: str, choices: Collection[str]) -> Iterator[_Key]:
-    yield (choice,)
-
-
-def _set(choice: str, choices: Collection[str]) -> Iterator[_Key]:
-    yield (choice,)
-    yield choice, "of", tuple(choices)
-
-
-def _pair(choice: str, choices: Collection[str]) -> Iterator[_Key]:
-    yield (choice,)
-    yield from ((choice, other) for other in choices if other != choice)
-
-
-_KEYS: Final[dict[str, Callable[[str, Collection[str]], Iterator[_Key]]]] = {
-    "label": _label,
-    "set": _set,
-    "pair": _pair,
-}
-"""For each guesser, what it counts for a choice, the most general first."""
+def _keys(guesser: str, choice: str, choices: Sequence[str]) -> list[_Key]:
+    """Return what a guesser counts for a choice, the most general first."""
+    others = [(choice, other) for other in choices if other != choice]
+    more: dict[str, list[_Key]] = {"label": [], "set": [(choice, "of", tuple(choices))], "pair": [*others]}
+    return [(choice,), *more[guesser]]
 
 
 def _tallies(offers: Iterable[Offer]) -> tuple[Counter[_Key], Counter[_Key]]:
@@ -203,24 +188,19 @@ def _tallies(offers: Iterable[Offer]) -> tuple[Counter[_Key], Counter[_Key]]:
     for offer in offers:
         choices = offer.choices
         for choice in choices:
-            for key in {*_set(choice, choices), *_pair(choice, choices)}:
+            for key in {*_keys("set", choice, choices), *_keys("pair", choice, choices)}:
                 for scope in ("", offer.sequence):
                     offered[scope, *key] += 1
                     true[scope, *key] += choice == offer.truth
     return true, offered
 
 
-def _beliefs(
-    offer: Offer,
-    keys: Callable[[str, Collection[str]], Iterator[_Key]],
-    true: Mapping[_Key, int],
-    offered: Mapping[_Key, int],
-) -> dict[str, Fraction]:
+def _beliefs(offer: Offer, guesser: str, true: Mapping[_Key, int], offered: Mapping[_Key, int]) -> dict[str, Fraction]:
     """Return the belief in each choice by the questions of other sequences."""
     beliefs = {}
     for choice in offer.choices:
         belief = Fraction(1, 4)
-        for key in keys(choice, offer.choices):
+        for key in _keys(guesser, choice, offer.choices):
             right, all_of = (tally["", *key] - tally[offer.sequence, *key] for tally in (true, offered))
             belief = (right + _PRIOR * belief) / (all_of + _PRIOR)
         beliefs[choice] = belief

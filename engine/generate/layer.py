@@ -25,7 +25,6 @@ from jrdb_avr.engine.generate.describe import conditions_json, describe, find_le
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.plan import Condition
@@ -54,6 +53,7 @@ class Layer:
         boxes: Columns of sightings by track and frame.
         images: Frames that have an image, or empty if the sequence has no images.
         present: Actions that a person in clear view certainly does at a keyframe.
+        low: First id of a node.
         length: Number of frames of the sequence.
         fps: Frames per second.
         action_step: Frames from one list of actions to the next.
@@ -66,6 +66,7 @@ class Layer:
     boxes: Mapping[tuple[int, int], Row] = field(default_factory=dict)
     images: frozenset[int] = frozenset()
     present: frozenset[str] = frozenset()
+    low: int = 0
     length: int = 0
     fps: float = FPS
     action_step: int = KEYFRAME_STEP
@@ -87,23 +88,6 @@ class Layer:
     def _table(self, name: str, types: Mapping[str, str]) -> Iterator[tuple[str, pa.Table]]:
         if rows := self.rows[name]:
             yield name, pa.table({c: pa.array([row[c] for row in rows], _TYPES[kind]) for c, kind in types.items()})
-
-    def start(self, who: int, action: str, after: int) -> FrameViewpoint | None:
-        """Return the first start of an action after a frame at which the action is false, or None if none is certain.
-
-        Args:
-            who: Track of the person.
-            action: Label of the action.
-            after: Frame.
-
-        Returns:
-            The frame of the start, and the angle at the first frame with the action.
-        """
-        for row in self.segments.values():
-            mine = row["track"] == who and row["action"] == action
-            if mine and row["start"] > after >= row["quiet_from"]:
-                return FrameViewpoint(row["start"], row["angle"])
-        return None
 
 
 def read_layer(store: Store, graph: Graph, sequence: str, rules: Rules, low: int = 0) -> Layer:
@@ -143,7 +127,7 @@ def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rule
     """
     images = frozenset(row["frame"] for row in tables["frames"].select(["frame", "image"]).to_pylist() if row["image"])
     columns = tables["sightings"].select(["track", "frame", "x", "y", "w", "h", "angle", "clear"]).to_pylist()
-    layer = Layer(facts, boxes={(row["track"], row["frame"]): row for row in columns}, images=images)
+    layer = Layer(facts, boxes={(row["track"], row["frame"]): row for row in columns}, images=images, low=low)
     (head,) = tables["sequence"].to_pylist()
     layer.fps, layer.action_step, layer.length = head["fps"], head["action_step"], head["frame_count"]
     layer.present = frozenset().union(*count_actions(facts).values())

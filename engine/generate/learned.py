@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from jrdb_avr.engine.generate.bins import wait_bin
+from jrdb_avr.engine.generate.asked import doublings
 from jrdb_avr.engine.generate.blind import Chances, Guesser, QuestionText
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.errors import InputError
@@ -113,4 +113,4 @@ def _of_text(question: QuestionText) -> Iterator[tuple[str, float]]:
         yield f"time {index}", time / FPS / _SCALE_S
     for index, (first, second) in enumerate(pairwise(question.times)):
         yield f"wait {index}", (second - first) / FPS / _SCALE_S
-        yield f"wait {index} bin {wait_bin(second - first)}", 1.0
+        yield f"wait {index} bin {doublings(second - first)}", 1.0

@@ -1,30 +1,22 @@
 """Select the questions of a template with choices, so that no choice is true more often than others.
 
-A level is a state of the questions that are selected. It knows by how much each further question raises the cost.
+Some questions are time twins: pairs that differ in one asked time and in their answers. A method that finds the right
+person and ignores the time cannot answer both.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+import itertools
+from bisect import bisect_left
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from jrdb_avr.engine.generate.answer_levels import AnswerLevel
-from jrdb_avr.engine.generate.asked import (
-    Candidate,
-    Question,
-    Selected,
-    Twins,
-    keep_most,
-    moment_hash,
-    offer_of,
-    sizes_of,
-)
-from jrdb_avr.engine.generate.choice_levels import ChoiceLevel
+from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, moment_hash, offer_of
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import (
     JUDGED,
@@ -35,8 +27,12 @@ from jrdb_avr.engine.generate.guessers import (
     commonest_answer,
 )
 from jrdb_avr.engine.generate.hashes import hash_of, permute
-from jrdb_avr.engine.generate.near_duplicates import Taken
-from jrdb_avr.schema.choice_labels import CHOICE_LABELS
+from jrdb_avr.engine.generate.levels import Level
+from jrdb_avr.engine.generate.near_duplicates import Taken, near_frames
+from jrdb_avr.schema.rules import Rules
+
+MAX_TWINS: Final = {"change": 50, "presence": 50, "later_action": 9}
+"""Maximum number of pairs of each template that has time twins."""
 
 _DRAWN: Final = 120
 """Moments that each step of the greedy selection compares."""
@@ -49,34 +45,10 @@ _PASSES: Final = 6
 
 _SWAP_PASSES: Final = 2
 
+_STEPS: Final = 20
+"""Sizes of a template are so many parts of its quota."""
 
-class Level(Protocol):
-    """State of the selected questions of a template.
-
-    Attributes:
-        of_sequence: Number of questions of each sequence.
-    """
-
-    of_sequence: Counter[str]
-
-    def add(self, question: Question, sign: int = 1) -> None:
-        """Add a question to the state, or remove it by the sign -1."""
-
-    def allows(self, candidate: Candidate) -> bool:
-        """Return whether the candidate may become a further question."""
-
-    def cheapest(self, candidates: Sequence[Candidate]) -> tuple[int, Question]:
-        """Find the question that raises the cost least.
-
-        Args:
-            candidates: Candidates with at least three wrong choices. Of equals the first one is taken.
-
-        Returns:
-            The increase of the cost, and the question.
-        """
-
-    def cost_of(self, question: Question) -> int:
-        """Return by how much a question raises the cost."""
+Twins = tuple[Candidate, Candidate]
 
 
 @dataclass
@@ -101,9 +73,9 @@ class Selector:
     chosen: dict[int, Question] = field(default_factory=dict)
     twins: set[int] = field(default_factory=set)
 
-    def put(self, moment: int, question: Question) -> None:
+    def put(self, question: Question) -> None:
         """Select a question."""
-        self.chosen[moment] = question
+        self.chosen[moment_hash(question.candidate)] = question
         self.level.add(question)
         self.taken.add(question.candidate.subject)
 
@@ -115,19 +87,32 @@ class Selector:
         return question
 
     def admits(self, candidate: Candidate) -> bool:
-        """Tell whether no near-duplicate and no cap forbids a candidate."""
+        """Return whether no near-duplicate and no cap forbids a candidate."""
         below = self.level.of_sequence[candidate.sequence] < self.cap and self.level.allows(candidate)
         return below and self.taken.admits(candidate.subject)
 
-    def put_twins(self, pair: Twins) -> bool:
-        """Select two twins with the wrong choices that are cheapest for both; tell whether caps allow it."""
+    def put_twins(self, partners: dict[int, dict[int, Twins]], most: int) -> None:
+        """Select time twins, the moment with the fewest possible twins first.
+
+        Args:
+            partners: Result of `find_twins`.
+            most: Maximum number of pairs.
+        """
+        for moment in sorted(partners, key=lambda moment: (len(partners[moment]), moment)):
+            for other in sorted(partners[moment], key=lambda one: (len(partners[one]), one)):
+                if len(self.twins) == 2 * most:
+                    return
+                if self.chosen.keys().isdisjoint((moment, other)) and self._put_pair(partners[moment][other]):
+                    self.twins |= {moment, other}
+                    break
+
+    def _put_pair(self, pair: Twins) -> bool:
+        """Select two twins with the wrong choices that are cheapest for both. Return whether caps allow it."""
         first, second = pair
-        shared = wrong_sets(first.wrong & second.wrong, 2)
-        moments = [moment_hash(candidate) for candidate in pair]
-        if not shared or any(moment in self.chosen for moment in moments) or not self.admits(first):
+        if not self.admits(first):
             return False
         key, options = min(first.key, second.key), []
-        for wrong in shared:
+        for wrong in wrong_sets(first.wrong & second.wrong, 2):
             one = Question(first, tuple(sorted((second.truth, *wrong))), key)
             two = Question(second, tuple(sorted((first.truth, *wrong))), key)
             cost = self.level.cost_of(one)
@@ -136,46 +121,44 @@ class Selector:
             self.level.add(one, -1)
             options.append((cost, hash_of(key, wrong), one, two))
         *_, one, two = min(options)
-        self.put(moments[0], one)
-        if not self.admits(second):
-            self.take_out(moments[0])
-            return False
-        self.put(moments[1], two)
-        self.twins.update(moments)
-        return True
+        self.put(one)
+        if self.admits(second):
+            self.put(two)
+            return True
+        self.take_out(moment_hash(first))
+        return False
 
-    def fill(self, size: int) -> list[int]:
-        """Select greedily up to a size; return the moments in the order of selection."""
+    def fill(self, size: int) -> None:
+        """Select greedily up to a size."""
         alive = np.array([moment for moment in sorted(self.moments) if moment not in self.chosen], np.uint64)
-        order = []
         while len(self.chosen) < size and len(alive):
             drawn, refused = self._draw(alive, len(self.chosen), _DRAWN)
             alive = alive[~np.isin(alive, refused)]
-            if not drawn:
-                continue
-            _, question = self.level.cheapest([one for moment in drawn for one in self.moments[moment]])
-            moment = moment_hash(question.candidate)
-            self.put(moment, question)
-            order.append(moment)
-            alive = alive[alive != moment]
-        return order
+            if drawn:
+                _, question = self.level.cheapest([one for moment in drawn for one in self.moments[moment]])
+                self.put(question)
+                alive = alive[alive != moment_hash(question.candidate)]
 
     def improve(self) -> None:
         """Look for better choices of each question, and then for better moments."""
-        if isinstance(self.level, AnswerLevel):
-            # The choices are fixed, and other moments lower the cost too little for their time.
+        if self.level.fixed:
+            # Other moments lower the cost too little for their time.
             self._drop_frequent()
             return
-        for _ in range(_PASSES):
-            if not sum(self._replace(moment, [moment]) for moment in self._loose()):
-                break
+        self.improve_choices(self._loose())
         for turn in range(_SWAP_PASSES):
             for moment in self._loose():
                 free = np.array([one for one in self.moments if one not in self.chosen], np.uint64)
                 question = self.take_out(moment)
                 drawn, _ = self._draw(free, hash_of(turn, moment), _DRAWN_FOR_SWAP)
-                self.put(moment, question)
+                self.put(question)
                 self._replace(moment, drawn)
+
+    def improve_choices(self, moments: Sequence[int]) -> None:
+        """Look for better choices of the questions of some moments, in the order of the moments."""
+        for _ in range(_PASSES):
+            if not sum(self._replace(moment, [moment]) for moment in moments):
+                break
 
     def _drop_frequent(self) -> None:
         """Drop the costliest questions with the most frequent answer until its share is within bounds. Twins stay."""
@@ -186,21 +169,24 @@ class Selector:
                 return
             self.take_out(max(loose, key=lambda moment: (self.level.cost_of(self.chosen[moment]), moment)))
 
+    def questions(self) -> list[Question]:
+        """Return the selected questions in the order of the hashes of their moments."""
+        return [question for _, question in sorted(self.chosen.items())]
+
     def offers(self) -> list[Offer]:
         """Return what guessers see of the selected questions."""
-        return [offer_of(question, self.counts) for _, question in sorted(self.chosen.items())]
+        return [offer_of(question, self.counts) for question in self.questions()]
 
     def _loose(self) -> list[int]:
         return sorted(self.chosen.keys() - self.twins)
 
     def _replace(self, moment: int, others: Sequence[int]) -> bool:
-        """Replace a question by the cheapest one of some moments if that lowers the cost; tell whether it did."""
-        question = self.take_out(moment)
-        best = question
+        """Replace a question by the cheapest one of some moments if that lowers the cost. Return whether it did."""
+        question = best = self.take_out(moment)
         if others:
             cost, better = self.level.cheapest([one for other in others for one in self.moments[other]])
             best = better if cost < self.level.cost_of(question) else question
-        self.put(moment_hash(best.candidate), best)
+        self.put(best)
         return best is not question
 
     def _draw(self, moments: npt.NDArray[np.uint64], salt: int, count: int) -> tuple[list[int], list[int]]:
@@ -215,23 +201,46 @@ class Selector:
         return drawn, refused
 
 
-def group_moments(candidates: Iterable[Candidate]) -> dict[int, list[Candidate]]:
-    """Group candidates with choices by their moment, and keep of each right choice the one with the smallest key."""
+def make_selector(candidates: Sequence[Candidate], counts: LabelCounts, taken: Taken, cap: int) -> Selector:
+    """Make the selection of a template, with nothing selected.
+
+    Args:
+        candidates: Candidates of the template, in any order. Of each moment and right choice, the smallest key stays.
+        counts: How common actions are.
+        taken: Account of near-duplicates and caps of all templates. It stays as it is.
+        cap: Maximum number of questions from one sequence.
+
+    Returns:
+        The selection.
+    """
     moments: dict[int, dict[str, Candidate]] = defaultdict(dict)
     for candidate in sorted(candidates, key=lambda candidate: candidate.key):
         if wrong_sets(candidate.wrong):
             moments[moment_hash(candidate)].setdefault(candidate.truth, candidate)
-    return {moment: list(moments[moment].values()) for moment in sorted(moments)}
+    ordered = {moment: list(moments[moment].values()) for moment in sorted(moments)}
+    return Selector(ordered, Level(candidates, counts), counts, taken.copy(), cap)
 
 
-def select_level(
-    candidates: Sequence[Candidate],
-    quota: int,
-    counts: LabelCounts,
-    taken: Taken,
-    cap: int,
-    twins: Sequence[Twins] = (),
-) -> Selected:
+def level_choices(candidates: Sequence[Candidate], counts: LabelCounts, rules: Rules) -> list[Question]:
+    """Choose the wrong choices of all moments of a template, without leaving any out.
+
+    Args:
+        candidates: The candidates, in any order.
+        counts: How common actions are.
+        rules: The thresholds.
+
+    Returns:
+        A question of each moment that has a candidate with at least three wrong choices.
+    """
+    selector = make_selector(candidates, counts, Taken(rules), len(candidates))
+    order = sorted(selector.moments, key=lambda moment: selector.moments[moment][0].key)
+    for moment in order:
+        selector.put(selector.level.cheapest(selector.moments[moment])[1])
+    selector.improve_choices(order)
+    return selector.questions()
+
+
+def select_level(candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken, cap: int) -> Selected:
     """Select the questions of a template with choices.
 
     The size is the largest share of the quota, in steps of 5 %, for which no counting guesser is above its bound. Twins
@@ -243,46 +252,92 @@ def select_level(
         counts: How common actions are.
         taken: Account of near-duplicates and caps of all templates. The selected questions are added.
         cap: Maximum number of questions from one sequence.
-        twins: Matched pairs of time twins, the best first.
 
     Returns:
         The selected questions.
     """
-    moments = group_moments(candidates)
 
-    def attempt(size: int, pairs: Sequence[Twins], order: Sequence[Question] | None = None) -> Selector:
-        actions = candidates[0].truth in CHOICE_LABELS
-        level = ChoiceLevel(candidates, counts) if actions else AnswerLevel(candidates)
-        selector = Selector(moments, level, counts, taken.copy(), cap)
-        for pair in pairs:
-            if len(selector.chosen) + 2 <= size:
-                selector.put_twins(pair)
-        if order is None:
-            selector.fill(size)
-        else:
-            for question in order[:size]:
-                selector.put(moment_hash(question.candidate), question)
+    def attempt(pairs: int, order: Sequence[Question] = ()) -> Selector:
+        selector = make_selector(candidates, counts, taken, cap)
+        selector.put_twins(partners, pairs)
+        for question in order:
+            selector.put(question)
         return selector
 
-    whole = attempt(quota, ())
-    order = list(whole.chosen.values())
-    sizes = [len(order), *(size for size in sizes_of(quota) if size < len(order))]
-    shortage = None if len(order) == quota else f"caps and near-duplicates leave {len(order)} of {len(moments)} moments"
-    for size in sizes:
-        best = attempt(size, (), order)
+    most = MAX_TWINS.get(candidates[0].template, 0)
+    partners = find_twins(candidates, taken.rules) if most else {}
+    whole = attempt(0)
+    whole.fill(quota)
+    order, total = list(whole.chosen.values()), len(whole.moments)
+    shortage = None if len(order) == quota else f"caps and near-duplicates leave {len(order)} of {total} moments"
+    # Smaller sizes are not judged.
+    sizes = [size for step in range(_STEPS, 0, -1) if JUDGED <= (size := quota * step // _STEPS) < len(order)]
+    for size in (len(order), *sizes, min(JUDGED - 1, len(order))):
+        best = attempt(0, order[:size])
         best.improve()
         guesser = above_bound(best.offers())
         if guesser is None:
             break
         shortage = f"of {size} questions a guesser would have too many right: {guesser}"
-    size = len(best.chosen)
+    size, paired = len(best.chosen), {0: best}
 
-    def with_twins(count: int) -> Selector | None:
-        paired = attempt(size, twins[:count])
-        paired.improve()
-        return paired if above_bound(paired.offers()) is None else None
+    def breaks(pairs: int) -> bool:
+        selector = paired[pairs] = attempt(pairs)
+        selector.fill(size)
+        selector.improve()
+        return above_bound(selector.offers()) is not None
 
-    best = keep_most(len(twins), with_twins) or best
-    for _, question in sorted(best.chosen.items()):
+    most = min(most, size // 2) if partners else 0
+    if most and breaks(most):
+        # The bisection tries the middle first.
+        most = bisect_left(range(1, len(paired[most].twins) // 2), True, key=breaks)
+    questions = paired[most].questions()
+    for question in questions:
         taken.add(question.candidate.subject)
-    return Selected([question for _, question in sorted(best.chosen.items())], shortage)
+    return Selected(questions, shortage)
+
+
+# -- time twins -------------------------------------------------------------------------------------------------------
+
+
+def find_twins(candidates: Iterable[Candidate], rules: Rules) -> dict[int, dict[int, Twins]]:
+    """Find the pairs of candidates that can be time twins.
+
+    Args:
+        candidates: The proven candidates of one template, in any order. Twins have equal descriptions, so all
+            candidates of a moment count, with whichever description.
+        rules: The thresholds.
+
+    Returns:
+        A pair for each two moments, by the hash of either moment, then by that of the other moment.
+    """
+    groups: dict[tuple[str, int, str], list[Candidate]] = defaultdict(list)
+    for candidate in sorted(candidates, key=lambda candidate: candidate.key):
+        groups[candidate.sequence, candidate.track, candidate.described].append(candidate)
+    partners: dict[int, dict[int, Twins]] = defaultdict(dict)
+    for pair in itertools.chain.from_iterable(itertools.combinations(group, 2) for group in groups.values()):
+        if may_be_twins(*pair, rules):
+            for moment, other in itertools.permutations(map(moment_hash, pair)):
+                kept = partners[moment].setdefault(other, pair)
+                partners[moment][other] = min(kept, pair, key=lambda two: hash_of(*(one.key for one in two)))
+    return partners
+
+
+def may_be_twins(first: Candidate, second: Candidate, rules: Rules) -> bool:
+    """Return whether two candidates of a template with equal descriptions can be twins.
+
+    Args:
+        first: A candidate.
+        second: Another one of the same template, person and description.
+        rules: The thresholds.
+
+    Returns:
+        True if exactly one asked time differs, by more than near-duplicates may, each answer is false in the other
+        question, and the same four choices fit both.
+    """
+    apart = [abs(time - other) for time, other in zip(first.asked, second.asked, strict=True) if time != other]
+    if len(apart) != 1 or apart[0] <= near_frames(first.template, rules):
+        return False
+    if first.truth not in second.wrong or second.truth not in first.wrong:
+        return False
+    return bool(wrong_sets(first.wrong & second.wrong, 2))

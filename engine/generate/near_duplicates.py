@@ -1,11 +1,9 @@
-"""Near-duplicates and caps: which questions may stand beside each other.
-
-`Taken` keeps account of the questions that are chosen. It depends on the rows alone, never on their order.
-"""
+"""Near-duplicates and caps, which decide whether two questions may both be chosen."""
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,12 +14,12 @@ Person = tuple[str, int]
 
 
 def near_frames(template: str, rules: Rules) -> int:
-    """Frames within which two questions of a template read the same."""
+    """Return the maximum number of frames between the times of two questions that read the same."""
     return frames(rules.near_presence_s if template == "presence" else rules.near_duplicate_s)
 
 
 class Subject(NamedTuple):
-    """What a question is about; the columns are those of `selection.POOL`."""
+    """The properties of a question that near-duplicates and caps compare."""
 
     person: Person
     template: str
@@ -31,7 +29,7 @@ class Subject(NamedTuple):
 
 @dataclass
 class Taken:
-    """The questions chosen so far, of all templates, and so which may not be chosen besides."""
+    """Account of the chosen questions of all templates. It never depends on their order."""
 
     rules: Rules
     reads: dict[tuple[Person, str], list[tuple[int, ...]]] = field(default_factory=lambda: defaultdict(list))
@@ -39,14 +37,14 @@ class Taken:
     questions: Counter[Person] = field(default_factory=Counter)
 
     def admits(self, one: Subject) -> bool:
-        """Whether no near-duplicate and no cap forbids a question."""
+        """Return whether no near-duplicate and no cap forbids a question."""
         others = self.reads[one.person, one.template]
         if len(others) >= self.rules.max_per_person or self.questions[one.person] >= self.rules.max_per_person_in_all:
             return False
         if one.event is not None and (one.person, one.event) in self.events:
             return False
         near = near_frames(one.template, self.rules)
-        return not any(_close(one.read, other, near) for other in others)
+        return not any(are_near(one.read, other, near) for other in others)
 
     def add(self, one: Subject) -> None:
         """Count a question as chosen."""
@@ -67,6 +65,6 @@ class Taken:
         self.events.discard((one.person, one.event or ""))
 
 
-def _close(one: tuple[int, ...], other: tuple[int, ...], near: int) -> bool:
-    """Whether all frames of two questions lie near each other; forms that read at more frames are not alike."""
+def are_near(one: Sequence[int], other: Sequence[int], near: int) -> bool:
+    """Return whether all frames of two questions are near each other. Forms that read at more frames are not alike."""
     return len(one) == len(other) and all(abs(a - b) <= near for a, b in zip(one, other, strict=True))

@@ -7,7 +7,7 @@ by key. So the same code proves a question from the sets of `Facts` and from sta
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, NamedTuple, Protocol, cast
 
 import msgspec
 from msgspec.structs import replace
@@ -68,6 +68,20 @@ class FactSource(Protocol):
         Raises:
             MissingFactsError: If a fact must be looked up first. The source has noted all missing keys.
         """
+
+
+class Setting(NamedTuple):
+    """Conditions under which programs run.
+
+    Attributes:
+        source: Source of facts.
+        keyframes: Keyframes of the sequence, in order.
+        rules: Thresholds.
+    """
+
+    source: FactSource
+    keyframes: Sequence[int]
+    rules: Rules
 
 
 class Program(msgspec.Struct, frozen=True):
@@ -259,15 +273,13 @@ def _known(value: Any) -> Any:
 # -- perturbations ----------------------------------------------------------------------------------------------------
 
 
-def prove(program: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource) -> list[Proof]:
+def prove(program: Program, answer: Answer, setting: Setting) -> list[Proof]:
     """Run all perturbations of a program.
 
     Args:
         program: Program of a question.
         answer: Answer of the question.
-        keyframes: Keyframes of the sequence, in order.
-        rules: Thresholds.
-        source: Source of facts.
+        setting: Source of facts, keyframes and thresholds.
 
     Returns:
         The proofs about conditions, hops and times, in the order in which questions store them.
@@ -276,7 +288,7 @@ def prove(program: Program, answer: Answer, keyframes: Sequence[int], rules: Rul
         NoAnswerError: If the program finds no single person.
         MissingFactsError: If facts are missing. All facts that can be asked for have been asked for.
     """
-    return require_all(iterate_proofs(program, answer, keyframes, rules, source))
+    return require_all(iterate_proofs(program, answer, setting))
 
 
 def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
@@ -288,13 +300,11 @@ def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
     return complete
 
 
-def iterate_proofs(
-    program: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
-) -> Iterator[Proof | None]:
+def iterate_proofs(program: Program, answer: Answer, setting: Setting) -> Iterator[Proof | None]:
     """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
-    people = find_tracks(program, source)
-    yield from prove_conditions(program, source)
-    yield from prove_changes(program, people, answer, keyframes, rules, source)
+    people = find_tracks(program, setting.source)
+    yield from prove_conditions(program, setting.source)
+    yield from prove_changes(program, people, answer, setting)
 
 
 def prove_conditions(program: Program, source: FactSource) -> Iterator[Proof | None]:
@@ -317,12 +327,7 @@ def prove_conditions(program: Program, source: FactSource) -> Iterator[Proof | N
 
 
 def prove_changes(
-    program: Program,
-    people: Mapping[str, int],
-    answer: Answer,
-    keyframes: Sequence[int],
-    rules: Rules,
-    source: FactSource,
+    program: Program, people: Mapping[str, int], answer: Answer, setting: Setting
 ) -> Iterator[Proof | None]:
     """Yield the proofs about hops and times, None for one that lacks facts.
 
@@ -330,55 +335,43 @@ def prove_changes(
         program: Program of a question.
         people: Tracks of its people by name.
         answer: Answer of the question.
-        keyframes: Keyframes of the sequence, in order.
-        rules: Thresholds.
-        source: Source of facts.
+        setting: Source of facts, keyframes and thresholds.
 
     Yields: The proofs in the order in which questions store them.
     """
     for kind, variant, perturbed in hops(replace(program, held=people["a"])):
-        yield _prove(kind, variant, perturbed, answer, keyframes, rules, source)
+        yield _prove(kind, variant, perturbed, answer, setting)
     if program.moves == "construction":
         yield from (Proof(kind, BY_CONSTRUCTION, None, "not_run") for kind in ("time.shift", "time.drop"))
         return
-    moving, begin = program, keyframes[0]
+    moving, begin = program, setting.keyframes[0]
     if program.moves == "times":
         # The person of whom the answer is read stays the same.
         moving = replace(program, edges=(), target="a", held=people[program.target])
-        begin = program.frame + frames(rules.min_wait_s)
-    for variant, shifted in shifts(moving, keyframes, rules):
-        yield _prove("time.shift", variant, shifted, answer, keyframes, rules, source)
-    moved = (_moved(moving, frame - min(_later(moving))) for frame in keyframes if frame >= begin)
-    yield _prove_drop(moved, answer, keyframes, rules, source)
+        begin = program.frame + frames(setting.rules.min_wait_s)
+    for variant, shifted in shifts(moving, setting.keyframes, setting.rules):
+        yield _prove("time.shift", variant, shifted, answer, setting)
+    moved = (_moved(moving, frame - min(_later(moving))) for frame in setting.keyframes if frame >= begin)
+    yield _prove_drop(moved, answer, setting)
 
 
-def _prove(
-    kind: str,
-    variant: str,
-    perturbed: Program | None,
-    answer: Answer,
-    keyframes: Sequence[int],
-    rules: Rules,
-    source: FactSource,
-) -> Proof | None:
+def _prove(kind: str, variant: str, perturbed: Program | None, answer: Answer, setting: Setting) -> Proof | None:
     """Prove that a perturbed program does not give the answer. Return None if facts are missing."""
     if perturbed is None:
         return Proof(kind, variant, False, "outside")
     try:
-        result, text = _compare(perturbed, answer, keyframes, rules, source)
+        result, text = _compare(perturbed, answer, setting)
     except MissingFactsError:
         return None
     return Proof(kind, variant, result in PROVING, result, text)
 
 
-def _prove_drop(
-    moved: Iterable[Program], answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
-) -> Proof | None:
+def _prove_drop(moved: Iterable[Program], answer: Answer, setting: Setting) -> Proof | None:
     """Prove that the time is needed: at different times there are different answers. None if facts are missing."""
     kind, variant, known, missing = "time.drop", "all keyframes", [], False
     for program in moved:
         try:
-            result = _compare(program, answer, keyframes, rules, source)
+            result = _compare(program, answer, setting)
         except MissingFactsError:
             missing = True
             continue
@@ -389,22 +382,20 @@ def _prove_drop(
     return None if missing else Proof(kind, variant, end in PROVING, end)
 
 
-def _compare(
-    perturbed: Program, answer: Answer, keyframes: Sequence[int], rules: Rules, source: FactSource
-) -> tuple[str, str | None]:
+def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str, str | None]:
     """Compare the answer of a perturbed program with the question's answer; return the outcome, and a choice's text.
 
     Of actions there is a text only if the outcome is "same", because a person may do several.
     """
-    if not all(frame in keyframes for frame in (perturbed.frame, *perturbed.times)):
+    if not all(frame in setting.keyframes for frame in (perturbed.frame, *perturbed.times)):
         return "unknown", None
     try:
         if isinstance(answer, FrameViewpoint):
-            return _compare_starts(perturbed, answer, source), None
+            return _compare_starts(perturbed, answer, setting.source), None
         if perturbed.read == "action":
-            result = read_action(perturbed, answer, source)
+            result = read_action(perturbed, answer, setting.source)
             return result, answer if result == "same" else None
-        again = run(perturbed, source, rules)
+        again = run(perturbed, setting.source, setting.rules)
     except NoAnswerError as reason:
         return str(reason), None
     return "same" if again == answer else "different", str(again)

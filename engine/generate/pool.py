@@ -7,15 +7,16 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from itertools import islice
+from typing import Any, Final, TypeVar
 
+import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
-from jrdb_avr.engine.generate.answer_levels import answer_contexts
-from jrdb_avr.engine.generate.asked import Candidate, choice_contexts
+from jrdb_avr.engine.generate.asked import Candidate, answer_contexts, choice_contexts
 from jrdb_avr.engine.generate.bins import answer_bin
 from jrdb_avr.engine.generate.choices import false_labels, wrong_choices, wrong_sets
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
@@ -23,23 +24,24 @@ from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.layer import Row
-from jrdb_avr.engine.generate.near_duplicates import near_frames
+from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.perturb import (
     Answer,
     MissingFactsError,
     Program,
+    Setting,
     iterate_proofs,
-    make_program,
-    parse_answer,
 )
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
+from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of, propose, propose_presence
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import QUESTION_RELATIONS
 from jrdb_avr.schema.rules import frames
 from jrdb_avr.schema.templates import Template
 from jrdb_avr.schema.wording.text import implied_choices
+
+T = TypeVar("T")
 
 EXAMPLES: Final = 100
 """Maximum number of examples of refused proposals per sequence, template and rule."""
@@ -52,6 +54,9 @@ _TRIES: Final = 6
 
 _PAIRS: Final = 3
 """Maximum number of candidates of the template presence with one description and one answer."""
+
+_WITH_TWINS: Final = ("change", "later_action")
+"""Templates with actions as choices that have time twins."""
 
 _ROW_KEYS: Final = ("segment", "t0", "t1", "t2", "r1", "r2", "r3", "r4", "answer")
 
@@ -84,18 +89,14 @@ class Prover:
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
-        if keys[0][0] == "start":
-            return [self._search.layer.start(*arguments) for _, _, *arguments in keys]
-        return self._cypher.ask(keys) if keys[0][0] == "onsets" else self._search.layer.facts.ask(keys)
+        return (self._cypher if keys[0][0] in ("start", "onsets") else self._search.layer.facts).ask(keys)
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
         if rule := self._excluding_rule(proposal):
             self.refuse(rule, proposal)
             return None
-        template = proposal.template
-        program = replace(make_program(proposal.sequence, proposal.plan, template), conditions=proposal.conditions)
-        answer = parse_answer(template.spec.mode, proposal.answer)
+        template, (program, answer) = proposal.template, program_of(proposal)
         proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
         if not (lacking := failing(template.name, proofs, self._search.rules)):
             return proofs
@@ -120,7 +121,8 @@ class Prover:
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
         rules, proofs, missing = self._search.rules, [], False
-        for proof in iterate_proofs(program, answer, self._search.layer.facts.keyframes, rules, self):
+        setting = Setting(self, self._search.layer.facts.keyframes, rules)
+        for proof in iterate_proofs(program, answer, setting):
             if proof is None:
                 missing = True
                 continue
@@ -141,15 +143,7 @@ class Prover:
         return bool(views.single_view(x, w, self._search.rules.visible_share))
 
 
-class Entry(NamedTuple):
-    """A candidate of the pool, with the form and the row that make its proposal again."""
-
-    candidate: Candidate
-    form: str
-    row: Row
-
-
-def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list[Entry]:
+def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list[Candidate]:
     """Prove the proposals of a template, as many as selection can use.
 
     Args:
@@ -160,43 +154,39 @@ def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list
     Returns:
         The proven candidates.
     """
-    fill = _FILLS.get(forms[0].name, _thin_out)
+    if forms[0].name == "presence":
+        return list(_fill_presence(search, forms[0], prover))
+    fill = _fill_moments if forms[0].asks_action else _thin_out
     return list(fill(search, forms, prover))
 
 
-def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
-    """Yield one candidate for each person, time and true answer: the first proven one in the order of a hash."""
-    (form,) = forms
-    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
-    for row in propose(search, form):
-        moments[_moment(form, row)].append(row)
-    for rows in moments.values():
-        yield from _prove_first(search, form, rows, prover)
+def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Candidate]:
+    """Yield one candidate for each person, time and true answer: the first proven one in the order of a hash.
 
-
-def _fill_described(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
-    """Yield the candidates of all times and true answers for some descriptions of each person, and one of each other.
-
-    Time twins have equal descriptions, so that some descriptions need all their times.
+    Time twins have equal descriptions. A template with twins begins with all times and answers of some descriptions.
     """
     (form,) = forms
     described: dict[int, dict[tuple[Any, ...], list[Row]]] = defaultdict(lambda: defaultdict(list))
     moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
     for row in propose(search, form):
-        described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
+        if form.name in _WITH_TWINS:
+            described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
         moments[_moment(form, row)].append(row)
+
+    def prove_all(rows: Iterable[Row]) -> Iterator[tuple[Candidate, Row]]:
+        made = ((_make(search, make_proposal(search, form, row), row, prover), row) for row in rows)
+        return ((one[1], row) for one, row in made if one and prover.prove(one[0]) is not None)
+
     for groups in described.values():
-        used = 0
-        for rows in sorted(groups.values(), key=lambda rows: _rank(search, rows[0])):
-            proven = [(entry, row) for row in rows if (entry := _prove(search, form, row, prover)) is not None]
-            for entry, row in proven:
-                moments.pop(_moment(form, row), None)
-                yield entry
-            used += bool(proven)
-            if used == _DESCRIPTIONS:
-                break
+        ordered = sorted(groups.values(), key=lambda rows: _rank(search, rows[0]))
+        for candidate, row in _take_some(map(prove_all, ordered)):
+            moments.pop(_moment(form, row), None)
+            yield candidate
     for rows in moments.values():
-        yield from _prove_first(search, form, rows, prover)
+        proposals = ((make_proposal(search, form, row), row) for row in sorted(rows, key=partial(_rank, search)))
+        made = (one for proposal, row in proposals if (one := _make(search, proposal, row, prover)))
+        proven = (one for proposal, one in islice(made, _TRIES) if prover.prove(proposal) is not None)
+        yield from islice(proven, 1)
 
 
 def _moment(form: Template, row: Row) -> tuple[Any, ...]:
@@ -204,49 +194,40 @@ def _moment(form: Template, row: Row) -> tuple[Any, ...]:
     return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
 
 
-def _prove_first(search: Search, form: Template, rows: Iterable[Row], prover: Prover) -> Iterator[Entry]:
-    """Yield the first proven candidate of some rows in the order of a hash, after a few tries at most."""
-    tries = 0
-    for row in sorted(rows, key=lambda row: _rank(search, row)):
-        proposal = make_proposal(search, form, row)
-        if (candidate := make_candidate(search, proposal)) is None:
-            prover.refuse("choices", proposal)
-        elif prover.prove(proposal) is not None:
-            yield Entry(candidate, form.query, row)
-            return
-        elif (tries := tries + 1) == _TRIES:
+def _take_some(groups: Iterable[Iterable[T]]) -> Iterator[T]:
+    """Yield all of the first groups that are not empty."""
+    used = 0
+    for group in groups:
+        found = list(group)
+        yield from found
+        used += bool(found)
+        if used == _DESCRIPTIONS:
             return
 
 
-def _fill_presence(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
+def _fill_presence(search: Search, form: Template, prover: Prover) -> Iterator[Candidate]:
     """Yield, for some descriptions of each person, a few candidates with each answer, in the order of a hash."""
-    (form,) = forms
     described, pairs = propose_presence(search, form)
-    wait = frames(search.rules.min_wait_s)
     for who, descriptions in described.items():
-        used = 0
-        for row in sorted(descriptions, key=lambda row: _rank(search, row)):
-            later = [pair for pair in pairs.get(who, ()) if pair["t1"] >= row["t0"] + wait]
-            entries = list(_prove_pairs(search, form, row, later, prover))
-            yield from entries
-            used += bool(entries)
-            if used == _DESCRIPTIONS:
-                break
+        ordered = sorted(descriptions, key=partial(_rank, search))
+        yield from _take_some(_prove_pairs(search, form, row, pairs.get(who, ()), prover) for row in ordered)
 
 
-def _prove_pairs(search: Search, form: Template, row: Row, pairs: Iterable[Row], prover: Prover) -> Iterator[Entry]:
-    near = near_frames(form.name, search.rules)
+def _prove_pairs(search: Search, form: Template, row: Row, pairs: Iterable[Row], prover: Prover) -> Iterator[Candidate]:
+    near, first = near_frames(form.name, search.rules), row["t0"] + frames(search.rules.min_wait_s)
     kept: dict[str, list[tuple[int, int]]] = defaultdict(list)
-    for pair in sorted(pairs, key=lambda pair: _rank(search, row | pair)):
-        times, stay = (pair["t1"], pair["t2"]), kept[pair["answer"]]
-        if len(stay) == _PAIRS or (row["ahead"] and pair["away"]) or any(_is_near(times, one, near) for one in stay):
+    later = [row | pair for pair in pairs if pair["t1"] >= first and not (row["ahead"] and pair["away"])]
+    for both in sorted(later, key=partial(_rank, search)):
+        times, stay = (both["t1"], both["t2"]), kept[both["answer"]]
+        if len(stay) == _PAIRS or any(are_near(times, one, near) for one in stay):
             continue
-        if (entry := _prove(search, form, row | pair, prover)) is not None:
+        proposal = make_proposal(search, form, both)
+        if (made := _make(search, proposal, both, prover)) and prover.prove(proposal) is not None:
             stay.append(times)
-            yield entry
+            yield made[1]
 
 
-def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
+def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Candidate]:
     """Yield candidates in the order of their keys, but none that reads the same as one before it."""
     groups: dict[tuple[int, str], list[tuple[Proposal, Row]]] = defaultdict(list)
     for form in forms:
@@ -259,39 +240,26 @@ def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iter
         for proposal, row in sorted(members, key=lambda member: member[0].key):
             if len(kept) == search.rules.max_per_person:
                 prover.refuse("max_per_person")
-            elif any(_is_near(proposal.read, read, near) for read in kept):
+            elif any(are_near(proposal.read, read, near) for read in kept):
                 prover.refuse("near_duplicate")
-            elif (candidate := make_candidate(search, proposal)) and prover.prove(proposal) is not None:
+            elif (made := _make(search, proposal, row, prover)) and prover.prove(proposal) is not None:
                 kept.append(proposal.read)
-                yield Entry(candidate, proposal.template.query, row)
+                yield made[1]
 
 
-def _prove(search: Search, form: Template, row: Row, prover: Prover) -> Entry | None:
-    """Return the candidate of a row, or None if it lacks wrong choices or a proof does not hold."""
-    proposal = make_proposal(search, form, row)
+def _make(search: Search, proposal: Proposal, row: Row, prover: Prover) -> tuple[Proposal, Candidate] | None:
+    """Return a proposal with its candidate, or note the proposal as refused if it lacks wrong choices."""
     candidate = make_candidate(search, proposal)
     if candidate is None:
         prover.refuse("choices", proposal)
-    elif prover.prove(proposal) is not None:
-        return Entry(candidate, form.query, row)
-    return None
-
-
-_FILLS: Final[dict[str, Callable[[Search, Sequence[Template], Prover], Iterator[Entry]]]] = {
-    **dict.fromkeys(("two_hop", "three_hop", "fork_join", "consequence"), _fill_moments),
-    **dict.fromkeys(("change", "later_action"), _fill_described),
-    "presence": _fill_presence,
-}
+        return None
+    return proposal, candidate._replace(form=proposal.template.query, row=msgspec.msgpack.encode(row))
 
 
 def _rank(search: Search, row: Row) -> int:
     """Return the hash that decides among rows. It does not depend on the place of the sequence in the data."""
-    number = row["name"] - min(search.layer.names)
+    number = row["name"] - search.layer.low
     return hash_of(search.sequence, number, [row.get(key) for key in _ROW_KEYS])
-
-
-def _is_near(read: Sequence[int], other: Sequence[int], near: int) -> bool:
-    return all(abs(a - b) <= near for a, b in zip(read, other, strict=True))
 
 
 # -- candidates -------------------------------------------------------------------------------------------------------
@@ -358,7 +326,7 @@ def _event(search: Search, proposal: Proposal) -> str | None:
     template = proposal.template
     if template.counts:
         return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"
-    number = proposal.segments[0] - min(search.layer.segments) if template.spec.read in _EVENTS else None
+    number = proposal.segments[0] - search.layer.low if template.spec.read in _EVENTS else None
     return None if number is None else f"start {number}"
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -22,6 +22,7 @@ from msgspec.structs import replace
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, Row
+from jrdb_avr.engine.generate.perturb import Answer, Program, make_program, parse_answer
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values
@@ -125,11 +126,9 @@ def propose(search: Search, template: Template) -> Iterable[Row]:
     Returns:
         The rows that `make_proposal` takes, in an order that means nothing.
     """
-    return _MAKERS.get(template.query, _plain)(search, template)
-
-
-def _plain(search: Search, template: Template) -> Iterable[Row]:
-    return search.rows(template.query)
+    if template.query == "fork_join":
+        return _fork_joins(search, template)
+    return _counts(search) if template.query == "gap_count" else search.rows(template.query)
 
 
 def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
@@ -167,6 +166,13 @@ def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
         segments=tuple(segment["id"] for segment in segments),
         counted=row.get("counted", ()),
     )
+
+
+def program_of(proposal: Proposal) -> tuple[Program, Answer]:
+    """Return the program of a proposal, with the conditions in the order of the description, and the answer."""
+    program = make_program(proposal.sequence, proposal.plan, proposal.template)
+    program = replace(program, conditions=proposal.conditions)
+    return program, parse_answer(proposal.template.spec.mode, proposal.answer)
 
 
 # -- forms that need more than a statement ----------------------------------------------------------------------------
@@ -210,7 +216,7 @@ _UNSEEN: Final = -1
 """First frame of a person who is first seen clearly in a frame without an image."""
 
 
-def _counts(search: Search, template: Template) -> Iterator[Row]:
+def _counts(search: Search) -> Iterator[Row]:
     """Yield the people with whom a described person is in a relation, from keyframe to keyframe while that is known.
 
     What lies between keyframes is left to the proof.
@@ -241,12 +247,6 @@ def _counts(search: Search, template: Template) -> Iterator[Row]:
                     counted = tuple(sorted((who, first) for who, first in met.items() if first is not None))
                     times = {"t1": row["t0"], "t2": frame}
                     yield row | times | {"r1": relation, "value": float(len(met)), "counted": counted}
-
-
-_MAKERS: Final[Mapping[str, Callable[[Search, Template], Iterable[Row]]]] = {
-    "fork_join": _fork_joins,
-    "gap_count": _counts,
-}
 
 
 def propose_presence(search: Search, template: Template) -> tuple[dict[int, list[Row]], dict[int, list[Row]]]:

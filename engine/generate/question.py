@@ -7,9 +7,10 @@ again from the annotation tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from functools import partial
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -22,21 +23,19 @@ from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import Layer, Row
 from jrdb_avr.engine.generate.perturb import (
-    Answer,
-    MissingFactsError,
     NoAnswerError,
     Program,
+    Setting,
     find_tracks,
     hops,
     make_program,
     match,
-    parse_answer,
     prove,
     run,
     shifts,
 )
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal
+from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
 from jrdb_avr.engine.generate.stored_layer import LayerJob
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.graph.handle import open_worker_graph
@@ -53,58 +52,30 @@ from jrdb_avr.schema.templates import TEMPLATES
 from jrdb_avr.schema.wording.text import question_id, render
 
 COLUMNS: Final = pa.schema([*dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS["answers"])), ("key", pa.string())])
-"""Columns of the tables `questions` and `answers`, and the key of `key_of`."""
+"""Columns of the tables `questions` and `answers`, and `Question.key`."""
 
 
 AT_FIRST: Final = "description's time"
 """Name of a wrong choice that is true at the time of the description."""
 
 
-class Chosen(NamedTuple):
-    """A selected question, with the form and the row that make its proposal again."""
-
-    question: Question
-    form: str
-    row: Row
-
-
 @dataclass(frozen=True)
 class QuestionJob(LayerJob):
     """Selected questions of a sequence."""
 
-    chosen: tuple[Chosen, ...]
-
-
-class Fault(NamedTuple):
-    """A candidate that is not confirmed.
-
-    Attributes:
-        candidate: Sequence and plan of the candidate.
-        difference: Result of the other program.
-    """
-
-    candidate: str
-    difference: str
-
-    def __str__(self) -> str:
-        """Return the fault as one line."""
-        return ": ".join(self)
-
-
-def key_of(question: Question) -> str:
-    """Return a key of a question with its choices and its twin."""
-    return " ".join((question.candidate.template, question.candidate.key, *question.choices, question.twin or ""))
+    questions: tuple[Question, ...]
 
 
 @without_collector()
-def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, Fault]]:
+def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, str]]:
     """Make the selected questions of a sequence.
 
     Args:
         job: Selected questions of the sequence.
 
     Returns:
-        The questions in the columns of `COLUMNS`, and the faults of those that are not confirmed, by `key_of`.
+        The questions in the columns of `COLUMNS`. Also a line per question that is not confirmed, by its key, with the
+        sequence, the plan, and the difference.
 
     Raises:
         StoreError: If a table or the graph is missing.
@@ -113,56 +84,32 @@ def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, Fault]]:
     annotations = Annotations.read(store, job.sequence, job.rules)
     with open_worker_graph(store.graph_path) as graph:
         search = Search(graph, job.sequence, job.layer(graph), job.rules)
-        proposals = {key_of(one.question): make_proposal(search, TEMPLATES[one.form], one.row) for one in job.chosen}
-        source, keyframes = CypherFacts(graph, job.rules.load), search.layer.facts.keyframes
-        programs = {key: _program(proposal) for key, proposal in proposals.items()}
-        proofs = prove_all(programs, keyframes, job.rules, source)
+        proposals = {one.key: _propose_again(search, one) for one in job.questions}
+        source = CypherFacts(graph, job.rules.load)
+        setting = Setting(source, search.layer.facts.keyframes, job.rules)
+        proofs = source.complete_all({key: partial(_prove, proposal, setting) for key, proposal in proposals.items()})
     rows, faults = [], {}
-    for chosen in job.chosen:
-        key = key_of(chosen.question)
-        proposal = proposals[key]
-        row = _make_row(search, proposal, chosen.question, proofs[key])
-        if difference := _refuted(proofs[key], proposal, job.rules) or _rederived(
-            annotations, row, proposal, job.rules
-        ):
-            faults[key] = Fault(f"{job.sequence} {row['plan']}", difference)
+    for question in job.questions:
+        key, proposal, own = question.key, proposals[question.key], proofs[question.key]
+        row = _make_row(search, proposal, question, own)
+        difference = _refuted(own, proposal, job.rules) or _rederived(annotations, row, proposal, job.rules)
+        if difference:
+            faults[key] = f"{job.sequence} {row['plan']}: {difference}"
         rows.append(row | {"key": key})
     return pa.Table.from_pylist(rows, schema=COLUMNS), faults
 
 
-def _program(proposal: Proposal) -> tuple[Program, Answer]:
-    program = make_program(proposal.sequence, proposal.plan, proposal.template)
-    # Proofs leave out the conditions in the order of the description.
-    program = replace(program, conditions=proposal.conditions)
-    return program, parse_answer(proposal.template.spec.mode, proposal.answer)
+def _propose_again(search: Search, question: Question) -> Proposal:
+    candidate = question.candidate
+    return make_proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
 
 
-def prove_all(
-    programs: Mapping[str, tuple[Program, Answer]], keyframes: Sequence[int], rules: Rules, source: CypherFacts
-) -> dict[str, list[Proof]]:
-    """Prove programs of one sequence together, so that one statement returns the facts of all of them.
-
-    Args:
-        programs: Programs with the answers of their questions, by key.
-        keyframes: Keyframes of the sequence, in order.
-        rules: Thresholds.
-        source: Source of the facts.
-
-    Returns:
-        The proofs of each program by key, or no proofs if the program finds no single person.
-    """
-    proofs: dict[str, list[Proof]] = {}
-    while waiting := programs.keys() - proofs.keys():
-        for key in sorted(waiting):
-            program, answer = programs[key]
-            try:
-                proofs[key] = prove(program, answer, keyframes, rules, source)
-            except NoAnswerError:
-                proofs[key] = []
-            except MissingFactsError:
-                continue
-        source.fill()
-    return proofs
+def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:
+    """Return the proofs of a proposal, or no proofs if its program finds no single person."""
+    try:
+        return prove(*program_of(proposal), setting)
+    except NoAnswerError:
+        return []
 
 
 def _refuted(proofs: Sequence[Proof], proposal: Proposal, rules: Rules) -> str | None:

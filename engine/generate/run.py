@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
 import pyarrow as pa
@@ -24,7 +24,7 @@ from jrdb_avr.engine.generate.layer import Row, count_actions
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Search
 from jrdb_avr.engine.generate.publish import publish, question_tables
-from jrdb_avr.engine.generate.question import COLUMNS, Chosen, Fault, QuestionJob, key_of, make_questions
+from jrdb_avr.engine.generate.question import COLUMNS, QuestionJob, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, select
 from jrdb_avr.engine.generate.stored_layer import LayerJob, ensure_layer
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
@@ -40,7 +40,8 @@ from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FORMS
 
-Advance = Callable[[int], None]
+Job = TypeVar("Job", bound=LayerJob)
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,20 +126,22 @@ def generate(
         manifest = check_load_rules(store, rules)
         check_intervals(store, manifest)
         sequences = _sequences(store, manifest, require_occlusion)
-        lows = ensure_layer(store, rules, workers, progress)
         jobs = [
-            SearchJob(store.path, name, lows[name], rules, tuple(held_out.extents.get(name, ()))) for name in sequences
+            SearchJob(job.store, job.sequence, job.low, rules, tuple(held_out.extents.get(job.sequence, ())))
+            for job in ensure_layer(store, rules, workers, progress)
+            if job.sequence in sequences
         ]
         with hold_graph(store.graph_path, workers):
-            found = _search(jobs, workers, step_counter(progress, "searching", len(jobs)))
+            found = _map(search_sequence, jobs, workers, step_counter(progress, "searching", len(jobs)))
             counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
             selected = _choose(
-                [entry for one in found for entry in _ENTRIES.decode(one.pool)],
+                [candidate for one in found for candidate in _CANDIDATES.decode(one.pool)],
                 lambda pool: select(pool, counts, rules, profile, n),
                 partial(_make, jobs, workers, progress),
                 excluded,
             )
-        rows = [*(row for one in found for row in one.refused), *_left_out(selected)]
+        rows = [row for one in found for row in one.refused]
+        rows += [row for place, count in selected.left.items() for row in refusal_rows(*place, count)]
         order = [(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")]
         rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"]).sort_by(order)
         heads = pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"])
@@ -156,7 +159,7 @@ def generate(
         shortfalls=tuple(shortfalls(templates, lacking, len(found), selected.report)),
         selection=tuple(selected.report),
         blind=tuple(blind),
-        faults=tuple(sorted(map(str, selected.faults.values()))),
+        faults=tuple(selected.faults),
     )
 
 
@@ -229,15 +232,7 @@ class SearchJob(LayerJob):
     held_out: tuple[Extent, ...] = ()
 
 
-class Entry(NamedTuple):
-    """A candidate of the pool, with the form and the encoded row that make its proposal again."""
-
-    candidate: Candidate
-    form: str
-    row: msgspec.Raw
-
-
-_ENTRIES: Final = msgspec.msgpack.Decoder(list[Entry])
+_CANDIDATES: Final = msgspec.msgpack.Decoder(list[Candidate])
 
 
 class Found(NamedTuple):
@@ -245,7 +240,7 @@ class Found(NamedTuple):
 
     Attributes:
         head: Row of the table `sequences`.
-        pool: Proven candidates, encoded as a list of `Entry`.
+        pool: Proven candidates, encoded.
         counts: Number of people in clear view who certainly do each action, by keyframe.
         refused: Rows of the table `rejected`.
         lacking: Missing layers of each template that was not searched.
@@ -303,15 +298,6 @@ def _refusals(sequence: str, template: str, prover: Prover) -> list[Row]:
     return rows
 
 
-def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Callable[[int], None]) -> list[Found]:
-    """Search every sequence; return the results in the order of the jobs."""
-    results: dict[int, Found] = {}
-    for index, result in map_sequences(search_sequence, jobs, workers, lambda job: job.weight):
-        results[index] = result
-        advance(1)
-    return [results[index] for index in range(len(jobs))]
-
-
 # -- choice -----------------------------------------------------------------------------------------------------------
 
 
@@ -322,77 +308,66 @@ class Selected(NamedTuple):
         questions: The questions in the columns of `question.COLUMNS`.
         report: Row of each template, as `select` returns it.
         left: Number of proven candidates that are not selected, by sequence, template and rule.
-        faults: Candidates that are not confirmed, by template and key.
+        faults: A line per candidate that is not confirmed, in order.
     """
 
     questions: pa.Table
     report: list[Row]
     left: Counter[tuple[str, str, str]]
-    faults: dict[tuple[str, str], Fault]
+    faults: list[str]
 
 
 def _choose(
-    entries: Iterable[Entry],
+    candidates: Sequence[Candidate],
     choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[Row]]],
-    make: Callable[[Sequence[Chosen]], tuple[pa.Table, dict[str, Fault]]],
+    make: Callable[[Sequence[Question]], tuple[pa.Table, dict[str, str]]],
     excluded: Collection[str],
 ) -> Selected:
     """Select until all questions are confirmed and none is excluded."""
-    pool = {(entry.candidate.template, entry.candidate.key): entry for entry in entries}
     made = COLUMNS.empty_table()
-    faults: dict[tuple[str, str], Fault] = {}
-    gone: set[tuple[str, str]] = set()
+    faults: dict[Candidate, str] = {}
+    gone: set[Candidate] = set()
     while True:
-        candidates: dict[str, list[Candidate]] = defaultdict(list)
-        for name, entry in pool.items():
-            if name not in gone:
-                candidates[name[0]].append(entry.candidate)
-        selected, report = choose(candidates)
-        questions = {key_of(one): one for one in selected}
-        names = {key: (one.candidate.template, one.candidate.key) for key, one in questions.items()}
-        new = sorted(questions.keys() - set(made["key"].to_pylist()))
-        table, found = make([_chosen(questions[key], pool[names[key]]) for key in new])
-        refused = set(found)
-        if excluded:
-            refused |= {row["key"] for row in table.to_pylist() if row["question_id"] in excluded}
+        pool: dict[str, list[Candidate]] = defaultdict(list)
+        for one in candidates:
+            if one not in gone:
+                pool[one.template].append(one)
+        selected, report = choose(pool)
+        questions = {one.key: one for one in selected}
+        table, refused = make([questions[key] for key in sorted(questions.keys() - set(made["key"].to_pylist()))])
         made = pa.concat_tables([made, table])
-        if not refused:
+        faults |= {questions[key].candidate: fault for key, fault in refused.items()}
+        unwanted = table.filter(pc.is_in(table["question_id"], pa.array(sorted(excluded), pa.string())))
+        new = {questions[key].candidate for key in (*refused, *unwanted["key"].to_pylist())}
+        if not new:
             break
-        gone |= {names[key] for key in refused}
-        faults |= {names[key]: fault for key, fault in found.items()}
-    left: Counter[tuple[str, str, str]] = Counter()
-    for name in pool.keys() - set(names.values()):
-        left[pool[name].candidate.sequence, name[0], "unconfirmed" if name in faults else "selection"] += 1
-    made = made.filter(pc.is_in(made["key"], value_set=pa.array(sorted(questions), pa.string())))
-    return Selected(made.sort_by("question_id"), report, left, faults)
-
-
-def _chosen(question: Question, entry: Entry) -> Chosen:
-    return Chosen(question, entry.form, msgspec.msgpack.decode(entry.row))
-
-
-def _left_out(selected: Selected) -> Iterator[Row]:
-    """Yield the rows of the table `rejected` for proven candidates that are not selected."""
-    for place, count in sorted(selected.left.items()):
-        yield from refusal_rows(*place, count)
+        gone |= new
+    unused = set(candidates).difference(one.candidate for one in selected)
+    left = Counter((one.sequence, one.template, "unconfirmed" if one in faults else "selection") for one in unused)
+    made = made.filter(pc.is_in(made["key"], pa.array(sorted(questions), pa.string())))
+    return Selected(made.sort_by("question_id"), report, left, sorted(faults.values()))
 
 
 def _make(
-    jobs: Sequence[SearchJob], workers: Executor, progress: Progress | None, chosen: Sequence[Chosen]
-) -> tuple[pa.Table, dict[str, Fault]]:
+    jobs: Sequence[SearchJob], workers: Executor, progress: Progress | None, questions: Sequence[Question]
+) -> tuple[pa.Table, dict[str, str]]:
     """Make selected questions; return them, and the faults by key."""
-    by_sequence: dict[str, list[Chosen]] = defaultdict(list)
-    for one in chosen:
-        by_sequence[one.question.candidate.sequence].append(one)
-    question_jobs = [
-        QuestionJob(job.store, job.sequence, job.low, job.rules, tuple(by_sequence[job.sequence]))
-        for job in jobs
-        if job.sequence in by_sequence
-    ]
-    advance = step_counter(progress, "confirming", len(question_jobs))
-    tables, faults = [COLUMNS.empty_table()], dict[str, Fault]()
-    for _, (table, found) in map_sequences(make_questions, question_jobs, workers, lambda job: job.weight):
-        tables.append(table)
-        faults |= found
+    by_sequence: dict[str, list[Question]] = defaultdict(list)
+    for question in questions:
+        by_sequence[question.candidate.sequence].append(question)
+    own = ((job, tuple(by_sequence[job.sequence])) for job in jobs if job.sequence in by_sequence)
+    question_jobs = [QuestionJob(job.store, job.sequence, job.low, job.rules, some) for job, some in own]
+    results = _map(make_questions, question_jobs, workers, step_counter(progress, "confirming", len(question_jobs)))
+    faults = {key: fault for _, own in results for key, fault in own.items()}
+    return pa.concat_tables([COLUMNS.empty_table(), *(table for table, _ in results)]), faults
+
+
+def _map(
+    work: Callable[[Job], Result], jobs: Sequence[Job], workers: Executor, advance: Callable[[int], None]
+) -> list[Result]:
+    """Let workers do all jobs; return the results in the order of the jobs."""
+    results: dict[int, Result] = {}
+    for index, result in map_sequences(work, jobs, workers, lambda job: job.weight):
+        results[index] = result
         advance(1)
-    return pa.concat_tables(tables), faults
+    return [results[index] for index in range(len(jobs))]

@@ -10,12 +10,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
-from jrdb_avr.engine.generate.choice_levels import level_choices
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.levelling import select_level
+from jrdb_avr.engine.generate.levelling import level_choices, select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
-from jrdb_avr.engine.generate.twins import MAX_TWINS, match_twins
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FAMILIES, forms_of
 
@@ -37,14 +35,14 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
 }
 """Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates."""
 
-_TOGETHER: Final = (("action_search",), ("span", "start"), ("gap",))
-"""Templates without choices. Those that stand together share the quota of their family, and are selected first."""
+STAGES: Final = (
+    *(("action_search",), ("span", "start"), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),
+    *(("consequence",), ("later_action",), ("change",), ("distance",), ("presence",)),
+)
+"""Templates in the order of selection. Those that stand together share the quota of their family.
 
-ORDER: Final = ("fork_join", "three_hop", "two_hop", "consequence", "later_action", "change", "distance", "presence")
-"""Templates with choices in the order of selection. As a person is in few questions, scarce templates come first."""
-
-_FIXED: Final = ("distance", "presence")
-"""Templates with four fixed answers."""
+As a person is in few questions, templates with few candidates come first.
+"""
 
 _CHANGE_QUOTA: Final = 350
 """Maximum number of questions of the template change."""
@@ -56,7 +54,7 @@ Row = dict[str, Any]
 
 
 def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int]) -> int:
-    """Return how many questions a template with choices should give.
+    """Return how many questions a template should give.
 
     Args:
         template: Name of the template.
@@ -64,14 +62,14 @@ def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int
         reached: Number of selected questions of the templates before it.
 
     Returns:
-        What is left of the quota of the family. Change has at most 350, consequence a third of its family's quota, and
-        distance half of what change leaves.
+        The rest of the quota of the family. Change has at most 350, gap and consequence a third of their family's
+        quota, and distance half of what change leaves.
     """
     family = FAMILIES[template]
     left = quotas[family] - sum(number for name, number in reached.items() if FAMILIES[name] == family)
     if template == "change":
         return min(_CHANGE_QUOTA, left)
-    if template == "consequence":
+    if template in ("gap", "consequence"):
         return quotas[family] // _LONG_RANGE_PARTS
     return left // 2 if template == "distance" else left
 
@@ -92,59 +90,38 @@ def select(
         The selected questions. Also a row per template: family, template, quota, proven, reached, twins (pairs),
         shortage and guessers (the share of right answers of each guesser that counts).
     """
-    quotas = PROFILES[profile]
-    if quotas:
-        return _select_quotas(pool, counts, Taken(rules), quotas)
-    chosen = _deal(pool, Taken(rules), n)
-    questions: list[Question] = []
-    rows = []
-    for template in FAMILIES:
-        candidates = chosen.get(template, [])
-        if template in ORDER and template not in _FIXED:
-            selected = level_choices(candidates, counts)
-        else:
-            selected = [Question(one, tuple(sorted(one.wrong))) for one in candidates]
-        rows.append(_report(template, None, pool.get(template, ()), Selected(selected, None), counts))
-        questions += selected
-    return questions, rows
-
-
-def _select_quotas(
-    pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, taken: Taken, quotas: Mapping[str, int]
-) -> tuple[list[Question], list[Row]]:
+    quotas, taken = PROFILES[profile], Taken(rules)
+    dealt = {} if quotas else _deal(pool, taken, n)
     questions: list[Question] = []
     rows: dict[str, Row] = {}
-    sequences = len(counts.present)
-    for templates in _TOGETHER:
-        quota = quotas[FAMILIES[templates[0]]]
-        if templates == ("gap",):
-            quota //= _LONG_RANGE_PARTS
-        candidates = [one for name in templates for one in pool.get(name, ())]
-        selected = _level(candidates, quota, taken, sequence_cap(quota, sequences))
-        for name in templates:
-            own = Selected([one for one in selected.questions if one.candidate.template == name], selected.shortage)
-            rows[name] = _report(name, quota // len(templates), pool.get(name, ()), own, counts)
-        questions += selected.questions
-    for name in ORDER:
-        quota = quota_of(name, quotas, {done: row["reached"] for done, row in rows.items()})
-        if name == "distance" and not pool.get(name):
-            # No sequence has 3D boxes.
-            quota = 0
-        selected = _select_choices(name, pool.get(name, ()), quota, counts, taken, sequences)
-        rows[name] = _report(name, quota, pool.get(name, ()), selected, counts)
-        questions += selected.questions
+    for names in STAGES:
+        candidates = [one for name in names for one in (pool if quotas else dealt).get(name, ())]
+        quota = shortage = None
+        if quotas:
+            quota = quota_of(names[0], quotas, {name: row["reached"] for name, row in rows.items()})
+            # No sequence has 3D boxes if there is no candidate of the template distance.
+            quota = 0 if names == ("distance",) and not candidates else quota
+            selected, shortage = _select_stage(candidates, quota, counts, taken)
+        elif forms_of(names[0])[0].asks_action:
+            selected = level_choices(candidates, counts, rules)
+        else:
+            selected = [Question(one, tuple(sorted(one.wrong))) for one in candidates]
+        for name in names:
+            own = [one for one in selected if one.candidate.template == name]
+            share = None if quota is None else quota // len(names)
+            rows[name] = _report(name, share, len(pool.get(name, ())), own, shortage, counts)
+        questions += selected
     return questions, [rows[name] for name in FAMILIES]
 
 
-def _select_choices(
-    template: str, candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken, sequences: int
-) -> Selected:
-    """Match the time twins of a template with choices, and select its questions around them."""
+def _select_stage(candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken) -> Selected:
     if not candidates or not quota:
         return Selected([], None if quota else "the family is full")
-    cap = sequence_cap(quota, sequences, 10 if template == "presence" else 20)
-    twins = match_twins(candidates, taken, cap) if template in MAX_TWINS else []
-    return select_level(candidates, quota, counts, taken, cap, twins)
+    template = candidates[0].template
+    cap = sequence_cap(quota, len(counts.present), 10 if template == "presence" else 20)
+    if forms_of(template)[0].answer is None:
+        return select_level(candidates, quota, counts, taken, cap)
+    return _level(candidates, quota, taken, cap)
 
 
 def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int) -> Selected:
@@ -184,18 +161,22 @@ def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) 
 
 
 def _report(
-    template: str, quota: int | None, candidates: Sequence[Candidate], selected: Selected, counts: LabelCounts
+    template: str,
+    quota: int | None,
+    proven: int,
+    questions: Sequence[Question],
+    shortage: str | None,
+    counts: LabelCounts,
 ) -> Row:
-    questions = selected.questions
-    shortage = selected.shortage if candidates else f"nowhere is it certain that {forms_of(template)[0].seeks}"
-    offers = [offer_of(question, counts) for question in questions] if template in ORDER else []
+    form = forms_of(template)[0]
+    offers = [offer_of(question, counts) for question in questions] if form.answer is None else []
     return {
         "family": FAMILIES[template],
         "template": template,
         "quota": quota,
-        "proven": len(candidates),
+        "proven": proven,
         "reached": len(questions),
         "twins": sum(question.twin is not None for question in questions) // 2,
-        "shortage": shortage,
+        "shortage": shortage if proven else f"nowhere is it certain that {form.seeks}",
         "guessers": {name: float(share) for name, share in guesser_shares(offers).items()},
     }

@@ -70,7 +70,7 @@ def layer_jobs(store: Store, rules: Rules) -> list[LayerJob]:
     return [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
 
 
-def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progress | None = None) -> dict[str, int]:
+def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progress | None = None) -> list[LayerJob]:
     """Make the keyframe layer of a store's graph, unless it is stored for these rules and sequences already.
 
     Args:
@@ -80,7 +80,7 @@ def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progre
         progress: Display of the progress.
 
     Returns:
-        The first node id of each sequence.
+        A job for each sequence, in the order of their names.
 
     Raises:
         StoreError: If the graph is missing or damaged, or if the disk is full.
@@ -99,7 +99,7 @@ def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progre
             write_graph(store, partial(_copy, jobs))
         finally:
             shutil.rmtree(stage, ignore_errors=True)
-    return {job.sequence: job.low for job in jobs}
+    return jobs
 
 
 def _is_stored(store: Store, rules: Rules) -> bool:

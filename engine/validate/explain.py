@@ -16,7 +16,7 @@ import msgspec
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Key
-from jrdb_avr.engine.generate.perturb import NoAnswerError, require_all
+from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, require_all
 from jrdb_avr.engine.validate.checks import read_records
 from jrdb_avr.engine.validate.replay import StoredPlan, iterate_stored_proofs, read_plans
 from jrdb_avr.engine.validate.validation import Validation
@@ -127,14 +127,14 @@ def explain(store: Store, question_id: str) -> Explanation:
 def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[ProofQuery]]:
     """Return the proofs and the statements of an explanation."""
     source = CypherFacts(graph, rules.load)
-    keyframes = source.keyframes(stored.record.sequence)
-    complete = source.complete(lambda: require_all(iterate_stored_proofs(stored, source, keyframes, rules)))
+    setting = Setting(source, source.keyframes(stored.record.sequence), rules)
+    complete = source.complete(lambda: require_all(iterate_stored_proofs(stored, setting)))
     proofs: list[tuple[Proof, list[int]]] = []
     statements: list[ProofQuery] = []
     ids: dict[Key, int] = {}
     source.asked.clear()
     # The second pass asks for the facts of one proof after another.
-    for proof, _ in zip(complete, iterate_stored_proofs(stored, source, keyframes, rules), strict=True):
+    for proof, _ in zip(complete, iterate_stored_proofs(stored, setting), strict=True):
         new = sorted(source.asked - ids.keys(), key=lambda key: (statement_of(key), repr(key)))
         for name, group in itertools.groupby(new, statement_of):
             keys = list(group)

@@ -6,6 +6,7 @@ This module also compares stored records with values that were computed again.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -19,6 +20,7 @@ from jrdb_avr.engine.generate.perturb import (
     MissingFactsError,
     NoAnswerError,
     Program,
+    Setting,
     find_tracks,
     make_program,
     prove_changes,
@@ -167,27 +169,19 @@ def replay(
         StoreError: If the graph is missing or damaged.
         LockedError: If another process writes the graph.
     """
-    differences = []
     with Graph.open(store.graph_path, read_only=True) as graph:
         source = CypherFacts(graph, rules.load)
-        while plans:
-            waiting = []
-            for stored in plans:
-                try:
-                    differences += _replay_one(stored, source, rules)
-                except MissingFactsError:
-                    waiting.append(stored)
-            advance(len(plans) - len(waiting))
-            plans = waiting
-            source.fill()
-    return differences
+        again = {number: partial(_replay_one, stored, source, rules) for number, stored in enumerate(plans)}
+        differences = source.complete_all(again, advance)
+    return [line for number in again for line in differences[number]]
 
 
 def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[str]:
     """Prove a question, and compare its record. Raise MissingFactsError if facts are missing."""
     record, plan = stored.record, stored.plan
+    keyframes = source.keyframes(record.sequence)
     try:
-        proofs = require_all(iterate_stored_proofs(stored, source, source.keyframes(record.sequence), rules))
+        proofs = require_all(iterate_stored_proofs(stored, Setting(source, keyframes, rules)))
         people = find_tracks(stored.program, source)
     except NoAnswerError as reason:
         return [f"{record.question_id}: anchor match: stored same, now {reason}"]
@@ -196,18 +190,14 @@ def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[s
     return list(compare_record(record, again))
 
 
-def iterate_stored_proofs(
-    stored: StoredPlan, source: FactSource, keyframes: Sequence[int], rules: Rules
-) -> Iterator[Proof | None]:
+def iterate_stored_proofs(stored: StoredPlan, setting: Setting) -> Iterator[Proof | None]:
     """Yield all proofs of a stored question, None for one that lacks facts.
 
     The second program does not run here. Its proof is the one that each question has.
 
     Args:
         stored: Question with its plan.
-        source: Source of facts.
-        keyframes: Keyframes of the sequence, in order.
-        rules: Rules of the question.
+        setting: Source of facts, keyframes of the sequence, and rules of the question.
 
     Yields: The proofs.
 
@@ -216,12 +206,12 @@ def iterate_stored_proofs(
         MissingFactsError: If the facts that find the people are missing.
     """
     record, program = stored.record, stored.program
-    people = find_tracks(program, source)
+    people = find_tracks(program, setting.source)
     yield Proof("anchor", "match", True, "same", record.answer_text)
-    yield from prove_conditions(program, source)
-    yield _prove_views_clear(record, source)
-    yield from prove_changes(program, people, stored.answer, keyframes, rules, source)
-    yield from _prove_crops(record, rules)
+    yield from prove_conditions(program, setting.source)
+    yield _prove_views_clear(record, setting.source)
+    yield from prove_changes(program, people, stored.answer, setting)
+    yield from _prove_crops(record, setting.rules)
     yield Proof("rederive", "annotations", True, "same", record.answer_text)
 
 

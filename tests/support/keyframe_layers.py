@@ -2,26 +2,25 @@
 
 with searched(store, sequence, rules) as search: ...            # a Search, whose statements run
 for one in proposals(search, template): make_prover(search).prove(one)
-result, entries = search_one(store, sequence, rules)            # what a worker of generation returns
-rows, faults = make_all(store, sequence, rules, entries, result.counts)
+result, candidates = search_one(store, sequence, rules)         # what a worker of generation returns
+rows, faults = make_all(store, sequence, rules, candidates, result.counts)
 with layers_in_memory(): generate(store, rules, workers=1)
 """
 
 import contextlib
 import itertools
 
-import msgspec
 import pytest
 
 from jrdb_avr.engine.generate import question, run
 from jrdb_avr.engine.generate.asked import Question
-from jrdb_avr.engine.generate.choice_levels import level_choices
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.layer import read_layer
-from jrdb_avr.engine.generate.perturb import make_program, parse_answer, prove
+from jrdb_avr.engine.generate.levelling import level_choices
+from jrdb_avr.engine.generate.perturb import Setting, prove
 from jrdb_avr.engine.generate.pool import Prover
-from jrdb_avr.engine.generate.propose import Search, make_proposal, propose, propose_presence
+from jrdb_avr.engine.generate.propose import Search, make_proposal, program_of, propose, propose_presence
 from jrdb_avr.engine.generate.run import SearchJob, search_sequence
 from jrdb_avr.engine.generate.stored_layer import LayerJob, layer_jobs
 from jrdb_avr.loaders.graph import build_scene
@@ -83,11 +82,9 @@ def proposals(search, template):
 
 def all_proofs(search, one):
     """The proofs of a proposal about conditions, hops and times, whether they hold or not."""
-    program = make_program(one.sequence, one.plan, one.template)
-    program = msgspec.structs.replace(program, conditions=one.conditions)
-    answer, cypher = parse_answer(one.template.spec.mode, one.answer), CypherFacts(search.graph, search.rules.load)
-    source = Prover(search, cypher)
-    return cypher.complete(lambda: prove(program, answer, search.layer.facts.keyframes, search.rules, source))
+    cypher = CypherFacts(search.graph, search.rules.load)
+    setting = Setting(Prover(search, cypher), search.layer.facts.keyframes, search.rules)
+    return cypher.complete(lambda: prove(*program_of(one), setting))
 
 
 @contextlib.contextmanager
@@ -102,25 +99,22 @@ def worked(store, sequence, rules):
 
 
 def search_one(store, sequence, rules):
-    """What a worker of generation returns for a sequence: the result, and its candidates as entries."""
+    """What a worker of generation returns for a sequence: the result, and its candidates."""
     with worked(store, sequence, rules):
         found = search_sequence(SearchJob(store.path, sequence, 0, rules))
-    return found, run._ENTRIES.decode(found.pool)
+    return found, run._CANDIDATES.decode(found.pool)
 
 
-def make_all(store, sequence, rules, entries, counts):
+def make_all(store, sequence, rules, candidates, counts):
     """Rows of questions about all candidates, by their choices, and their faults."""
     level = LabelCounts({(sequence, frame): number for frame, number in counts.items()})
-    by_template, rows, faults = {}, [], []
-    for entry in entries:
-        by_template.setdefault(entry.candidate.template, {})[entry.candidate.key] = entry
+    rows, faults = [], []
     with worked(store, sequence, rules):
-        for template, own in by_template.items():
-            candidates = [entry.candidate for entry in own.values()]
-            asked = level_choices(candidates, level) if FORMS[template][0].asks_action else None
-            asked = asked or [Question(one, tuple(sorted(one.wrong))) for one in candidates]
-            chosen = tuple(run._chosen(one, own[one.candidate.key]) for one in asked)
-            table, found = question.make_questions(question.QuestionJob(store.path, sequence, 0, rules, chosen))
+        for template in dict.fromkeys(one.template for one in candidates):
+            own = [one for one in candidates if one.template == template]
+            asked = level_choices(own, level, rules) if FORMS[template][0].asks_action else None
+            asked = tuple(asked or [Question(one, tuple(sorted(one.wrong))) for one in own])
+            table, found = question.make_questions(question.QuestionJob(store.path, sequence, 0, rules, asked))
             rows += [row | {"truth": one.candidate.truth} for row, one in zip(table.to_pylist(), asked, strict=True)]
             faults += found.values()
     return rows, faults
@@ -137,7 +131,7 @@ def layers_in_memory():
         graphs[:] = [memory_graph(store, names)]
         for job in jobs:
             add_layer(graphs[0], job.layer(graphs[0]))
-        return {job.sequence: job.low for job in jobs}
+        return jobs
 
     def shared(*_):
         return contextlib.nullcontext(graphs[0])

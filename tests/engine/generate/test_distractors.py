@@ -26,8 +26,8 @@ def named(tmp_path, people, template, *seconds):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "FORMS", {template: FORMS[template]})
         patch.setattr(pool, "_DESCRIPTIONS", 100)
-        found, entries = search_one(store, SEQUENCE, rules)
-    rows, faults = make_all(store, SEQUENCE, rules, entries, found.counts)
+        found, candidates = search_one(store, SEQUENCE, rules)
+    rows, faults = make_all(store, SEQUENCE, rules, candidates, found.counts)
     assert rows and not faults
     for row in rows:
         times = json.loads(row["plan"])["times"]

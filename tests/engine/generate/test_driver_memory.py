@@ -29,11 +29,11 @@ KILOBYTES = 60
 @pytest.mark.slow
 def test_a_candidate_more_takes_some_kilobytes(tmp_path):
     store = graphless_store(tmp_path, lively_world(random.Random(5), NAME))
-    found, entries = search_one(store, NAME, Rules())
-    assert len(entries) > 20 and found.refused
-    rows, _ = make_all(store, NAME, Rules(), entries, found.counts)
+    found, candidates = search_one(store, NAME, Rules())
+    assert len(candidates) > 20 and found.refused
+    rows, _ = make_all(store, NAME, Rules(), candidates, found.counts)
     once, many = (measured(store, found, rows[0], count) for count in (5, 65))
-    more = 60 * len(entries)
+    more = 60 * len(candidates)
     assert many["questions"] > 8 * once["questions"] > 0
     assert (many["kilobytes"] - once["kilobytes"]) / more < KILOBYTES
 
@@ -76,10 +76,10 @@ def made(job, row):
 
 def copied(found, name):
     """The result as of a sequence of another name."""
-    entries = run._ENTRIES.decode(found.pool)
+    candidates = run._CANDIDATES.decode(found.pool)
     own = [
         one._replace(candidate=one.candidate._replace(sequence=name, key=f"{name} {one.candidate.key}"))
-        for one in entries
+        for one in candidates
     ]
     refused = [{**row, "sequence": name} for row in found.refused]
     return found._replace(head={**found.head, "sequence": name}, pool=msgspec.msgpack.encode(own), refused=refused)

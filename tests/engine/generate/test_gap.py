@@ -82,9 +82,9 @@ def counts_of(found):
 def test_forms_are_judged_together(tmp_path, only_gaps):
     store = memory_store(tmp_path, busy_world(random.Random(9)))
     rules = msgspec.structs.replace(RULES, max_per_person=2)
-    found, entries = search_one(store, NAME, rules)
+    found, candidates = search_one(store, NAME, rules)
     assert found.lacking == {} and counts_of(found).keys() <= {*REASONS, "choices"}
-    kept, faults = make_all(store, NAME, rules, entries, found.counts)
+    kept, faults = make_all(store, NAME, rules, candidates, found.counts)
     assert not faults
     assert {parse_plan(row["plan"]).times["t1"].event for row in kept} == {"start", "leaves", None}
     # The caps of a person over all answers are for the selection across sequences.
@@ -117,11 +117,11 @@ def test_without_actions_absences_and_counts_are_asked_about(tmp_path, only_gaps
     for rows in world[NAME]["2d"].values():
         for row in rows:
             del row["action_label"]
-    found, entries = search_one(memory_store(tmp_path, world), NAME, RULES)
-    assert found.lacking == {} and len(entries) + counts_of(found).total() > 0
+    found, candidates = search_one(memory_store(tmp_path, world), NAME, RULES)
+    assert found.lacking == {} and len(candidates) + counts_of(found).total() > 0
 
 
 def test_without_boxes_there_is_nothing_to_ask(tmp_path, only_gaps):
     store = memory_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
-    found, entries = search_one(store, NAME, RULES)
-    assert found.lacking == {"gap": ("2d",)} and found.refused == entries == []
+    found, candidates = search_one(store, NAME, RULES)
+    assert found.lacking == {"gap": ("2d",)} and found.refused == candidates == []

@@ -3,11 +3,12 @@
 import itertools
 import json
 import re
+from collections import Counter
 
 import pytest
 from environment import TESTS
 from keyframe_layers import ANY_VIEW as RULES
-from keyframe_layers import all_proofs, forms_in, make_prover, proposals, searched
+from keyframe_layers import all_proofs, forms_in, make_prover, proposals, search_one, searched
 from loaded_stores import memory_store
 from oracle_candidates import People
 from random_worlds import SEQUENCE, build
@@ -71,6 +72,12 @@ def judge(store, claimed):
                         words = (c.action or c.interaction or c.value for c in one.conditions)
                         described[who, frame // 15] = ", ".join(map(str, words))
     return found, described
+
+
+def kept(store):
+    """{(template, target): questions} without near-duplicates and those above the cap."""
+    _, candidates = search_one(store, SEQUENCE, RULES)
+    return Counter((one.template, one.track) for one in candidates)
 
 
 def refusal(search, one, prover):
@@ -149,12 +156,17 @@ def test_world(title, tmp_path):
     assert claimed.keys() <= {template.query for template in TEMPLATES.values()}
     found, described = judge(store, claimed)
     claims = 0
+    if any(line.startswith("keeps ") for line in lines):
+        questions = kept(store)
     for line in lines:
         if re.match(r"\d+ \||images |lost ", line):
             continue
         claims += 1
         if match := re.fullmatch(r"describes (\d+) at (\d+): (.+)", line):
             assert described.get((int(match[1]), int(match[2])), "nothing") == match[3], line
+            continue
+        if match := re.fullmatch(r"keeps (\d+) of (\w+) (\d+)", line):
+            assert questions[match[2], int(match[3])] == int(match[1]), line
             continue
         match = CLAIM.fullmatch(line)
         assert match, f"cannot read: {line}"

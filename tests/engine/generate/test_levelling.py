@@ -8,16 +8,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.answer_levels import answer_contexts
-from jrdb_avr.engine.generate.asked import Candidate, Question, choice_contexts, keep_most, offer_of, sequence_cap
-from jrdb_avr.engine.generate.choice_levels import ChoiceLevel, level_choices
+from jrdb_avr.engine.generate import levelling
+from jrdb_avr.engine.generate.asked import (
+    Candidate,
+    Question,
+    answer_contexts,
+    choice_contexts,
+    offer_of,
+    sequence_cap,
+)
 from jrdb_avr.engine.generate.choices import wrong_sets
 from jrdb_avr.engine.generate.guessers import LabelCounts, above_bound
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.levelling import select_level
+from jrdb_avr.engine.generate.levelling import find_twins, level_choices, make_selector, may_be_twins, select_level
+from jrdb_avr.engine.generate.levels import Level
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.engine.generate.selection import PROFILES, quota_of, select
-from jrdb_avr.engine.generate.twins import match_twins, may_be_twins
 from jrdb_avr.schema.choice_labels import may_be_same
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
 from jrdb_avr.schema.rules import Rules
@@ -91,7 +97,7 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
         one = candidate(number)
         if triples := wrong_sets(one.wrong):
             questions.append(Question(one, triples[choice % len(triples)]))
-    level = ChoiceLevel([one.candidate for one in questions], COUNTS)
+    level = Level([one.candidate for one in questions], COUNTS)
     for place, question in enumerate(questions):
         before = cost_from_scratch(questions[:place])
         assert level.cost_of(question) == cost_from_scratch(questions[: place + 1]) - before
@@ -107,15 +113,15 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
         assert level.cost_of(questions[place]) == cost_from_scratch(questions[: place + 1]) - before
 
 
-def selected(candidates, quota=30, twins=()):
+def selected(candidates, quota=30):
     cap = sequence_cap(quota, len(SEQUENCES))
-    return select_level(candidates, quota, COUNTS, Taken(Rules()), cap, twins).questions
+    return select_level(candidates, quota, COUNTS, Taken(Rules()), cap).questions
 
 
 def test_selection_depends_on_the_candidates_and_not_on_their_order():
     pool = [candidate(number) for number in range(150)]
     assert selected(pool) == selected(pool[::-1])
-    assert level_choices(pool, COUNTS) == level_choices(pool[::-1], COUNTS)
+    assert level_choices(pool, COUNTS, Rules()) == level_choices(pool[::-1], COUNTS, Rules())
 
 
 def test_selection_levels_choices_under_its_caps():
@@ -133,10 +139,11 @@ def test_selection_levels_choices_under_its_caps():
     assert cost_from_scratch(questions) < cost_from_scratch(arbitrary) // 4
 
 
-def test_levelling_without_selection_keeps_every_candidate():
+def test_levelling_without_selection_keeps_every_moment():
     pool = [candidate(number) for number in range(60)]
-    questions = level_choices(pool, COUNTS)
-    assert [one.candidate for one in questions] == sorted((x for x in pool if wrong_sets(x.wrong)), key=lambda x: x.key)
+    questions = level_choices(pool, COUNTS, Rules())
+    assert {one.candidate.moment for one in questions} == {one.moment for one in pool if wrong_sets(one.wrong)}
+    assert len(questions) == len({one.candidate.moment for one in questions})
 
 
 @pytest.mark.parametrize(
@@ -161,19 +168,19 @@ def test_twins_share_four_choices_and_differ_in_one_time_and_their_answers():
     assert not may_be_twins(first, second._replace(truth="walking"), rules)
 
 
-def test_matched_twins_stay_in_the_selection_with_equal_choices():
-    rules = Rules()
+def test_twins_stay_in_the_selection_with_equal_choices():
     pool = [candidate(number) for number in range(60)]
     pairs = [
         (twin(n, 60, "walking")._replace(key=f"{n}a"), twin(n, 150, "sitting")._replace(key=f"{n}b"))
         for n in range(20, 23)
     ]
     pool += [one for pair in pairs for one in pair]
-    taken = Taken(rules)
-    matched = match_twins(pool, taken, 40)
-    assert {one.key for pair in matched for one in pair} >= {one.key for pair in pairs for one in pair}
-    assert match_twins(pool[::-1], taken, 40) == matched
-    questions = selected(pool, 20, matched)
+    found = find_twins(pool, Rules())
+    assert found == find_twins(pool[::-1], Rules())
+    assert {one.key for some in found.values() for pair in some.values() for one in pair} >= {
+        one.key for pair in pairs for one in pair
+    }
+    questions = selected(pool, 20)
     by_twin = {}
     for one in questions:
         if one.twin:
@@ -259,18 +266,27 @@ def test_a_profile_without_quotas_keeps_near_duplicates_apart_and_lets_templates
 
 
 @pytest.mark.parametrize("limit", [*range(0, 11), 50])
-def test_as_many_twins_stay_as_the_bound_allows(limit):
+def test_as_many_twins_stay_as_the_bound_allows(limit, monkeypatch):
+    pool = [one for n in range(20, 30) for one in (twin(n, 60, "walking"), twin(100 + n, 150, "sitting"))]
+    pool = [one._replace(track=one.track % 100) for one in pool]
     tried = []
-    assert keep_most(10, lambda count: tried.append(count) or (count if count <= limit else None)) == (
-        min(limit, 10) or None
-    )
-    assert len(tried) <= 5
+
+    def above_bound(offers):
+        pairs = sum(len(selector.twins) for selector in selectors[-1:]) // 2
+        tried.append(pairs)
+        return "a guesser" if pairs > limit else None
+
+    selectors, made = [], make_selector
+    monkeypatch.setattr(levelling, "make_selector", lambda *rest: selectors.append(made(*rest)) or selectors[-1])
+    monkeypatch.setattr(levelling, "above_bound", above_bound)
+    questions = select_level(pool, 20, COUNTS, Taken(Rules()), 20).questions
+    assert sum(one.twin is not None for one in questions) == 2 * min(limit, 10)
+    assert len(tried) <= 6
 
 
 def test_twins_never_exceed_the_size_of_a_template():
     pairs = [(twin(n, 60, "walking"), twin(100 + n, 150, "sitting")._replace(track=n)) for n in range(20, 29)]
-    pool = [one for pair in pairs for one in pair]
-    questions = select_level(pool, 10, COUNTS, Taken(Rules()), 20, pairs).questions
+    questions = select_level([one for pair in pairs for one in pair], 10, COUNTS, Taken(Rules()), 20).questions
     assert len(questions) == 10
     assert sum(one.twin is not None for one in questions) == 10
 

@@ -14,8 +14,8 @@ from random_worlds import lively_world, sociable_world
 from jrdb_avr.engine.generate import pool as pool_module
 from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
 from jrdb_avr.engine.generate.held_out import Extent
-from jrdb_avr.engine.generate.near_duplicates import near_frames
-from jrdb_avr.engine.generate.pool import _is_near, fill_pool, make_candidate
+from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
+from jrdb_avr.engine.generate.pool import fill_pool, make_candidate
 from jrdb_avr.engine.generate.propose import make_proposal
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FORMS, TEMPLATES
@@ -37,12 +37,12 @@ def pools(search, allowed, held_out=()):
     for name, forms in FORMS.items():
         if some := [form for form in forms if form in allowed]:
             prover = make_prover(search, held_out)
-            entries = fill_pool(search, some, prover)
-            made = [make_proposal(search, TEMPLATES[entry.form], entry.row) for entry in entries]
-            yield name, some, prover, [entry.candidate for entry in entries], made
+            pool = fill_pool(search, some, prover)
+            made = [make_proposal(search, TEMPLATES[one.form], msgspec.msgpack.decode(one.row)) for one in pool]
+            yield name, some, prover, pool, made
 
 
-def are_near(name, one, other):
+def read_alike(name, one, other):
     near = near_frames(name, RULES)
     return (one.target, one.answer) == (other.target, other.answer) and all(
         abs(a - b) <= near for a, b in zip(one.read, other.read, strict=True)
@@ -54,7 +54,7 @@ def choose_slowly(name, proven):
     kept, counts = [], Counter()
     for one in sorted(proven, key=lambda one: one.key):
         group = one.target, one.answer
-        if counts[group] < RULES.max_per_person and not any(are_near(name, one, other) for other in kept):
+        if counts[group] < RULES.max_per_person and not any(read_alike(name, one, other) for other in kept):
             kept.append(one)
             counts[group] += 1
     return {one.key for one in kept}
@@ -77,7 +77,7 @@ def test_the_pool_holds_what_a_selection_can_use(search, monkeypatch):
             assert not any(
                 (one.described, one.asked) != (other.described, other.asked)
                 and one.described == other.described
-                and are_near(name, a, b)
+                and read_alike(name, a, b)
                 for (one, a), (other, b) in combinations(zip(pool, made, strict=True), 2)
             )
         elif forms[0].asks_action:
@@ -126,5 +126,5 @@ def test_both_shifts_in_time_may_be_required(search):
 
 def test_of_presence_five_seconds_at_both_times_are_near():
     near = near_frames("presence", Rules())
-    assert _is_near((75, 25), (0, 100), near) and not _is_near((0, 176), (0, 100), near)
+    assert are_near((75, 25), (0, 100), near) and not are_near((0, 176), (0, 100), near)
     assert near_frames("change", Rules()) < near

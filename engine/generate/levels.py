@@ -1,10 +1,10 @@
-"""Level the actions that are choices, so that no action is true more often than others.
+"""Level of the true choices, so that no choice is true more often than others.
 
-The cost is a whole number. For each context of a question and each action, X is the number of times that the action is
-offered as wrong, minus three times the number of times that it is true. For each ordered pair of actions offered
-together, P is the same number for the first action. For each ranking of the true choice, R is the number of questions
-with each rank. The cost grows with the squares of X and P and with uneven R. Then come the number of questions
-per person and sequence, and wrong choices that no person in the frame does.
+The cost is a whole number. For each context of a question and each choice, X is the number of times that the choice is
+offered as wrong, minus three times the number of times that it is true. For each ordered pair of choices offered
+together, P is the same number for the first choice. For each ranking of the true choice, R is the number of questions
+with each rank. The cost grows with the squares of X and P and with uneven R. Then come the number of questions per
+person, description and sequence, and wrong choices that no person in the frame does.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,20 +24,32 @@ from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.hashes import hash_of, permute
 from jrdb_avr.schema.arrays import Ints
 from jrdb_avr.schema.choice_labels import CHOICE_LABELS
+from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS
 
-_PAIR_WEIGHT: Final = 20
-_RANK_WEIGHTS: Final = (3, 4, 4)
-_PERSON_COST: Final = 60
-_SEQUENCE_COST: Final = 3
-_DOING_GAIN: Final = 10
 
-_PASSES: Final = 7
-"""Maximum number of passes over all questions in `level_choices`."""
+class _Weights(NamedTuple):
+    """Weights of the cost, and the maximum number of questions with one description at one time."""
+
+    pair: int
+    ranks: tuple[int, int, int]
+    person: int
+    described: int
+    sequence: int
+    doing: int
+    max_described: float
+
+
+_ACTIONS: Final = _Weights(20, (3, 4, 4), person=60, described=0, sequence=3, doing=10, max_described=float("inf"))
+_ANSWERS: Final = _Weights(0, (0, 0, 0), person=160, described=160, sequence=8, doing=0, max_described=4)
 
 _SHARES: Final = np.array([-3, 1, 1, 1])
 """What a question adds to X for its true choice and its three wrong choices."""
 
-_CODE: Final = {label: number for number, label in enumerate(CHOICE_LABELS)}
+_LABELS: Final = (*CHOICE_LABELS, *PRESENCE_ANSWERS, *DISTANCE_ANSWERS)
+_CODE: Final = {label: number for number, label in enumerate(_LABELS)}
+
+_BASE: Final = np.array([1, 64, 64 * 64], np.uint64)
+"""Factors that make one number of three codes of choices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,41 +72,49 @@ class _Options:
     weights: Ints
 
 
-class ChoiceLevel:
-    """Level of a template with actions as choices. See `levelling.Level`."""
+class Level:
+    """State of the selected questions of a template with choices.
+
+    A level knows by how much each further question raises the cost.
+
+    Attributes:
+        fixed: Whether all questions have the same four choices.
+        of_sequence: Number of questions of each sequence.
+    """
 
     def __init__(self, candidates: Iterable[Candidate], counts: LabelCounts) -> None:
         """Number the contexts of all candidates of a template that may be selected."""
-        ordered = sorted(candidates, key=lambda candidate: candidate.key)
-        names = {name for candidate in ordered for name, _ in candidate.contexts}
-        self.counts = counts
+        candidates = list(candidates)
+        names = {name for candidate in candidates for name, _ in candidate.contexts}
+        self.fixed = not any(candidate.truth in CHOICE_LABELS for candidate in candidates)
+        self._weights = _ANSWERS if self.fixed else _ACTIONS
+        self._counts = counts
         self._contexts = {name: number for number, name in enumerate(sorted(names), 1)}
-        self._most = max((len(candidate.contexts) for candidate in ordered), default=0)
+        self._most = max((len(candidate.contexts) for candidate in candidates), default=0)
         self._options: dict[str, _Options] = {}
-        labels = len(CHOICE_LABELS)
-        self._levels = np.zeros((len(names) + 1, labels), np.int64)
-        self._pairs = np.zeros((labels, labels), np.int64)
-        self._ranks = np.zeros((len(_RANK_WEIGHTS), 4), np.int64)
-        self._count = 0
-        self.of_person: Counter[tuple[str, int]] = Counter()
+        self._levels = np.zeros((len(names) + 1, len(_LABELS)), np.int64)
+        self._pairs = np.zeros((len(_LABELS), len(_LABELS)), np.int64)
+        self._ranks = np.zeros((3, 4), np.int64)
+        self._people: Counter[object] = Counter()
+        self._described: Counter[object] = Counter()
         self.of_sequence: Counter[str] = Counter()
 
     def add(self, question: Question, sign: int = 1) -> None:
         """Add a question to the state, or remove it by the sign -1."""
-        options = self._options_of(question.candidate)
-        labels = np.array([_CODE[label] for label in (question.candidate.truth, *question.wrong)])
-        np.add.at(self._levels, (options.contexts[:, None], labels), sign * _SHARES)
+        one = question.candidate
+        labels = np.array([_CODE[label] for label in (one.truth, *question.wrong)])
+        np.add.at(self._levels, (self._options_of(one).contexts[:, None], labels), sign * _SHARES)
         for label, share in zip(labels.tolist(), _SHARES.tolist(), strict=True):
             self._pairs[label, labels[labels != label]] += sign * share
-        ranks = offer_of(question, self.counts).ranks
+        ranks = offer_of(question, self._counts).ranks
         self._ranks[np.arange(len(ranks)), list(ranks)] += sign
-        self._count += sign
-        self.of_person[question.candidate.moment[:2]] += sign
-        self.of_sequence[question.candidate.sequence] += sign
+        self._people[one.moment[:2]] += sign
+        self._described[one.sequence, one.described] += sign
+        self.of_sequence[one.sequence] += sign
 
     def allows(self, candidate: Candidate) -> bool:
-        """Return True, because the choices of each candidate can be levelled."""
-        return True
+        """Return whether a further question may have the candidate's description."""
+        return self._described[candidate.sequence, candidate.described] < self._weights.max_described
 
     def cheapest(self, candidates: Sequence[Candidate]) -> tuple[int, Question]:
         """Find the question that raises the cost least.
@@ -112,8 +132,8 @@ class ChoiceLevel:
         while index >= len(rows[row].base):
             index -= len(rows[row].base)
             row += 1
-        wrong = tuple(CHOICE_LABELS[code] for code in sorted(rows[row].labels[index, 1:].tolist(), key=_lexical))
-        return increase, Question(candidates[row], wrong)
+        wrong = sorted(_LABELS[code] for code in rows[row].labels[index, 1:].tolist())
+        return increase, Question(candidates[row], tuple(wrong))
 
     def cost_of(self, question: Question) -> int:
         """Return by how much a question raises the cost."""
@@ -134,27 +154,28 @@ class ChoiceLevel:
         wrong = _coded_triples(candidate.wrong)
         labels = np.hstack([np.full((len(wrong), 1), _CODE[candidate.truth], np.int8), wrong])
         labels = labels[np.argsort(permute(labels[:, 1:].astype(np.uint64) @ _BASE, hash_of(candidate.key)))]
-        doing = np.isin(labels[:, 1:], [_CODE[x] for x in self.counts.doing(sequence, frame) if x in _CODE])
-        orders = self.counts.orders(sequence, frame)
-        places = np.array([[order[label] for label in CHOICE_LABELS] for order in orders])[:, labels]
+        doing = np.isin(labels[:, 1:], [_CODE[x] for x in self._counts.doing(sequence, frame) if x in _CODE])
+        orders = self._counts.orders(sequence, frame)
+        places = np.array([[order.get(label, 0) for label in _LABELS] for order in orders])[:, labels]
         ranks = (places[..., 1:] < places[..., :1]).sum(axis=2).T.astype(np.int8)
         numbers, weights = np.zeros((2, self._most), np.int64)
         for index, (name, weight) in enumerate(candidate.contexts):
             numbers[index], weights[index] = self._contexts[name], weight
         # What one question costs by itself: squares of its own shares, and of its own ranks.
-        own = int(_SHARES @ _SHARES) * int(weights.sum()) + 12 * sum(_RANK_WEIGHTS)
-        own += _PAIR_WEIGHT * 3 * int(_SHARES @ _SHARES)
-        return _Options(candidate, labels, ranks, own - _DOING_GAIN * doing.sum(axis=1), numbers, weights)
+        own = int(_SHARES @ _SHARES) * (int(weights.sum()) + 3 * self._weights.pair) + 12 * sum(self._weights.ranks)
+        return _Options(candidate, labels, ranks, own - self._weights.doing * doing.sum(axis=1), numbers, weights)
 
     def _costs(self, rows: Sequence[_Options]) -> Ints:
         """Return by how much each option of some candidates raises the cost (sum of their options)."""
-        people = [_PERSON_COST * self.of_person[row.candidate.moment[:2]] for row in rows]
-        others = [_SEQUENCE_COST * self.of_sequence[row.candidate.sequence] for row in rows]
+        own, candidates = self._weights, [row.candidate for row in rows]
+        others = np.array([own.person * self._people[one.moment[:2]] for one in candidates])
+        others += [own.described * self._described[one.sequence, one.described] for one in candidates]
+        others += [own.sequence * self.of_sequence[one.sequence] for one in candidates]
         which = np.repeat(np.arange(len(rows)), [len(row.base) for row in rows])
         labels, ranks, costs = (
             np.concatenate([getattr(row, name) for row in rows]) for name in ("labels", "ranks", "base")
         )
-        costs += np.add(people, others)[which]
+        costs += others[which]
         weights = np.stack([row.weights for row in rows])
         levels = (self._levels[np.stack([row.contexts for row in rows])] * weights[..., None]).sum(axis=1)
         # (X + share)^2 - X^2 = 2 * X * share + share^2, and the last term is in `base`; likewise for P.
@@ -164,49 +185,13 @@ class ChoiceLevel:
         both = self._pairs + self._pairs.T
         pairs = beside[true, first] + beside[true, second] + beside[true, third]
         pairs += both[first, second] + both[first, third] + both[second, third]
-        costs += 2 * _PAIR_WEIGHT * pairs
-        uneven = 8 * (4 * self._ranks - self._count) * np.array(_RANK_WEIGHTS)[:, None]
-        costs += uneven[np.arange(len(_RANK_WEIGHTS)), ranks].sum(axis=1)
+        costs += 2 * own.pair * pairs
+        uneven = 8 * (4 * self._ranks - self.of_sequence.total()) * np.array(own.ranks)[:, None]
+        costs += uneven[np.arange(3), ranks].sum(axis=1)
         return costs
-
-
-def _lexical(code: int) -> str:
-    return CHOICE_LABELS[code]
-
-
-_BASE: Final = np.array([1, 64, 64 * 64], np.uint64)
-"""Factors that make one number of three codes of actions."""
 
 
 @lru_cache(maxsize=4096)
 def _coded_triples(wrong: frozenset[str]) -> npt.NDArray[np.int8]:
     """Return codes of the sets of three wrong choices (sets, 3)."""
     return np.array([[_CODE[x] for x in triple] for triple in wrong_sets(wrong)], np.int8).reshape(-1, 3)
-
-
-def level_choices(candidates: Sequence[Candidate], counts: LabelCounts) -> list[Question]:
-    """Choose the wrong choices of all candidates of a template, without leaving any out.
-
-    Args:
-        candidates: The candidates that have choices, in any order.
-        counts: How common actions are.
-
-    Returns:
-        A question per candidate with at least three wrong choices, in the order of their keys.
-    """
-    level = ChoiceLevel(candidates, counts)
-    ordered = sorted((x for x in candidates if wrong_sets(x.wrong)), key=lambda candidate: candidate.key)
-    chosen: dict[str, Question] = {}
-    for turn in range(_PASSES):
-        moved = False
-        for candidate in ordered:
-            question = chosen.get(candidate.key)
-            if question:
-                level.add(question, -1)
-            cost, better = level.cheapest([candidate])
-            if question is None or cost < level.cost_of(question):
-                chosen[candidate.key], moved = better, True
-            level.add(chosen[candidate.key])
-        if turn and not moved:
-            break
-    return [chosen[candidate.key] for candidate in ordered]
