@@ -3,9 +3,9 @@
 To add a template, add a row here and its search, a file of `queries/generators`. `docs/architecture.md` has the whole
 list, under "Add".
 
-In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people along a path are called
-A, B, C and D, and `{says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`), `{Says1}`
-at the start of a sentence. `{At}`, `{at}`, `{When}`, `{How}` and `{about}` say "about" where a time is approximate.
+In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people of a path are A to D.
+`{says1}`, `{Says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`). `{At}`, `{at}`,
+`{When}`, `{How}` and `{about}` say "about" if a time is approximate.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Template:
 
     spec: how the answer is read from the plan; read: names of the frames where it is read (see
     `engine.generate.propose.Proposal`), without which they are the times of `spec`. decisive: the frames whose boxes of
-    the target decide, without which they are those of `read`; where the target is absent at all of them, the box at t0
+    the target decide, without which they are those of `read`; if the target is absent at all of them, the box at t0
     decides. stated: names of the stated times, that of the description first; events: the other times, with `{1}` and
     `{2}` for the question's actions. edges: source and target of each relation. single_view: whether one fixed view may
     answer the question. form: name of a form, which is also that of its generator query; the forms of a template are
@@ -120,11 +120,6 @@ class Template:
         targets = [target for _, target in self.edges]
         hops: tuple[Use, ...] = tuple("hop" if targets.count(target) == 1 else "join" for target in targets)
         return (*hops, "count") if self.counts else hops
-
-    @property
-    def relations(self) -> tuple[str, ...]:
-        """Columns of candidates that hold the relations of the text."""
-        return tuple(f"r{i + 1}" for i in range(len(self.uses)))
 
     @property
     def asks_action(self) -> bool:
@@ -202,7 +197,6 @@ _ANGLES: Final = (
     "Panorama angles are in degrees: 0 is behind the robot, 90 is to the robot's left, 180 is straight ahead of the "
     "robot and 270 is to the robot's right."
 )
-
 
 _ROWS: Final = (
     Template(

@@ -244,7 +244,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     return str(_known(CHANGES[program.read](first, second, rules)))
 
 
-def read_action(program: Program, label: str, source: FactSource) -> str:
+def compare_label(program: Program, label: str, source: FactSource) -> str:
     """Read whether the target of a program does an action.
 
     Args:
@@ -393,7 +393,7 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
         if isinstance(answer, FrameViewpoint):
             return _compare_starts(perturbed, answer, setting.source), None
         if perturbed.read == "action":
-            result = read_action(perturbed, answer, setting.source)
+            result = compare_label(perturbed, answer, setting.source)
             return result, answer if result == "same" else None
         again = run(perturbed, setting.source, setting.rules)
     except NoAnswerError as reason:

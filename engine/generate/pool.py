@@ -41,7 +41,7 @@ from jrdb_avr.schema.rules import frames
 from jrdb_avr.schema.templates import Template
 from jrdb_avr.schema.wording.text import implied_choices
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 EXAMPLES: Final = 100
 """Maximum number of examples of refused proposals per sequence, template and rule."""
@@ -194,7 +194,7 @@ def _moment(form: Template, row: Row) -> tuple[Any, ...]:
     return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
 
 
-def _take_some(groups: Iterable[Iterable[T]]) -> Iterator[T]:
+def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[_T]:
     """Yield all of the first groups that are not empty."""
     used = 0
     for group in groups:

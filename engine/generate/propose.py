@@ -160,7 +160,7 @@ def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
         conditions=conditions,
         people={node: row[node] for node in template.people},
         frames=times,
-        relations=tuple(row[name] for name in template.relations),
+        relations=tuple(row[f"r{i}"] for i, _ in enumerate(template.uses, start=1)),
         actions=tuple(segment["action"] for segment in segments)[: template.actions],
         answer=row["answer"] if pieces is None else "".join(values.get(piece, piece) for piece in pieces),
         segments=tuple(segment["id"] for segment in segments),

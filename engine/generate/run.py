@@ -301,7 +301,7 @@ def _refusals(sequence: str, template: str, prover: Prover) -> list[Row]:
 # -- choice -----------------------------------------------------------------------------------------------------------
 
 
-class Selected(NamedTuple):
+class Selection(NamedTuple):
     """Result of the selection.
 
     Attributes:
@@ -322,7 +322,7 @@ def _choose(
     choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[Row]]],
     make: Callable[[Sequence[Question]], tuple[pa.Table, dict[str, str]]],
     excluded: Collection[str],
-) -> Selected:
+) -> Selection:
     """Select until all questions are confirmed and none is excluded."""
     made = COLUMNS.empty_table()
     faults: dict[Candidate, str] = {}
@@ -345,7 +345,7 @@ def _choose(
     unused = set(candidates).difference(one.candidate for one in selected)
     left = Counter((one.sequence, one.template, "unconfirmed" if one in faults else "selection") for one in unused)
     made = made.filter(pc.is_in(made["key"], pa.array(sorted(questions), pa.string())))
-    return Selected(made.sort_by("question_id"), report, left, sorted(faults.values()))
+    return Selection(made.sort_by("question_id"), report, left, sorted(faults.values()))
 
 
 def _make(

@@ -50,7 +50,7 @@ _CHANGE_QUOTA: Final = 350
 _LONG_RANGE_PARTS: Final = 3
 """The templates gap and consequence each have at most this part of their family's quota."""
 
-Row = dict[str, Any]
+_Row = dict[str, Any]
 
 
 def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int]) -> int:
@@ -76,7 +76,7 @@ def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int
 
 def select(
     pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, rules: Rules, profile: str, n: int | None = None
-) -> tuple[list[Question], list[Row]]:
+) -> tuple[list[Question], list[_Row]]:
     """Select the questions of all templates.
 
     Args:
@@ -93,7 +93,7 @@ def select(
     quotas, taken = PROFILES[profile], Taken(rules)
     dealt = {} if quotas else _deal(pool, taken, n)
     questions: list[Question] = []
-    rows: dict[str, Row] = {}
+    rows: dict[str, _Row] = {}
     for names in STAGES:
         candidates = [one for name in names for one in (pool if quotas else dealt).get(name, ())]
         quota = shortage = None
@@ -167,7 +167,7 @@ def _report(
     questions: Sequence[Question],
     shortage: str | None,
     counts: LabelCounts,
-) -> Row:
+) -> _Row:
     form = forms_of(template)[0]
     offers = [offer_of(question, counts) for question in questions] if form.answer is None else []
     return {

@@ -200,7 +200,7 @@ def test_what_became_of_the_candidates(tables, ask):
     rows = ask(
         """SELECT template, sum(n)::int, (sum(n) FILTER (WHERE late))::int, (sum(n) FILTER (WHERE asked))::int FROM (
             SELECT template, count(*) AS n, true AS late, true AS asked FROM questions GROUP BY ALL UNION ALL
-            SELECT template, candidates, rule IN ('choices', 'unconfirmed', 'balance'), false
+            SELECT template, candidates, rule IN ('unconfirmed', 'selection'), false
             FROM rejected WHERE kind = 'count'
         ) GROUP BY ALL"""
     )
