@@ -14,7 +14,7 @@ from jrdb_avr.engine.report.bootstrap import LEAST_CLUSTERS
 from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.formats import filled, without_rough
 from jrdb_avr.engine.report.scored_runs import DIMENSIONS, SCORES, distinguishing_settings
-from jrdb_avr.engine.report.tables import TOO_FEW, TableRow
+from jrdb_avr.engine.report.tables import TOO_FEW, Line
 
 _TITLES: Final = {name: name.replace("_", " ") for name in DIMENSIONS} | {
     "group": "the paper's groups",
@@ -75,7 +75,7 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
     )
 
 
-def pivot(rows: Sequence[TableRow], down: str, across: str) -> dict[str, dict[str, TableRow]]:
+def pivot(rows: Sequence[Line], down: str, across: str) -> dict[str, dict[str, Line]]:
     """Arrange rows by their values in two columns.
 
     Args:
@@ -87,7 +87,7 @@ def pivot(rows: Sequence[TableRow], down: str, across: str) -> dict[str, dict[st
         A dictionary from each outer key to an inner dictionary. An inner dictionary maps each inner key to a row. All
         keys are in the order of their first appearance in the rows.
     """
-    groups: dict[str, dict[str, TableRow]] = {}
+    groups: dict[str, dict[str, Line]] = {}
     for row in rows:
         groups.setdefault(row[down], {})[row[across]] = row
     return groups
@@ -108,7 +108,7 @@ class Crossed:
             for this pair, or None if this pair has no row.
     """
 
-    def __init__(self, rows: Sequence[TableRow], dimension: str, runs: Sequence[str]) -> None:
+    def __init__(self, rows: Sequence[Line], dimension: str, runs: Sequence[str]) -> None:
         """Arrange rows of `breakdown_rows`. Rows of the paper count as rows of a run with the name "paper"."""
         cells = pivot([row | {"run": row["run"] or row["label"]} for row in rows], dimension, "run")
         questions = {
@@ -125,7 +125,7 @@ class Crossed:
             self.rows = [(value, [rows_of_value.get(run) for run in names]) for value, rows_of_value in cells.items()]
 
 
-def settings_text(settings: TableRow) -> str:
+def settings_text(settings: Line) -> str:
     """Return the settings of a run as text.
 
     Args:

@@ -19,7 +19,7 @@ from jrdb_avr.engine.report.scored_runs import SCORES, QuestionIndex, ScoredRun,
 from jrdb_avr.engine.report.tables import (
     RESULTS,
     TABLES,
-    TableRow,
+    Line,
     ablation_rows,
     breakdown_rows,
     main_rows,
@@ -45,7 +45,7 @@ from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError, did_you_m
 class Scores(Displayed):
     """Scores of runs, in percent of the questions of each run. `rows` has one row per run."""
 
-    rows: list[TableRow]
+    rows: list[Line]
 
     def _summary(self) -> str:
         return f"{len(self.rows)} runs"
@@ -85,7 +85,7 @@ class Comparison(Displayed):
         """
         return any(run.manifest.synthetic for run in self.runs)
 
-    def table(self, name: str = "main") -> list[TableRow]:
+    def table(self, name: str = "main") -> list[Line]:
         """Compute one table of the report.
 
         Args:
@@ -99,7 +99,7 @@ class Comparison(Displayed):
         """
         return self.tables([name])[name]
 
-    def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[TableRow]]:
+    def tables(self, names: Sequence[str] = TABLES) -> dict[str, list[Line]]:
         """Compute several tables of the report. All tables that SQL queries compute share one connection.
 
         Args:
@@ -117,7 +117,7 @@ class Comparison(Displayed):
         computed = {name: self._computed(name) for name in names if name not in RESULTS}
         return computed | self._results([name for name in names if name in RESULTS])
 
-    def _computed(self, name: str) -> list[TableRow]:
+    def _computed(self, name: str) -> list[Line]:
         index, runs = self.index, self.runs
         match name:
             case "main":
@@ -134,7 +134,7 @@ class Comparison(Displayed):
                 return epoch_rows(runs)
         return breakdown_rows(index, runs, name) + (published_groups() if self.paper and name == "group" else [])
 
-    def _results(self, names: Sequence[str]) -> dict[str, list[TableRow]]:
+    def _results(self, names: Sequence[str]) -> dict[str, list[Line]]:
         """Return the rows that queries of `queries/results/` find for the runs of this comparison.
 
         The key of each list of rows is the name of the query. The rows of each query are in the order of `self.runs`.
@@ -242,14 +242,14 @@ class RunDifference(Displayed):
     index: QuestionIndex
     first: ScoredRun
     second: ScoredRun
-    rows: list[TableRow]
+    rows: list[Line]
 
     @property
     def synthetic(self) -> bool:
         """Whether at least one of the runs used the simulated model or the sample world."""
         return self.first.manifest.synthetic or self.second.manifest.synthetic
 
-    def scores(self) -> list[TableRow]:
+    def scores(self) -> list[Line]:
         """Compare the scores of both runs on their common questions.
 
         Returns:
@@ -267,7 +267,7 @@ class RunDifference(Displayed):
             for index, row in enumerate(self.rows)
         ]
 
-    def questions(self, score: str = "combined") -> list[TableRow]:
+    def questions(self, score: str = "combined") -> list[Line]:
         """Return the questions for which one run scores 1 and the other run scores 0.
 
         Args:

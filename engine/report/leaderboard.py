@@ -15,7 +15,7 @@ from jrdb_avr.engine.report.formats import with_intervals
 from jrdb_avr.engine.report.run_scores import Submission, score_runs
 from jrdb_avr.engine.report.scored_runs import ScoredRun, read_index
 from jrdb_avr.engine.report.scoring import DEFAULT_IOU
-from jrdb_avr.engine.report.tables import TableRow, main_rows, score_row
+from jrdb_avr.engine.report.tables import Line, main_rows, score_row
 from jrdb_avr.engine.report.truth import read_truth
 from jrdb_avr.queries.display import Displayed, Tables
 from jrdb_avr.queries.store import Store
@@ -33,11 +33,11 @@ class Leaderboard(Displayed):
         iou: Minimum IoU of the evidence box and the target's box. Evidence with a smaller IoU is wrong.
     """
 
-    sets: list[list[tuple[Bundle, TableRow]]]
+    sets: list[list[tuple[Bundle, Line]]]
     iou: float
 
     @property
-    def rows(self) -> list[TableRow]:
+    def rows(self) -> list[Line]:
         """All rows without macro averages. The rows of a question set are together."""
         rows = [row for entries in self.sets for _, row in entries]
         return [{name: row[name] for name in row if "_macro_" not in name} for row in rows]
@@ -84,7 +84,7 @@ def leaderboard(store: Store | str | Path, folders: Sequence[str | Path], iou: f
         scores = [row["combined"] for _, row in pairs]
         entries = []
         for bundle, row in pairs:
-            head: TableRow = {
+            head: Line = {
                 "rank": 1 + scores.index(row["combined"]),
                 "questions": name,
                 "bundle": bundle.folder.name,
@@ -139,6 +139,6 @@ def _scored(store: Store, folders: Sequence[str | Path], iou: float, strict: boo
     return scored
 
 
-def _order(pair: tuple[Bundle, TableRow]) -> tuple[float, float, str, str]:
+def _order(pair: tuple[Bundle, Line]) -> tuple[float, float, str, str]:
     bundle, row = pair
     return -row["combined"], -row["answer"], bundle.run.run_id, str(bundle.folder)

@@ -24,12 +24,12 @@ from jrdb_avr.engine.report.scored_runs import (
 )
 from jrdb_avr.schema.arrays import Ints
 
-TableRow = dict[str, Any]
+Line = dict[str, Any]
 
 INTERVALS: Final = "95 %"
 TOO_FEW: Final = "too few sequences for an interval"
 
-CELLS: Final[dict[str, TableRow]] = {
+CELLS: Final[dict[str, Line]] = {
     "agent-passive-no-world": {"active": "off", "world_model": "off"},
     "agent-passive": {"active": "off", "world_model": "on"},
     "agent-no-world": {"active": "on", "world_model": "off"},
@@ -40,7 +40,7 @@ CELLS: Final[dict[str, TableRow]] = {
 # -- the main table ---------------------------------------------------------------------------------------------------
 
 
-def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> list[TableRow]:
+def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> list[Line]:
     """Compute the table `main`.
 
     Args:
@@ -56,7 +56,7 @@ def main_rows(index: QuestionIndex, runs: Sequence[ScoredRun], iou: float) -> li
     return [_main_row(index, run, iou, settings[run.manifest.run_id]) for run in runs]
 
 
-def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> TableRow:
+def _main_row(index: QuestionIndex, run: ScoredRun, iou: float, setting: str) -> Line:
     # The columns are: 1 for each question, the three scores, and 1 if the answer is right but the evidence is not.
     base = np.concatenate([np.ones((run.n, 1)), run.scores, run.scores[:, :1] - run.scores[:, 2:]], axis=1)
     sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows], return_inverse=True)
@@ -102,7 +102,7 @@ def interval_label(sequences: int) -> str:
     return INTERVALS if sequences >= LEAST_CLUSTERS else TOO_FEW
 
 
-def run_names(run: ScoredRun) -> TableRow:
+def run_names(run: ScoredRun) -> Line:
     """Return the first columns of a run's row in a table: run, method, model and label."""
     manifest = run.manifest
     label = "synthetic" if manifest.synthetic else ""
@@ -113,7 +113,7 @@ def _percent(share: float | None) -> float | None:
     return None if share is None or math.isnan(share) else round(100 * share, 2)
 
 
-def with_bounds(name: str, interval: Interval) -> TableRow:
+def with_bounds(name: str, interval: Interval) -> Line:
     """Return the columns of a share in percent.
 
     Args:
@@ -130,12 +130,12 @@ def with_bounds(name: str, interval: Interval) -> TableRow:
     }
 
 
-def published_rows() -> list[TableRow]:
+def published_rows() -> list[Line]:
     """Return the rows of the paper's main table, with the columns of `main_rows` that the paper reports."""
     return [_published(row) for row in MAIN]
 
 
-def _published(row: Published) -> TableRow:
+def _published(row: Published) -> Line:
     n = sum(counts.n for counts in GROUPS.values())
     return {"run": "", "method": row.method, "model": row.model, "label": "paper", "n": n} | row._asdict()
 
@@ -143,7 +143,7 @@ def _published(row: Published) -> TableRow:
 # -- breakdowns -------------------------------------------------------------------------------------------------------
 
 
-def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: str) -> list[TableRow]:
+def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: str) -> list[Line]:
     """Compute the scores of each run for each value of a dimension, such as for each family.
 
     Args:
@@ -168,7 +168,7 @@ def breakdown_rows(index: QuestionIndex, runs: Sequence[ScoredRun], dimension: s
     ]
 
 
-def published_groups() -> list[TableRow]:
+def published_groups() -> list[Line]:
     """Return one row per group of the paper: the scores of the paper's agent, in the columns of `breakdown_rows`."""
     return [
         {"group": group, "run": "", "method": "agent", "model": "Qwen3.5 9B", "label": "paper", "n": counts.n}
@@ -178,7 +178,7 @@ def published_groups() -> list[TableRow]:
     ]
 
 
-def score_row(run: ScoredRun, iou: float) -> TableRow:
+def score_row(run: ScoredRun, iou: float) -> Line:
     """Return the row that the command `score` prints for a run.
 
     Args:
@@ -197,7 +197,7 @@ def _totals(run: ScoredRun) -> list[int]:
     return [run.n, *run.scores.sum(axis=0).tolist(), int(run.invalid.sum())]
 
 
-def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> TableRow:
+def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> Line:
     return {
         "n": n,
         "answer": percent_of(answer, n),
@@ -211,7 +211,7 @@ def _shares(n: int, answer: int, evidence: int, combined: int, invalid: int) -> 
 # -- the ablation -----------------------------------------------------------------------------------------------------
 
 
-def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[TableRow]:
+def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list[Line]:
     """Compute the table `ablation`: scores for each combination of active observation and world model (on or off).
 
     Args:
@@ -250,7 +250,7 @@ def _policy(run: ScoredRun) -> str:
 # -- pairs ------------------------------------------------------------------------------------------------------------
 
 
-def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[TableRow]:
+def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Line]:
     """Compare all pairs of runs.
 
     Args:
@@ -265,7 +265,7 @@ def pair_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[TableRow]
     return rows_of_pairs(index, list(combinations(sorted(runs, key=_name), 2)))
 
 
-def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredRun]]) -> list[TableRow]:
+def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredRun]]) -> list[Line]:
     """Compare pairs of runs on their common questions.
 
     Args:
@@ -282,7 +282,7 @@ def rows_of_pairs(index: QuestionIndex, pairs: Sequence[tuple[ScoredRun, ScoredR
     for index_of_pair, (first, second) in enumerate(pairs):
         common = np.intersect1d(first.rows, second.rows, assume_unique=True)
         groups.setdefault(common.tobytes(), (common, []))[1].append(index_of_pair)
-    rows: dict[int, list[TableRow]] = {}
+    rows: dict[int, list[Line]] = {}
     for common, members in groups.values():
         if not len(common):
             continue

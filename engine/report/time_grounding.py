@@ -14,7 +14,7 @@ import numpy as np
 
 from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sums
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, percent_of
-from jrdb_avr.engine.report.tables import TableRow, interval_label, run_names, with_bounds
+from jrdb_avr.engine.report.tables import Line, interval_label, run_names, with_bounds
 from jrdb_avr.schema.arrays import Ints
 
 _DIFFERENT: Final = {"presence": 1 / 4}
@@ -22,7 +22,7 @@ _DIFFERENT: Final = {"presence": 1 / 4}
 that only four pairs of answers fit. In the templates that this dictionary lacks, twelve fit."""
 
 
-def twin_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[TableRow]:
+def twin_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Line]:
     """Compute the table `twins`.
 
     Args:
@@ -48,7 +48,7 @@ def _pairs(index: QuestionIndex, rows: Ints) -> Ints:
     return np.array([pair for pair in by_twin.values() if len(pair) == 2], np.int64).reshape(-1, 2)
 
 
-def _row(index: QuestionIndex, run: ScoredRun, pairs: Ints) -> TableRow:
+def _row(index: QuestionIndex, run: ScoredRun, pairs: Ints) -> Line:
     scores, n = run.scores[pairs], len(pairs)
     sequences, cluster = np.unique(index.labels["sequence"].numbers[run.rows[pairs[:, 0]]], return_inverse=True)
     columns = np.concatenate([np.ones((n, 1)), scores.prod(axis=1)], axis=1)
@@ -59,7 +59,7 @@ def _row(index: QuestionIndex, run: ScoredRun, pairs: Ints) -> TableRow:
     return row | {"sequences": len(sequences), "interval": interval_label(len(sequences))}
 
 
-def _guessers(index: QuestionIndex) -> list[TableRow]:
+def _guessers(index: QuestionIndex) -> list[Line]:
     """Return the row of each guesser over all pairs of the store."""
     pairs, template = _pairs(index, np.arange(len(index.twins))), index.labels["template"]
     n = len(pairs)
