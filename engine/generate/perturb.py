@@ -9,18 +9,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Protocol, cast
 
-import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.choices import outcome
 from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.engine.generate.programs import Answer, Program, hops, later_times, move, shifts
 from jrdb_avr.queries.compiler.solve import CHANGES
-from jrdb_avr.schema.answer_modes import decode_answer, same_answer
+from jrdb_avr.schema.answer_modes import same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.plan import Condition, Edge, Plan
+from jrdb_avr.schema.plan import Edge
 from jrdb_avr.schema.questions import Proof
-from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
-from jrdb_avr.schema.templates import Template, TimeProof
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
 PROVING: Final = ("different", "ambiguous", "empty")
 """Outcomes of a perturbed program that certainly does not give the question's answer."""
@@ -30,13 +29,6 @@ BY_CONSTRUCTION: Final = "by construction"
 
 _WORST: Final = ("empty", "ambiguous", "unknown")
 """Outcomes of a program without an answer. If several branches fail, the first of these is the program's outcome."""
-
-Answer = str | FrameViewpoint
-
-
-def parse_answer(mode: str, text: str) -> Answer:
-    """Return a stored answer as programs return it: a start is decoded, a choice stays a text."""
-    return cast(FrameViewpoint, decode_answer(mode, text)) if mode == "frame_viewpoint" else text
 
 
 class NoAnswerError(Exception):
@@ -82,69 +74,6 @@ class Setting(NamedTuple):
     source: FactSource
     keyframes: Sequence[int]
     rules: Rules
-
-
-class Program(msgspec.Struct, frozen=True):
-    """A plan that can be run.
-
-    Attributes:
-        sequence: Name of the sequence.
-        conditions: Conditions of person a.
-        frame: Frame at which conditions and relations hold.
-        edges: Relations between the people.
-        target: Name of the person of whom the answer is read.
-        read: What is read, as in `AnswerSpec`.
-        times: Stated frames at which the answer is read.
-        action: Action whose start is the answer, or None.
-        join: Name of the person to whom two branches lead, or "".
-        moves: What the proofs about time move.
-        held: Track of person a, or None if the conditions find the person.
-    """
-
-    sequence: str
-    conditions: tuple[Condition, ...]
-    frame: int
-    edges: tuple[Edge, ...]
-    target: str
-    read: str
-    times: tuple[int, ...]
-    action: str | None
-    join: str
-    moves: TimeProof
-    held: int | None = None
-
-    @property
-    def nodes(self) -> list[str]:
-        """Names of the people in the order in which the relations reach them."""
-        return list(dict.fromkeys(("a", *(edge.target for edge in self.edges))))
-
-
-def make_program(sequence: str, plan: Plan, template: Template) -> Program:
-    """Make the program of a plan.
-
-    Args:
-        sequence: Name of the sequence.
-        plan: Plan of a question.
-        template: Template of the plan, in the form that the plan has.
-
-    Returns:
-        The program.
-    """
-    root = next(node for node in plan.nodes if node.id == plan.root)
-    stated = {name: time.frame for name, time in plan.times.items() if time.frame is not None}
-    actions = [time.action for name, time in plan.times.items() if name in plan.answer.times and time.event == "start"]
-    return Program(
-        sequence=sequence,
-        conditions=root.conditions,
-        frame=stated[template.described],
-        edges=plan.edges,
-        target=plan.target,
-        read=plan.answer.read,
-        times=tuple(stated[name] for name in plan.answer.times if name in stated),
-        action=actions[0] if actions else None,
-        join=plan.target if template.joins else "",
-        moves=template.time_proof,
-    )
 
 
 # -- running a program ------------------------------------------------------------------------------------------------
@@ -244,7 +173,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     return str(_known(CHANGES[program.read](first, second, rules)))
 
 
-def read_action(program: Program, label: str, source: FactSource) -> str:
+def compare_action(program: Program, label: str, source: FactSource) -> str:
     """Read whether the target of a program does an action.
 
     Args:
@@ -351,7 +280,7 @@ def prove_changes(
         begin = program.frame + frames(setting.rules.min_wait_s)
     for variant, shifted in shifts(moving, setting.keyframes, setting.rules):
         yield _prove("time.shift", variant, shifted, answer, setting)
-    moved = (_moved(moving, frame - min(_later(moving))) for frame in setting.keyframes if frame >= begin)
+    moved = (move(moving, frame - min(later_times(moving))) for frame in setting.keyframes if frame >= begin)
     yield _prove_drop(moved, answer, setting)
 
 
@@ -393,7 +322,7 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
         if isinstance(answer, FrameViewpoint):
             return _compare_starts(perturbed, answer, setting.source), None
         if perturbed.read == "action":
-            result = read_action(perturbed, answer, setting.source)
+            result = compare_action(perturbed, answer, setting.source)
             return result, answer if result == "same" else None
         again = run(perturbed, setting.source, setting.rules)
     except NoAnswerError as reason:
@@ -414,58 +343,3 @@ def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSour
         if near and could and frame - KEYFRAME_STEP not in certain:
             return "unknown"
     return "empty"
-
-
-def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
-    """Yield the programs that stop at an earlier person, then those without a hop.
-
-    Args:
-        program: Program of a question.
-
-    Yields:
-        The kind and the variant of the proof, and the program.
-    """
-    if not program.edges:
-        return
-    for place, node in enumerate(program.nodes[:-1]):
-        yield "hop.stop", str(place), replace(program, target=node)
-    for number, edge in enumerate(program.edges, start=1):
-        # To leave out the last hop of a path is to stop one person early. Of a join, each hop can be left out.
-        if program.join or edge.target != program.target:
-            yield "hop.skip", str(number), replace(program, edges=_without(program, edge))
-
-
-def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
-    """Return the edges without a hop. The hops after it begin at the person from whom it led."""
-    edges = (edge for edge in program.edges if edge is not skipped)
-    moves = skipped.target != program.target
-    return tuple(replace(e, source=skipped.source) if moves and e.source == skipped.target else e for e in edges)
-
-
-def shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
-    """Yield the programs with moved times.
-
-    Args:
-        moving: Program of a question.
-        keyframes: Keyframes of the sequence, in order.
-        rules: Thresholds.
-
-    Yields:
-        The variant of the proof, and the program, or None if a time is outside the sequence or before the description.
-    """
-    first = max(moving.frame + 1, keyframes[0]) if moving.moves == "times" else keyframes[0]
-    later = _later(moving)
-    for by in (-frames(rules.shift_s), frames(rules.shift_s)):
-        inside = min(later) + by >= first and max(later) + by <= keyframes[-1]
-        yield f"{by / FPS:+g} s", _moved(moving, by) if inside else None
-
-
-def _later(program: Program) -> list[int]:
-    """Return the frames that the proofs about time move."""
-    return [time for time in program.times if program.moves == "program" or time != program.frame]
-
-
-def _moved(program: Program, by: int) -> Program:
-    if program.moves == "program":
-        return replace(program, frame=program.frame + by, times=tuple(time + by for time in program.times))
-    return replace(program, times=tuple(time if time == program.frame else time + by for time in program.times))

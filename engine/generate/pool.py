@@ -25,13 +25,8 @@ from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.layer import Row
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
-from jrdb_avr.engine.generate.perturb import (
-    Answer,
-    MissingFactsError,
-    Program,
-    Setting,
-    iterate_proofs,
-)
+from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate_proofs
+from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of, propose, propose_presence
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
@@ -41,7 +36,7 @@ from jrdb_avr.schema.rules import frames
 from jrdb_avr.schema.templates import Template
 from jrdb_avr.schema.wording.text import implied_choices
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 EXAMPLES: Final = 100
 """Maximum number of examples of refused proposals per sequence, template and rule."""
@@ -194,7 +189,7 @@ def _moment(form: Template, row: Row) -> tuple[Any, ...]:
     return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
 
 
-def _take_some(groups: Iterable[Iterable[T]]) -> Iterator[T]:
+def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[_T]:
     """Yield all of the first groups that are not empty."""
     used = 0
     for group in groups:

@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, Row
-from jrdb_avr.engine.generate.perturb import Answer, Program, make_program, parse_answer
+from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values

@@ -22,18 +22,8 @@ from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import Layer, Row
-from jrdb_avr.engine.generate.perturb import (
-    NoAnswerError,
-    Program,
-    Setting,
-    find_tracks,
-    hops,
-    make_program,
-    match,
-    prove,
-    run,
-    shifts,
-)
+from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, find_tracks, match, prove, run
+from jrdb_avr.engine.generate.programs import Program, hops, make_program, shifts
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
 from jrdb_avr.engine.generate.stored_layer import LayerJob

@@ -40,8 +40,8 @@ from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FORMS
 
-Job = TypeVar("Job", bound=LayerJob)
-Result = TypeVar("Result")
+_Job = TypeVar("_Job", bound=LayerJob)
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, repr=False)
@@ -301,7 +301,7 @@ def _refusals(sequence: str, template: str, prover: Prover) -> list[Row]:
 # -- choice -----------------------------------------------------------------------------------------------------------
 
 
-class Selected(NamedTuple):
+class Chosen(NamedTuple):
     """Result of the selection.
 
     Attributes:
@@ -322,7 +322,7 @@ def _choose(
     choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[Row]]],
     make: Callable[[Sequence[Question]], tuple[pa.Table, dict[str, str]]],
     excluded: Collection[str],
-) -> Selected:
+) -> Chosen:
     """Select until all questions are confirmed and none is excluded."""
     made = COLUMNS.empty_table()
     faults: dict[Candidate, str] = {}
@@ -345,7 +345,7 @@ def _choose(
     unused = set(candidates).difference(one.candidate for one in selected)
     left = Counter((one.sequence, one.template, "unconfirmed" if one in faults else "selection") for one in unused)
     made = made.filter(pc.is_in(made["key"], pa.array(sorted(questions), pa.string())))
-    return Selected(made.sort_by("question_id"), report, left, sorted(faults.values()))
+    return Chosen(made.sort_by("question_id"), report, left, sorted(faults.values()))
 
 
 def _make(
@@ -363,10 +363,10 @@ def _make(
 
 
 def _map(
-    work: Callable[[Job], Result], jobs: Sequence[Job], workers: Executor, advance: Callable[[int], None]
-) -> list[Result]:
+    work: Callable[[_Job], _Result], jobs: Sequence[_Job], workers: Executor, advance: Callable[[int], None]
+) -> list[_Result]:
     """Let workers do all jobs; return the results in the order of the jobs."""
-    results: dict[int, Result] = {}
+    results: dict[int, _Result] = {}
     for index, result in map_sequences(work, jobs, workers, lambda job: job.weight):
         results[index] = result
         advance(1)

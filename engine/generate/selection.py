@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
 from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.layer import Row
 from jrdb_avr.engine.generate.levelling import level_choices, select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.rules import Rules
@@ -49,8 +50,6 @@ _CHANGE_QUOTA: Final = 350
 
 _LONG_RANGE_PARTS: Final = 3
 """The templates gap and consequence each have at most this part of their family's quota."""
-
-Row = dict[str, Any]
 
 
 def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int]) -> int:
