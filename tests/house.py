@@ -44,7 +44,6 @@ LANGUAGE_LATER = (
     "agent/policy/",
     "agent/reference/",
     "agent/simulated/",
-    "engine/generate/",
     "loaders/synthetic/",
     "queries/beliefs/",
     "queries/compiler/beliefs.py",

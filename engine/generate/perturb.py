@@ -113,13 +113,13 @@ def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
 
 
 def match(program: Program, source: FactSource) -> Fit:
-    """Find the people of whom all conditions of a program may hold, and of whom all certainly hold."""
+    """Find the people who may fit all conditions of a program, and those who certainly fit."""
     keys = [("match", program.sequence, condition, program.frame) for condition in program.conditions]
     return _overlap(source.ask([("people_at", program.sequence, program.frame), *keys]))
 
 
 def _step(program: Program, source: FactSource, people: dict[str, int], edges: Sequence[Edge]) -> int:
-    """Find the person to whom all of some edges lead. It is nobody of the people before."""
+    """Find the person at the end of some edges. The person differs from all earlier people."""
     keys = [("follow", program.sequence, edge.relation, people[edge.source], program.frame) for edge in edges]
     fit = _overlap(source.ask(keys))
     if edges[0].target == program.join:
@@ -139,7 +139,7 @@ def _overlap(fits: Sequence[Fit]) -> Fit:
 
 
 def _only(fit: Fit) -> int:
-    """Return the only person whom a fact fits. Raises NoAnswerError if there are several or none, or it is unknown."""
+    """Return the only person that a fact fits. Raise NoAnswerError if several, none, or unknown people fit."""
     if len(fit.certain) > 1:
         raise NoAnswerError("ambiguous")
     if not fit.could:
@@ -230,7 +230,7 @@ def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
 
 
 def iterate_proofs(program: Program, answer: Answer, setting: Setting) -> Iterator[Proof | None]:
-    """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
+    """Yield the proofs of a program one by one, None for one that lacks facts. See `prove` for the parameters."""
     people = find_tracks(program, setting.source)
     yield from prove_conditions(program, setting.source)
     yield from prove_changes(program, people, answer, setting)
@@ -275,7 +275,7 @@ def prove_changes(
         return
     moving, begin = program, setting.keyframes[0]
     if program.moves == "times":
-        # The person of whom the answer is read stays the same.
+        # The person that the answer is about stays the same.
         moving = replace(program, edges=(), target="a", held=people[program.target])
         begin = program.frame + frames(setting.rules.min_wait_s)
     for variant, shifted in shifts(moving, setting.keyframes, setting.rules):

@@ -130,7 +130,7 @@ class Prover:
         return proofs
 
     def _fits_one_view(self, proposal: Proposal) -> bool:
-        """Return whether one view shows everybody at t0, and the target when the answer is read."""
+        """Return whether one view shows all people at t0, and the target at the times of the answer."""
         needed = [(who, proposal.frames["t0"]) for who in proposal.people.values()]
         needed += [(proposal.target, proposal.frames[name]) for name in proposal.template.decisive if name != "t0"]
         boxes = [self._search.layer.boxes[one] for one in needed]
@@ -313,7 +313,7 @@ def _wrong_actions(search: Search, proposal: Proposal, frame: int) -> frozenset[
 
 
 _EVENTS: Final = ("start", "span", "start_view")
-"""Reads of which only one question may be about one start."""
+"""Reads that share a start. Only one question may be about a start."""
 
 
 def _event(search: Search, proposal: Proposal) -> str | None:

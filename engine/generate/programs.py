@@ -30,11 +30,11 @@ class Program(msgspec.Struct, frozen=True):
         conditions: Conditions of person a.
         frame: Frame at which conditions and relations hold.
         edges: Relations between the people.
-        target: Name of the person of whom the answer is read.
+        target: Name of the person that the answer is about.
         read: What is read, as in `AnswerSpec`.
         times: Stated frames at which the answer is read.
         action: Action whose start is the answer, or None.
-        join: Name of the person to whom two branches lead, or "".
+        join: Name of the person at the end of two branches, or "".
         moves: What the proofs about time move.
         held: Track of person a, or None if the conditions find the person.
     """
@@ -53,7 +53,7 @@ class Program(msgspec.Struct, frozen=True):
 
     @property
     def nodes(self) -> list[str]:
-        """Names of the people in the order in which the relations reach them."""
+        """Names of the people in the order of the relations."""
         return list(dict.fromkeys(("a", *(edge.target for edge in self.edges))))
 
 
@@ -105,7 +105,7 @@ def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
 
 
 def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
-    """Return the edges without a hop. The hops after it begin at the person from whom it led."""
+    """Return the edges without a hop. The hops after it begin at the person before it."""
     edges = (edge for edge in program.edges if edge is not skipped)
     moves = skipped.target != program.target
     return tuple(replace(e, source=skipped.source) if moves and e.source == skipped.target else e for e in edges)
@@ -135,6 +135,7 @@ def later_times(program: Program) -> list[int]:
 
 
 def move(program: Program, by: int) -> Program:
+    """Return a program with the frames of the proofs about time moved by a number of frames."""
     if program.moves == "program":
         return replace(program, frame=program.frame + by, times=tuple(time + by for time in program.times))
     return replace(program, times=tuple(time if time == program.frame else time + by for time in program.times))

@@ -209,7 +209,7 @@ def _needed(layer: Layer, node: str, track: int, frame: int, decisive: bool) -> 
 def _all_proofs(
     search: Search, proposal: Proposal, proofs: list[Proof], needed: tuple[NeededBox, ...]
 ) -> tuple[Proof, ...]:
-    """Return all proofs in the order in which questions store them."""
+    """Return all proofs in the order of the table `answers`."""
     own = proposal.answer
     x, w = np.array([box.x for box in needed]), np.array([box.w for box in needed])
     single = bool(views.single_view(x, w, search.rules.visible_share))

@@ -40,7 +40,7 @@ STAGES: Final = (
     *(("action_search",), ("span", "start"), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),
     *(("consequence",), ("later_action",), ("change",), ("distance",), ("presence",)),
 )
-"""Templates in the order of selection. Those that stand together share the quota of their family.
+"""Templates in the order of selection. Templates in one tuple share the quota of their family.
 
 As a person is in few questions, templates with few candidates come first.
 """
