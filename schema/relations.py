@@ -18,15 +18,6 @@ A hop leads to one person. Two joins together lead to one person. With count, th
 counted.
 """
 
-LAYER_OF_KIND: Final[dict[RelationKind, str]] = {
-    "social": "interactions",
-    "group": "groups",
-    "first": "2d",
-    "person": "3d",
-    "window": "2d",
-}
-"""Layer that decides whether a relation of the kind holds."""
-
 KINDS_OF_USE: Final[dict[Use, tuple[RelationKind, ...]]] = {
     "hop": ("social", "group", "first", "person"),
     "join": ("social", "group", "person", "window"),

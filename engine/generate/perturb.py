@@ -173,7 +173,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     return str(_known(CHANGES[program.read](first, second, rules)))
 
 
-def compare_action(program: Program, label: str, source: FactSource) -> str:
+def read_outcome(program: Program, label: str, source: FactSource) -> str:
     """Read whether the target of a program does an action.
 
     Args:
@@ -322,7 +322,7 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
         if isinstance(answer, FrameViewpoint):
             return _compare_starts(perturbed, answer, setting.source), None
         if perturbed.read == "action":
-            result = compare_action(perturbed, answer, setting.source)
+            result = read_outcome(perturbed, answer, setting.source)
             return result, answer if result == "same" else None
         again = run(perturbed, setting.source, setting.rules)
     except NoAnswerError as reason:

@@ -364,18 +364,6 @@ def poses_of(relation: str) -> tuple[str, ...]:
     return (POSES_OF_INTERACTIONS[relation],) if relation in POSES_OF_INTERACTIONS else ()
 
 
-def stated_actions(plan: Plan) -> tuple[str, ...]:
-    """Return the different actions that the words of a question name, sorted.
-
-    Args:
-        plan: Plan of the question.
-    """
-    actions = {action for node in plan.nodes for condition in node.conditions for action in actions_of(condition)}
-    actions |= {pose for edge in plan.edges for pose in poses_of(edge.relation)}
-    actions |= {time.action for time in plan.times.values() if time.action is not None}
-    return tuple(sorted(actions | set(poses_of(plan.answer.relation or ""))))
-
-
 def implied_choices(plan: Plan) -> frozenset[str]:
     """Return the actions that the words of a question state or imply. None of them is a choice of the question."""
     words = {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
