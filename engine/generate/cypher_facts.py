@@ -31,9 +31,8 @@ _BY_READS: Final = ("seen", "start")
 """Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
 
 
-K = TypeVar("K")
-T = TypeVar("T")
-Advance = Callable[[int], None]
+_K = TypeVar("_K")
+_T = TypeVar("_T")
 
 
 class CypherFacts:
@@ -75,11 +74,13 @@ class CypherFacts:
                 self._look_up(name, keys[first : first + AT_ONCE])
         self._noted.clear()
 
-    def complete(self, function: Callable[[], T]) -> T:
+    def complete(self, function: Callable[[], _T]) -> _T:
         """Call a function, and look up the facts that it lacks, until it returns a value. Return this value."""
         return self.complete_all({0: function})[0]
 
-    def complete_all(self, functions: Mapping[K, Callable[[], T]], advance: Advance = lambda count: None) -> dict[K, T]:
+    def complete_all(
+        self, functions: Mapping[_K, Callable[[], _T]], advance: Callable[[int], None] = lambda count: None
+    ) -> dict[_K, _T]:
         """Call functions until all have returned a value. Look up the facts that they lack together.
 
         Args:
@@ -89,7 +90,7 @@ class CypherFacts:
         Returns:
             The values by key.
         """
-        values: dict[K, T] = {}
+        values: dict[_K, _T] = {}
         while waiting := functions.keys() - values.keys():
             for key in waiting:
                 with contextlib.suppress(MissingFactsError):

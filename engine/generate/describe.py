@@ -23,7 +23,7 @@ from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import implied_by
 
 _WEAK: Final = ("sector", "distance")
-"""Kinds of conditions that do not describe a person by themselves, because they fit whoever comes by."""
+"""Kinds of conditions that do not describe a person by themselves, because they fit each person who comes by."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def conditions_json(conditions: tuple[Condition, ...]) -> str:
 
 
 def find_leads(facts: Facts, who: int, frame: int) -> dict[str, int]:
-    """Find the person to whom each relation leads.
+    """Find the person at the end of each relation.
 
     Args:
         facts: Facts of the sequence.

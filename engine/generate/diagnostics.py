@@ -1,6 +1,6 @@
-"""Explain the number of questions per template: candidates, the rules that refused them, and what the scenes lack.
+"""Reasons for the number of questions per template: candidates, refusals by rule, and missing layers.
 
-Computed from the published tables alone, so that `generate` and, at any later time, `stats` report the same.
+The commands `generate` and `stats` report the same, because all numbers come from published tables.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ RULES: Final = {
     "near_duplicate": "another candidate about the same person and nearly the same moment stays",
     "max_per_person": "the person has the maximum number of candidates of this template and answer",
 }
-"""Rules of the search with the reason why each refuses a candidate, in the order in which they are tried.
+"""Rules of the search, in the order of the trials, each with the reason for a refusal.
 
-The last two drop a candidate before the others are tried, so that nobody knows whether it can be proven."""
+The last two refuse candidates without a proof."""
 
 REASONS: Final = RULES | {
     "unconfirmed": "another program gives another result, which is a defect of the software",
     "selection": "a near-duplicate, a cap, the quota or a guesser's bound leaves it out",
 }
-"""All rules with the reason why each refuses a candidate. The rules after those of the search refuse proven ones."""
+"""All rules, each with the reason for a refusal. The rules after the search refuse proven candidates."""
 
 REFUSALS: Final = tuple(REASONS)
 
 _NAMED: Final = 2
-"""How many of the rules that refused most are named per template."""
+"""Number of named rules per template. They are the rules that refused most candidates."""
 
 Example = tuple[int, str, str | None]
 """Target, plan and detail of a refused candidate."""
@@ -69,7 +69,16 @@ def refusal_rows(
 
 
 def tallies(rejected: pa.Table, questions: pa.Table) -> list[dict[str, Any]]:
-    """A row per template: family, template, candidates, refused by each of RULES, proven, by the others, questions."""
+    """Count the candidates of each template.
+
+    Args:
+        rejected: Table `rejected`.
+        questions: Questions with their templates.
+
+    Returns:
+        A row per template: family, template, candidates, a column per rule of `RULES`, proven, a column per further
+        rule, and questions.
+    """
     counts = rejected.filter(pc.equal(rejected["kind"], "count")).select(["template", "rule", "candidates"])
     refused: Counter[tuple[str, str]] = Counter()
     for line in counts.to_pylist():
@@ -91,11 +100,18 @@ def shortfalls(
     sequences: int,
     selection: Sequence[Mapping[str, Any]] = (),
 ) -> list[dict[str, Any]]:
-    """A row per template: how far its candidates came, the rules that refused most of them, and why they are few.
+    """Explain the number of questions of each template.
 
-    `rows` are those of `tallies`; `lacking`: (template, layer) -> how many of `sequences` are without it; `selection`:
-    the report of `select`. `why` is a sentence where there are fewer than FEW questions and fewer than requested, where
-    balance leaves fewer than requested, or where sequences lack a layer, else None.
+    Args:
+        rows: Result of `tallies`.
+        lacking: Number of sequences without a layer, by template and layer.
+        sequences: Number of sequences.
+        selection: Report of `select`, or nothing.
+
+    Returns:
+        A row per template: family, template, candidates, proven, questions, the rules that refused most candidates, and
+        missing layers. The column `why` is a reason if the questions are fewer than requested, or fewer than `FEW`, or
+        if sequences lack a layer. Otherwise it is None.
     """
     found = []
     selected = {row["template"]: row for row in selection}
@@ -103,7 +119,7 @@ def shortfalls(
         name = row["template"]
         wanted, shortage = (selected.get(name, {}).get(column) for column in ("quota", "shortage"))
         ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
-        # The rules that refused most, and balance where it refused most of the proven candidates, or too many.
+        # The selection is named, too, if it refused most of the proven candidates, or too many.
         most = ranked[:_NAMED] + [
             rule for rule in ranked[_NAMED:] if rule == "selection" and (shortage or row[rule] > row["questions"])
         ]

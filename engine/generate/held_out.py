@@ -1,7 +1,7 @@
-"""Held-out questions: their people and times, which no question of a training set may touch.
+"""Held-out questions, with the people and times that no question of a training set may touch.
 
-Two questions touch when they need a person in common, in one sequence, and their times overlap. A question's time goes
-from the first to the last of its frames: those of the boxes it needs, of its plan's times, and of its answer.
+Two questions of a sequence touch if they need the same person and their times overlap. The time of a question
+extends from its first to its last frame. Its boxes, the times of its plan, and its answer have frames.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jrdb_avr.schema.tables import GENERATION_KEY
 
 
 class Extent(NamedTuple):
-    """The tracks that a question needs, and its first and last frame."""
+    """Tracks that a question needs, and its first and last frame."""
 
     tracks: tuple[int, ...]
     first: int
@@ -30,14 +30,24 @@ class Extent(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """Questions to keep away from: the mark of their generation, and their extents by sequence."""
+    """Held-out questions: the hash of their generation, and their extents by sequence."""
 
     generation: str
     extents: Mapping[str, Sequence[Extent]]
 
 
 def read_held_out(path: Path) -> HeldOut:
-    """The questions of the store at a path. Raises StoreError where they cannot be read."""
+    """Read the questions of a store as held-out questions.
+
+    Args:
+        path: Folder of the store.
+
+    Returns:
+        The held-out questions.
+
+    Raises:
+        StoreError: If the questions cannot be read.
+    """
     questions, answers = Store(path).question_tables("questions", "answers")
     private = {row["question_id"]: row for row in answers.to_pylist()}
     extents: dict[str, list[Extent]] = defaultdict(list)

@@ -164,7 +164,7 @@ def count_actions(facts: Facts) -> dict[int, Counter[str]]:
 
 
 def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tuple[int, int], int]:
-    """Add the moments of everybody; return their ids by track and frame."""
+    """Add the moments of all people; return their ids by track and frame."""
     facts, step = layer.facts, frames(rules.shift_s)
     tracks = sorted({who for people in facts.people.values() for who in people})
     ids, seen = {}, {}

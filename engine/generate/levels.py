@@ -83,7 +83,7 @@ class Level:
     """
 
     def __init__(self, candidates: Iterable[Candidate], counts: LabelCounts) -> None:
-        """Number the contexts of all candidates of a template that may be selected."""
+        """Make the level of a template. No question is selected yet."""
         candidates = list(candidates)
         names = {name for candidate in candidates for name, _ in candidate.contexts}
         self.fixed = not any(candidate.truth in CHOICE_LABELS for candidate in candidates)

@@ -9,18 +9,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Protocol, cast
 
-import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.facts import Fit, Key
+from jrdb_avr.engine.generate.programs import Answer, Program, hops, later_times, move, shifts
 from jrdb_avr.queries.compiler.reads import outcome_of_action
 from jrdb_avr.queries.compiler.solve import CHANGES
-from jrdb_avr.schema.answer_modes import decode_answer, same_answer
+from jrdb_avr.schema.answer_modes import same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.plan import Condition, Edge, Plan
+from jrdb_avr.schema.plan import Edge
 from jrdb_avr.schema.questions import Proof
-from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
-from jrdb_avr.schema.templates import Template, TimeProof
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
 PROVING: Final = ("different", "ambiguous", "empty")
 """Outcomes of a perturbed program that certainly does not give the question's answer."""
@@ -30,13 +29,6 @@ BY_CONSTRUCTION: Final = "by construction"
 
 _WORST: Final = ("empty", "ambiguous", "unknown")
 """Outcomes of a program without an answer. If several branches fail, the first of these is the program's outcome."""
-
-Answer = str | FrameViewpoint
-
-
-def parse_answer(mode: str, text: str) -> Answer:
-    """Return a stored answer as programs return it: a start is decoded, a choice stays a text."""
-    return cast(FrameViewpoint, decode_answer(mode, text)) if mode == "frame_viewpoint" else text
 
 
 class NoAnswerError(Exception):
@@ -84,69 +76,6 @@ class Setting(NamedTuple):
     rules: Rules
 
 
-class Program(msgspec.Struct, frozen=True):
-    """A plan that can be run.
-
-    Attributes:
-        sequence: Name of the sequence.
-        conditions: Conditions of person a.
-        frame: Frame at which conditions and relations hold.
-        edges: Relations between the people.
-        target: Name of the person of whom the answer is read.
-        read: What is read, as in `AnswerSpec`.
-        times: Stated frames at which the answer is read.
-        action: Action whose start is the answer, or None.
-        join: Name of the person to whom two branches lead, or "".
-        moves: What the proofs about time move.
-        held: Track of person a, or None if the conditions find the person.
-    """
-
-    sequence: str
-    conditions: tuple[Condition, ...]
-    frame: int
-    edges: tuple[Edge, ...]
-    target: str
-    read: str
-    times: tuple[int, ...]
-    action: str | None
-    join: str
-    moves: TimeProof
-    held: int | None = None
-
-    @property
-    def nodes(self) -> list[str]:
-        """Names of the people in the order in which the relations reach them."""
-        return list(dict.fromkeys(("a", *(edge.target for edge in self.edges))))
-
-
-def make_program(sequence: str, plan: Plan, template: Template) -> Program:
-    """Make the program of a plan.
-
-    Args:
-        sequence: Name of the sequence.
-        plan: Plan of a question.
-        template: Template of the plan, in the form that the plan has.
-
-    Returns:
-        The program.
-    """
-    root = next(node for node in plan.nodes if node.id == plan.root)
-    stated = {name: time.frame for name, time in plan.times.items() if time.frame is not None}
-    actions = [time.action for name, time in plan.times.items() if name in plan.answer.times and time.event == "start"]
-    return Program(
-        sequence=sequence,
-        conditions=root.conditions,
-        frame=stated[template.described],
-        edges=plan.edges,
-        target=plan.target,
-        read=plan.answer.read,
-        times=tuple(stated[name] for name in plan.answer.times if name in stated),
-        action=actions[0] if actions else None,
-        join=plan.target if template.joins else "",
-        moves=template.time_proof,
-    )
-
-
 # -- running a program ------------------------------------------------------------------------------------------------
 
 
@@ -184,13 +113,13 @@ def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
 
 
 def match(program: Program, source: FactSource) -> Fit:
-    """Find the people of whom all conditions of a program may hold, and of whom all certainly hold."""
+    """Find the people who may fit all conditions of a program, and those who certainly fit."""
     keys = [("match", program.sequence, condition, program.frame) for condition in program.conditions]
     return _overlap(source.ask([("people_at", program.sequence, program.frame), *keys]))
 
 
 def _step(program: Program, source: FactSource, people: dict[str, int], edges: Sequence[Edge]) -> int:
-    """Find the person to whom all of some edges lead. It is nobody of the people before."""
+    """Find the person at the end of some edges. The person differs from all earlier people."""
     keys = [("follow", program.sequence, edge.relation, people[edge.source], program.frame) for edge in edges]
     fit = _overlap(source.ask(keys))
     if edges[0].target == program.join:
@@ -210,7 +139,7 @@ def _overlap(fits: Sequence[Fit]) -> Fit:
 
 
 def _only(fit: Fit) -> int:
-    """Return the only person whom a fact fits. Raises NoAnswerError if there are several or none, or it is unknown."""
+    """Return the only person that a fact fits. Raise NoAnswerError if several, none, or unknown people fit."""
     if len(fit.certain) > 1:
         raise NoAnswerError("ambiguous")
     if not fit.could:
@@ -244,7 +173,7 @@ def run(program: Program, source: FactSource, rules: Rules) -> Answer:
     return str(_known(CHANGES[program.read](first, second, rules)))
 
 
-def compare_label(program: Program, label: str, source: FactSource) -> str:
+def read_outcome(program: Program, label: str, source: FactSource) -> str:
     """Read whether the target of a program does an action.
 
     Args:
@@ -301,7 +230,7 @@ def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
 
 
 def iterate_proofs(program: Program, answer: Answer, setting: Setting) -> Iterator[Proof | None]:
-    """Yield the proofs of a program one by one, None for one that lacks facts. Parameters are those of `prove`."""
+    """Yield the proofs of a program one by one, None for one that lacks facts. See `prove` for the parameters."""
     people = find_tracks(program, setting.source)
     yield from prove_conditions(program, setting.source)
     yield from prove_changes(program, people, answer, setting)
@@ -346,12 +275,12 @@ def prove_changes(
         return
     moving, begin = program, setting.keyframes[0]
     if program.moves == "times":
-        # The person of whom the answer is read stays the same.
+        # The person that the answer is about stays the same.
         moving = replace(program, edges=(), target="a", held=people[program.target])
         begin = program.frame + frames(setting.rules.min_wait_s)
     for variant, shifted in shifts(moving, setting.keyframes, setting.rules):
         yield _prove("time.shift", variant, shifted, answer, setting)
-    moved = (_moved(moving, frame - min(_later(moving))) for frame in setting.keyframes if frame >= begin)
+    moved = (move(moving, frame - min(later_times(moving))) for frame in setting.keyframes if frame >= begin)
     yield _prove_drop(moved, answer, setting)
 
 
@@ -393,7 +322,7 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
         if isinstance(answer, FrameViewpoint):
             return _compare_starts(perturbed, answer, setting.source), None
         if perturbed.read == "action":
-            result = compare_label(perturbed, answer, setting.source)
+            result = read_outcome(perturbed, answer, setting.source)
             return result, answer if result == "same" else None
         again = run(perturbed, setting.source, setting.rules)
     except NoAnswerError as reason:
@@ -414,58 +343,3 @@ def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSour
         if near and could and frame - KEYFRAME_STEP not in certain:
             return "unknown"
     return "empty"
-
-
-def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
-    """Yield the programs that stop at an earlier person, then those without a hop.
-
-    Args:
-        program: Program of a question.
-
-    Yields:
-        The kind and the variant of the proof, and the program.
-    """
-    if not program.edges:
-        return
-    for place, node in enumerate(program.nodes[:-1]):
-        yield "hop.stop", str(place), replace(program, target=node)
-    for number, edge in enumerate(program.edges, start=1):
-        # To leave out the last hop of a path is to stop one person early. Of a join, each hop can be left out.
-        if program.join or edge.target != program.target:
-            yield "hop.skip", str(number), replace(program, edges=_without(program, edge))
-
-
-def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
-    """Return the edges without a hop. The hops after it begin at the person from whom it led."""
-    edges = (edge for edge in program.edges if edge is not skipped)
-    moves = skipped.target != program.target
-    return tuple(replace(e, source=skipped.source) if moves and e.source == skipped.target else e for e in edges)
-
-
-def shifts(moving: Program, keyframes: Sequence[int], rules: Rules) -> Iterator[tuple[str, Program | None]]:
-    """Yield the programs with moved times.
-
-    Args:
-        moving: Program of a question.
-        keyframes: Keyframes of the sequence, in order.
-        rules: Thresholds.
-
-    Yields:
-        The variant of the proof, and the program, or None if a time is outside the sequence or before the description.
-    """
-    first = max(moving.frame + 1, keyframes[0]) if moving.moves == "times" else keyframes[0]
-    later = _later(moving)
-    for by in (-frames(rules.shift_s), frames(rules.shift_s)):
-        inside = min(later) + by >= first and max(later) + by <= keyframes[-1]
-        yield f"{by / FPS:+g} s", _moved(moving, by) if inside else None
-
-
-def _later(program: Program) -> list[int]:
-    """Return the frames that the proofs about time move."""
-    return [time for time in program.times if program.moves == "program" or time != program.frame]
-
-
-def _moved(program: Program, by: int) -> Program:
-    if program.moves == "program":
-        return replace(program, frame=program.frame + by, times=tuple(time + by for time in program.times))
-    return replace(program, times=tuple(time if time == program.frame else time + by for time in program.times))

@@ -25,13 +25,8 @@ from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.layer import Row
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
-from jrdb_avr.engine.generate.perturb import (
-    Answer,
-    MissingFactsError,
-    Program,
-    Setting,
-    iterate_proofs,
-)
+from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate_proofs
+from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of, propose, propose_presence
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
@@ -135,7 +130,7 @@ class Prover:
         return proofs
 
     def _fits_one_view(self, proposal: Proposal) -> bool:
-        """Return whether one view shows everybody at t0, and the target when the answer is read."""
+        """Return whether one view shows all people at t0, and the target at the times of the answer."""
         needed = [(who, proposal.frames["t0"]) for who in proposal.people.values()]
         needed += [(proposal.target, proposal.frames[name]) for name in proposal.template.decisive if name != "t0"]
         boxes = [self._search.layer.boxes[one] for one in needed]
@@ -318,7 +313,7 @@ def _wrong_actions(search: Search, proposal: Proposal, frame: int) -> frozenset[
 
 
 _EVENTS: Final = ("start", "span", "start_view")
-"""Reads of which only one question may be about one start."""
+"""Reads that share a start. Only one question may be about a start."""
 
 
 def _event(search: Search, proposal: Proposal) -> str | None:

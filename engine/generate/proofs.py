@@ -1,4 +1,4 @@
-"""The proofs that the template and the plan of a question require, and those of them that do not hold."""
+"""Proofs that the template and the plan of a question require."""
 
 from __future__ import annotations
 
@@ -23,7 +23,19 @@ ALWAYS: Final = (
 
 
 def expected(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]:
-    """Kind and variant of every proof that a question has. Raises PlanError for an unknown template."""
+    """Return the kind and the variant of each proof that a question has.
+
+    Args:
+        name: Name of the template.
+        plan: Plan of the question.
+        rules: Thresholds.
+
+    Returns:
+        Pairs of kind and variant.
+
+    Raises:
+        PlanError: If the template is unknown.
+    """
     conditions = [condition for node in plan.nodes for condition in node.conditions]
     proofs = {*ALWAYS, *(("anchor", f"without {condition.words}") for condition in conditions)}
     template = forms_of(name)[0]
@@ -38,7 +50,17 @@ def expected(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]:
 
 
 def failing(name: str, proofs: Iterable[Proof], rules: Rules) -> list[str]:
-    """Required proofs that do not hold: one of both time shifts is enough, as is one of a fork read at b and at c."""
+    """Return the required proofs that do not hold.
+
+    Args:
+        name: Name of the template.
+        proofs: Proofs of the question.
+        rules: Rule about time shifts.
+
+    Returns:
+        The kinds, with the variant if each variant must hold. One of both time shifts is enough. So is one of both
+        branches of a fork.
+    """
     template = forms_of(name)[0]
     groups: dict[str, list[bool]] = defaultdict(list)
     for proof in proofs:

@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, Row
-from jrdb_avr.engine.generate.perturb import Answer, Program, make_program, parse_answer
+from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.keyframes import keyframe_values
@@ -65,12 +65,12 @@ class Proposal:
 
     @property
     def target(self) -> int:
-        """Track of the person of whom the answer is read."""
+        """Track of the person that the answer is about."""
         return self.people[self.template.target]
 
     @property
     def read(self) -> tuple[int, ...]:
-        """Frames at which the answer is read."""
+        """Frames of the answer."""
         return tuple(self.frames[name] for name in self.template.read)
 
     @cached_property
@@ -179,7 +179,7 @@ def program_of(proposal: Proposal) -> tuple[Program, Answer]:
 
 
 def _fork_joins(search: Search, template: Template) -> Iterator[Row]:
-    """Yield the forks with the fourth person whom a relation of each branch singles out, but neither relation alone."""
+    """Yield the forks with the fourth person that both branches find together, but neither branch alone."""
     facts = search.layer.facts
     for row in search.rows(template.query):
         frame, apart = row["t0"], {row["a"], row["b"], row["c"]}
@@ -202,7 +202,7 @@ _WINDOWS: Final = tuple(label for label in RELATIONS_OF["join"] if RELATIONS[lab
 
 
 def _joining(search: Search, who: int, frame: int, apart: set[int]) -> dict[str, Fit]:
-    """Return the relations of a person that certainly hold of somebody and may hold of two people, some left out."""
+    """Return the relations of a person that certainly fit a person and may fit two, apart from some people."""
     facts, fits = search.layer.facts, {}
     held = [label for label in facts.relations_of(who, frame) if label in RELATIONS_OF["join"]]
     for label in (*held, *_WINDOWS):
@@ -217,7 +217,7 @@ _UNSEEN: Final = -1
 
 
 def _counts(search: Search) -> Iterator[Row]:
-    """Yield the people with whom a described person is in a relation, from keyframe to keyframe while that is known.
+    """Yield the people in a relation with a described person, from keyframe to keyframe until one is unknown.
 
     What lies between keyframes is left to the proof.
     """

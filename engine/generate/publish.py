@@ -23,7 +23,7 @@ from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 
 PUBLISHED: Final = ("evidence", "answers", "rejected", "sequences", "questions")
-"""The tables of a generation in the order in which they are moved in; `questions` last, it makes them valid."""
+"""Tables of a generation, in the order of their moves. The table `questions` comes last and makes them valid."""
 
 QUESTION_GROUP: Final = 1 << 12
 """Number of questions in a row group of a table. Each takes some kilobytes with its proofs."""

@@ -22,18 +22,8 @@ from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import Layer, Row
-from jrdb_avr.engine.generate.perturb import (
-    NoAnswerError,
-    Program,
-    Setting,
-    find_tracks,
-    hops,
-    make_program,
-    match,
-    prove,
-    run,
-    shifts,
-)
+from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, find_tracks, match, prove, run
+from jrdb_avr.engine.generate.programs import Program, hops, make_program, shifts
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
 from jrdb_avr.engine.generate.stored_layer import LayerJob
@@ -219,7 +209,7 @@ def _needed(layer: Layer, node: str, track: int, frame: int, decisive: bool) -> 
 def _all_proofs(
     search: Search, proposal: Proposal, proofs: list[Proof], needed: tuple[NeededBox, ...]
 ) -> tuple[Proof, ...]:
-    """Return all proofs in the order in which questions store them."""
+    """Return all proofs in the order of the table `answers`."""
     own = proposal.answer
     x, w = np.array([box.x for box in needed]), np.array([box.w for box in needed])
     single = bool(views.single_view(x, w, search.rules.visible_share))

@@ -40,8 +40,8 @@ from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FORMS
 
-Job = TypeVar("Job", bound=LayerJob)
-Result = TypeVar("Result")
+_Job = TypeVar("_Job", bound=LayerJob)
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, repr=False)
@@ -164,7 +164,7 @@ def generate(
 
 
 def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
-    """The questions to keep away from; none without a path."""
+    """Return the held-out questions, or none without a path."""
     if profile != TRAIN and (n is not None or disjoint_from is not None):
         raise InputError(f"a number of questions and held-out ones go with the profile {TRAIN!r}", field="profile")
     if n is not None and n < 1:
@@ -181,7 +181,7 @@ def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Pa
 
 
 def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> list[str]:
-    """The sequences to search. Raises StoreError where occlusion attributes are required and no sequence has them."""
+    """Return the sequences to search. Raise StoreError if all of them lack occlusion attributes that are required."""
     every, unclear = sorted(manifest.sequences), store.without_occlusion()
     if unclear:
         what = f"{len(unclear)} of {len(every)} sequences have no occlusion attributes"
@@ -196,7 +196,18 @@ def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> lis
 
 
 def check_load_rules(store: Store, rules: Rules) -> Manifest:
-    """The store's manifest. Raises StoreError where it was loaded under other load rules."""
+    """Return the manifest of a store.
+
+    Args:
+        store: Store.
+        rules: Rules of the generation.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        StoreError: If the store was loaded under other load rules.
+    """
     manifest = store.manifest()
     if manifest.load_rules_hash != rules_hash(rules.load):
         raise StoreError(
@@ -207,7 +218,15 @@ def check_load_rules(store: Store, rules: Rules) -> Manifest:
 
 
 def check_intervals(store: Store, manifest: Manifest) -> None:
-    """Raise StoreError where an interval file is not the one that was loaded."""
+    """Check that the interval files are unchanged since they were loaded.
+
+    Args:
+        store: Store.
+        manifest: Manifest of the store.
+
+    Raises:
+        StoreError: If an interval file is missing or was changed.
+    """
     for entry in manifest.sequences.values():
         for name, digest in entry.tables.items():
             path = store.path / name
@@ -363,10 +382,10 @@ def _make(
 
 
 def _map(
-    work: Callable[[Job], Result], jobs: Sequence[Job], workers: Executor, advance: Callable[[int], None]
-) -> list[Result]:
+    work: Callable[[_Job], _Result], jobs: Sequence[_Job], workers: Executor, advance: Callable[[int], None]
+) -> list[_Result]:
     """Let workers do all jobs; return the results in the order of the jobs."""
-    results: dict[int, Result] = {}
+    results: dict[int, _Result] = {}
     for index, result in map_sequences(work, jobs, workers, lambda job: job.weight):
         results[index] = result
         advance(1)

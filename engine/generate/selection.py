@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
 from jrdb_avr.engine.generate.hashes import hash_of
+from jrdb_avr.engine.generate.layer import Row
 from jrdb_avr.engine.generate.levelling import level_choices, select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.rules import Rules
@@ -39,7 +40,7 @@ STAGES: Final = (
     *(("action_search",), ("span", "start"), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),
     *(("consequence",), ("later_action",), ("change",), ("distance",), ("presence",)),
 )
-"""Templates in the order of selection. Those that stand together share the quota of their family.
+"""Templates in the order of selection. Templates in one tuple share the quota of their family.
 
 As a person is in few questions, templates with few candidates come first.
 """
@@ -49,8 +50,6 @@ _CHANGE_QUOTA: Final = 350
 
 _LONG_RANGE_PARTS: Final = 3
 """The templates gap and consequence each have at most this part of their family's quota."""
-
-_Row = dict[str, Any]
 
 
 def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int]) -> int:
@@ -76,7 +75,7 @@ def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int
 
 def select(
     pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, rules: Rules, profile: str, n: int | None = None
-) -> tuple[list[Question], list[_Row]]:
+) -> tuple[list[Question], list[Row]]:
     """Select the questions of all templates.
 
     Args:
@@ -93,7 +92,7 @@ def select(
     quotas, taken = PROFILES[profile], Taken(rules)
     dealt = {} if quotas else _deal(pool, taken, n)
     questions: list[Question] = []
-    rows: dict[str, _Row] = {}
+    rows: dict[str, Row] = {}
     for names in STAGES:
         candidates = [one for name in names for one in (pool if quotas else dealt).get(name, ())]
         quota = shortage = None
@@ -167,7 +166,7 @@ def _report(
     questions: Sequence[Question],
     shortage: str | None,
     counts: LabelCounts,
-) -> _Row:
+) -> Row:
     form = forms_of(template)[0]
     offers = [offer_of(question, counts) for question in questions] if form.answer is None else []
     return {

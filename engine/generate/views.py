@@ -1,4 +1,4 @@
-"""Visibility of boxes in crops: in the forward view, in any one view, and the fewest crops that show all.
+"""Visibility of boxes in crops: in the forward view, in any single view, and in as few crops as possible.
 
 The functions take arrays of boxes in stitched pixels.
 """
@@ -20,7 +20,16 @@ AHEAD_DEG: Final = 180.0
 
 
 def shares(x: Floats, w: Floats, left: float | Floats) -> Floats:
-    """Share, [0, 1], of each box's width inside the crop whose left column is `left`; 0 for a box without width."""
+    """Return the share of each box's width inside a crop.
+
+    Args:
+        x: Left columns of the boxes.
+        w: Widths of the boxes.
+        left: Left column of the crop.
+
+    Returns:
+        The shares, 0 to 1. The share of a box without width is 0.
+    """
     center = (x + w / 2 - left - CROP / 2 + WIDTH / 2) % WIDTH - WIDTH / 2 + CROP / 2
     seen = np.minimum(center - w / 2 + w, float(CROP)) - np.maximum(center - w / 2, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -29,12 +38,30 @@ def shares(x: Floats, w: Floats, left: float | Floats) -> Floats:
 
 
 def ahead(x: Floats, w: Floats, share: float) -> np.ndarray:
-    """Whether at least `share` of each box lies inside the view straight ahead."""
+    """Return whether the view straight ahead shows at least a share of each box's width.
+
+    Args:
+        x: Left columns of the boxes.
+        w: Widths of the boxes.
+        share: Minimum share, 0 to 1.
+
+    Returns:
+        A truth value per box.
+    """
     return shares(x, w, crop_left(AHEAD_DEG)) >= share
 
 
 def single_view(x: Floats, w: Floats, share: float) -> bool:
-    """Whether one angle shows at least `share` of every one of these boxes."""
+    """Return whether a single angle shows at least a share of each box's width.
+
+    Args:
+        x: Left columns of the boxes.
+        w: Widths of the boxes.
+        share: Minimum share, 0 to 1.
+
+    Returns:
+        Whether such an angle exists.
+    """
     if len(x) == 0:
         return True
     # The best view has some box exactly as far inside as it must be; crops start at whole columns, so the columns
@@ -46,13 +73,18 @@ def single_view(x: Floats, w: Floats, share: float) -> bool:
 
 
 def min_crops_of_frame(centers: Iterable[float]) -> int:
-    """The fewest crops that show at least half of the width of every box of one frame.
+    """Count the crops that are needed to show at least half of the width of each box of a frame.
 
-    `centers` are the boxes' centre columns, any value, wrapped. A crop begins at a whole column and shows at least
-    half of a box exactly where the box's centre lies inside it or on its edge, as long as the box is at most two crops
-    wide. So the task is to cover points on a circle by closed arcs. Every arc of a cover may be turned
-    clockwise until it begins at one of its points, and from there on each next arc best begins at the first point that
-    is still missing: trying each point as the first gives the fewest.
+    A crop begins at a whole column. A box is at most two crops wide, so that a crop shows half of the box if the box's
+    centre is inside the crop or on its edge. So the task is to cover points on a circle by closed arcs. Each arc of a
+    cover can be turned clockwise until it begins at a point. Then the next arc best begins at the first missing point.
+    So it is enough to try each point as the first one.
+
+    Args:
+        centers: Centre columns of the boxes. They wrap around.
+
+    Returns:
+        The smallest number of crops.
     """
     points = sorted({center % WIDTH % WIDTH for center in centers})
     turned = points + [point + WIDTH for point in points]
@@ -60,7 +92,7 @@ def min_crops_of_frame(centers: Iterable[float]) -> int:
 
 
 def _arcs(points: Sequence[float], first: int, end: int) -> int:
-    """Arcs that hold the points from `first` to before `end`, each begun at the first that is missing."""
+    """Count the arcs over the points from `first` to before `end`. Each arc begins at the first missing point."""
     count = 0
     while first < end:
         first = bisect_right(points, math.floor(points[first]) + CROP)
@@ -69,7 +101,14 @@ def _arcs(points: Sequence[float], first: int, end: int) -> int:
 
 
 def min_crops(boxes: Iterable[tuple[int, float, float]]) -> int:
-    """The fewest looks that show every box: (frame, left edge, width) each; a look shows one crop of one frame."""
+    """Count the looks that are needed to show all boxes. A look shows one crop of one frame.
+
+    Args:
+        boxes: Frame, left column and width of each box.
+
+    Returns:
+        The smallest number of looks.
+    """
     frames: dict[int, list[float]] = {}
     for frame, x, w in boxes:
         frames.setdefault(frame, []).append(x + w / 2)

@@ -15,18 +15,16 @@ import numpy as np
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.perturb import (
-    Answer,
     FactSource,
     MissingFactsError,
     NoAnswerError,
-    Program,
     Setting,
     find_tracks,
-    make_program,
     prove_changes,
     prove_conditions,
     require_all,
 )
+from jrdb_avr.engine.generate.programs import Answer, Program, make_program
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader

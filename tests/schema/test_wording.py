@@ -546,7 +546,7 @@ def test_identities_change_with_every_part():
     assert len(ids) == 7 and all(len(value) == 16 for value in ids)
 
 
-def test_stated_words_and_frames():
+def test_stated_frames():
     plan = make_plan("start", [Condition(action="sitting", at="t0")], [150], ["typing"])
     assert {"sitting", "typing"} <= wording.implied_choices(plan)
     assert wording.stated_frames(plan) == (150,)
@@ -573,7 +573,7 @@ POSE_WORDS = {
 
 @settings(max_examples=examples(25))
 @given(plans(), KEYS)
-def test_a_pose_that_the_text_names_is_no_choice(case, key):
+def test_a_pose_that_the_text_names_is_among_the_implied_actions(case, key):
     form, plan = case
     text = render(template_of(form), plan, key)
     named = {pose for pose, words in POSE_WORDS.items() if re.search(rf"\b({words})\b", text)}

@@ -112,7 +112,9 @@ def make_all(store, sequence, rules, candidates, counts):
     with worked(store, sequence, rules):
         for template in dict.fromkeys(one.template for one in candidates):
             own = [one for one in candidates if one.template == template]
-            asked = level_choices(own, level, rules) if FORMS[template][0].asks_action else None
+            # Alone, each candidate stays.
+            leveled = (level_choices([one], level, rules) for one in own if FORMS[template][0].asks_action)
+            asked = list(itertools.chain.from_iterable(leveled))
             asked = tuple(asked or [Question(one, tuple(sorted(one.wrong))) for one in own])
             table, found = question.make_questions(question.QuestionJob(store.path, sequence, 0, rules, asked))
             rows += [row | {"truth": one.candidate.truth} for row, one in zip(table.to_pylist(), asked, strict=True)]

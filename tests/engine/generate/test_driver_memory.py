@@ -16,7 +16,8 @@ from random_worlds import lively_world
 
 from jrdb_avr.engine.generate import run
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.question import COLUMNS, key_of
+from jrdb_avr.engine.generate.question import COLUMNS
+from jrdb_avr.engine.generate.stored_layer import LayerJob
 from jrdb_avr.queries.manifest import SequenceEntry
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
@@ -55,7 +56,7 @@ def publish_copies(path, found, row, names):
         for name in names:
             if not (folder / f"{name}.parquet").exists():
                 (folder / f"{name}.parquet").symlink_to(f"{NAME}.parquet")
-    run.ensure_layer = lambda *_: dict.fromkeys(names, 0)
+    run.ensure_layer = lambda store, rules, *_: [LayerJob(store.path, name, 0, rules) for name in names]
     run.hold_graph = lambda *_: contextlib.nullcontext()
     run.search_sequence = lambda job: copied(found, job.sequence)
     run.make_questions = lambda job: (made(job, row), {})
@@ -66,7 +67,7 @@ def publish_copies(path, found, row, names):
 
 def made(job, row):
     """Questions that differ in their ids only."""
-    own = [(key_of(one.question), one.question.candidate) for one in job.chosen]
+    own = [(one.key, one.candidate) for one in job.questions]
     rows = [
         row | {"key": key, "question_id": f"{hash_of(key):016x}", "sequence": one.sequence, "template": one.template}
         for key, one in own
@@ -77,9 +78,6 @@ def made(job, row):
 def copied(found, name):
     """The result as of a sequence of another name."""
     candidates = run._CANDIDATES.decode(found.pool)
-    own = [
-        one._replace(candidate=one.candidate._replace(sequence=name, key=f"{name} {one.candidate.key}"))
-        for one in candidates
-    ]
+    own = [one._replace(sequence=name, key=f"{name} {one.key}") for one in candidates]
     refused = [{**row, "sequence": name} for row in found.refused]
     return found._replace(head={**found.head, "sequence": name}, pool=msgspec.msgpack.encode(own), refused=refused)
