@@ -1,7 +1,6 @@
 """The question templates: one row each, with plan, layers, proofs and words.
 
-To add a template, add a row here and its search, a file of `queries/generators`. `docs/architecture.md` has the whole
-list, under "Add".
+To add a template, see "Add" in `docs/architecture.md`.
 
 In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people along a path are called
 A, B, C and D, and `{says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`), `{Says1}`
@@ -244,8 +243,7 @@ _ROWS: Final = (
         (
             f"Find {{who}} at {{t0}}. Which of these is that person doing at {{t1}}? {_ONE}",
             f"At {{t0}}, find {{who}}. Which of these is this person doing later, at {{t1}}? {_ONE}",
-            "Consider {who} at {t0}. When the video has reached {t1}, which of these is that person doing? "
-            f"{_ONE}",
+            "Consider {who} at {t0}. When the video has reached {t1}, which of these is that person doing? " + _ONE,
         ),
         stated=("t0", "t1"),
         time_proof="times",

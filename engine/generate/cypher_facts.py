@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeVar
 
 from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
-from jrdb_avr.engine.generate.perturb import MissingFactsError
+from jrdb_avr.engine.generate.programs import MissingFactsError
 from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
 from jrdb_avr.queries.graph.handle import Graph

@@ -39,7 +39,7 @@ _TYPES: Final = {
     "DOUBLE": pa.float64(),
 }
 
-Row = dict[str, Any]
+TableRow = dict[str, Any]
 
 
 @dataclass
@@ -60,10 +60,10 @@ class Layer:
     """
 
     facts: Facts
-    rows: dict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
+    rows: dict[str, list[TableRow]] = field(default_factory=lambda: defaultdict(list))
     names: dict[int, tuple[Condition, ...]] = field(default_factory=dict)
-    segments: dict[int, Row] = field(default_factory=dict)
-    boxes: Mapping[tuple[int, int], Row] = field(default_factory=dict)
+    segments: dict[int, TableRow] = field(default_factory=dict)
+    boxes: Mapping[tuple[int, int], TableRow] = field(default_factory=dict)
     images: frozenset[int] = frozenset()
     present: frozenset[str] = frozenset()
     length: int = 0
@@ -202,7 +202,7 @@ def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tu
     return ids
 
 
-def _add_segments(layer: Layer, sequence: str, segments: Iterable[Row], low: int) -> None:
+def _add_segments(layer: Layer, sequence: str, segments: Iterable[TableRow], low: int) -> None:
     some = [row for row in segments if row["action"] in ACTIONS]
     some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
     for number, row in enumerate(some, start=low):

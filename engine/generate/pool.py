@@ -22,16 +22,10 @@ from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
-from jrdb_avr.engine.generate.layer import Row
+from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.near_duplicates import near_frames
-from jrdb_avr.engine.generate.perturb import (
-    Answer,
-    MissingFactsError,
-    Program,
-    iterate_proofs,
-    make_program,
-    parse_answer,
-)
+from jrdb_avr.engine.generate.perturb import iterate_proofs
+from jrdb_avr.engine.generate.programs import Answer, MissingFactsError, Program, make_program, parse_answer
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, propose, propose_presence
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
@@ -146,7 +140,7 @@ class Entry(NamedTuple):
 
     candidate: Candidate
     form: str
-    row: Row
+    row: TableRow
 
 
 def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list[Entry]:
@@ -167,7 +161,7 @@ def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list
 def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
     """Yield one candidate for each person, time and true answer: the first proven one in the order of a hash."""
     (form,) = forms
-    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    moments: dict[tuple[Any, ...], list[TableRow]] = defaultdict(list)
     for row in propose(search, form):
         moments[_moment(form, row)].append(row)
     for rows in moments.values():
@@ -180,8 +174,8 @@ def _fill_described(search: Search, forms: Sequence[Template], prover: Prover) -
     Time twins have equal descriptions, so that some descriptions need all their times.
     """
     (form,) = forms
-    described: dict[int, dict[tuple[Any, ...], list[Row]]] = defaultdict(lambda: defaultdict(list))
-    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    described: dict[int, dict[tuple[Any, ...], list[TableRow]]] = defaultdict(lambda: defaultdict(list))
+    moments: dict[tuple[Any, ...], list[TableRow]] = defaultdict(list)
     for row in propose(search, form):
         described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
         moments[_moment(form, row)].append(row)
@@ -199,12 +193,12 @@ def _fill_described(search: Search, forms: Sequence[Template], prover: Prover) -
         yield from _prove_first(search, form, rows, prover)
 
 
-def _moment(form: Template, row: Row) -> tuple[Any, ...]:
+def _moment(form: Template, row: TableRow) -> tuple[Any, ...]:
     """Return the person, the time asked and the true answer of a row."""
     return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
 
 
-def _prove_first(search: Search, form: Template, rows: Iterable[Row], prover: Prover) -> Iterator[Entry]:
+def _prove_first(search: Search, form: Template, rows: Iterable[TableRow], prover: Prover) -> Iterator[Entry]:
     """Yield the first proven candidate of some rows in the order of a hash, after a few tries at most."""
     tries = 0
     for row in sorted(rows, key=lambda row: _rank(search, row)):
@@ -234,7 +228,9 @@ def _fill_presence(search: Search, forms: Sequence[Template], prover: Prover) ->
                 break
 
 
-def _prove_pairs(search: Search, form: Template, row: Row, pairs: Iterable[Row], prover: Prover) -> Iterator[Entry]:
+def _prove_pairs(
+    search: Search, form: Template, row: TableRow, pairs: Iterable[TableRow], prover: Prover
+) -> Iterator[Entry]:
     near = near_frames(form.name, search.rules)
     kept: dict[str, list[tuple[int, int]]] = defaultdict(list)
     for pair in sorted(pairs, key=lambda pair: _rank(search, row | pair)):
@@ -248,7 +244,7 @@ def _prove_pairs(search: Search, form: Template, row: Row, pairs: Iterable[Row],
 
 def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Entry]:
     """Yield candidates in the order of their keys, but none that reads the same as one before it."""
-    groups: dict[tuple[int, str], list[tuple[Proposal, Row]]] = defaultdict(list)
+    groups: dict[tuple[int, str], list[tuple[Proposal, TableRow]]] = defaultdict(list)
     for form in forms:
         for row in propose(search, form):
             proposal = make_proposal(search, form, row)
@@ -266,7 +262,7 @@ def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iter
                 yield Entry(candidate, proposal.template.query, row)
 
 
-def _prove(search: Search, form: Template, row: Row, prover: Prover) -> Entry | None:
+def _prove(search: Search, form: Template, row: TableRow, prover: Prover) -> Entry | None:
     """Return the candidate of a row, or None if it lacks wrong choices or a proof does not hold."""
     proposal = make_proposal(search, form, row)
     candidate = make_candidate(search, proposal)
@@ -284,7 +280,7 @@ _FILLS: Final[dict[str, Callable[[Search, Sequence[Template], Prover], Iterator[
 }
 
 
-def _rank(search: Search, row: Row) -> int:
+def _rank(search: Search, row: TableRow) -> int:
     """Return the hash that decides among rows. It does not depend on the place of the sequence in the data."""
     number = row["name"] - min(search.layer.names)
     return hash_of(search.sequence, number, [row.get(key) for key in _ROW_KEYS])

@@ -20,7 +20,7 @@ from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.diagnostics import refusal_rows, shortfalls, tallies
 from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.held_out import Extent, HeldOut, read_held_out
-from jrdb_avr.engine.generate.layer import Row, count_actions
+from jrdb_avr.engine.generate.layer import TableRow, count_actions
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Search
 from jrdb_avr.engine.generate.publish import publish, question_tables
@@ -229,7 +229,7 @@ class SearchJob(LayerJob):
     held_out: tuple[Extent, ...] = ()
 
 
-class Entry(NamedTuple):
+class _Entry(NamedTuple):
     """A candidate of the pool, with the form and the encoded row that make its proposal again."""
 
     candidate: Candidate
@@ -237,24 +237,24 @@ class Entry(NamedTuple):
     row: msgspec.Raw
 
 
-_ENTRIES: Final = msgspec.msgpack.Decoder(list[Entry])
+_ENTRIES: Final = msgspec.msgpack.Decoder(list[_Entry])
 
 
 class Found(NamedTuple):
     """Result of the search of one sequence.
 
     Attributes:
-        head: Row of the table `sequences`.
-        pool: Proven candidates, encoded as a list of `Entry`.
+        head: TableRow of the table `sequences`.
+        pool: Proven candidates, encoded as a list of `_Entry`.
         counts: Number of people in clear view who certainly do each action, by keyframe.
         refused: Rows of the table `rejected`.
         lacking: Missing layers of each template that was not searched.
     """
 
-    head: Row
+    head: TableRow
     pool: bytes
     counts: dict[int, Counter[str]]
-    refused: list[Row]
+    refused: list[TableRow]
     lacking: dict[str, tuple[str, ...]]
 
 
@@ -279,7 +279,7 @@ def search_sequence(job: SearchJob) -> Found:
     frames = store.interval("frames", job.sequence).sort_by("frame")
     frames = frames.filter(frames["image" if "images" in head["layers"] else "annotated"])["frame"].to_pylist()
     own = {"sequence": job.sequence, "fps": head["fps"], "frame_count": head["frame_count"], "frames": frames}
-    pool, refused, lacking = [], list[Row](), {}
+    pool, refused, lacking = [], list[TableRow](), {}
     with open_worker_graph(store.graph_path) as graph:
         search = Search(graph, job.sequence, job.layer(graph), job.rules)
         cypher = CypherFacts(graph, job.rules.load)
@@ -295,8 +295,8 @@ def search_sequence(job: SearchJob) -> Found:
     return Found(own, msgspec.msgpack.encode(pool), count_actions(search.layer.facts), refused, lacking)
 
 
-def _refusals(sequence: str, template: str, prover: Prover) -> list[Row]:
-    rows: list[Row] = []
+def _refusals(sequence: str, template: str, prover: Prover) -> list[TableRow]:
+    rows: list[TableRow] = []
     for rule, count in prover.counts.items():
         examples = [(one.target, canonical(one.plan), detail) for one, detail in prover.examples[rule]]
         rows += refusal_rows(sequence, template, rule, count, examples)
@@ -315,28 +315,28 @@ def _search(jobs: Sequence[SearchJob], workers: Executor, advance: Callable[[int
 # -- choice -----------------------------------------------------------------------------------------------------------
 
 
-class Selected(NamedTuple):
+class Confirmed(NamedTuple):
     """Result of the selection.
 
     Attributes:
         questions: The questions in the columns of `question.COLUMNS`.
-        report: Row of each template, as `select` returns it.
+        report: TableRow of each template, as `select` returns it.
         left: Number of proven candidates that are not selected, by sequence, template and rule.
         faults: Candidates that are not confirmed, by template and key.
     """
 
     questions: pa.Table
-    report: list[Row]
+    report: list[TableRow]
     left: Counter[tuple[str, str, str]]
     faults: dict[tuple[str, str], Fault]
 
 
 def _choose(
-    entries: Iterable[Entry],
-    choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[Row]]],
+    entries: Iterable[_Entry],
+    choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[TableRow]]],
     make: Callable[[Sequence[Chosen]], tuple[pa.Table, dict[str, Fault]]],
     excluded: Collection[str],
-) -> Selected:
+) -> Confirmed:
     """Select until all questions are confirmed and none is excluded."""
     pool = {(entry.candidate.template, entry.candidate.key): entry for entry in entries}
     made = COLUMNS.empty_table()
@@ -364,14 +364,14 @@ def _choose(
     for name in pool.keys() - set(names.values()):
         left[pool[name].candidate.sequence, name[0], "unconfirmed" if name in faults else "selection"] += 1
     made = made.filter(pc.is_in(made["key"], value_set=pa.array(sorted(questions), pa.string())))
-    return Selected(made.sort_by("question_id"), report, left, faults)
+    return Confirmed(made.sort_by("question_id"), report, left, faults)
 
 
-def _chosen(question: Question, entry: Entry) -> Chosen:
+def _chosen(question: Question, entry: _Entry) -> Chosen:
     return Chosen(question, entry.form, msgspec.msgpack.decode(entry.row))
 
 
-def _left_out(selected: Selected) -> Iterator[Row]:
+def _left_out(selected: Confirmed) -> Iterator[TableRow]:
     """Yield the rows of the table `rejected` for proven candidates that are not selected."""
     for place, count in sorted(selected.left.items()):
         yield from refusal_rows(*place, count)

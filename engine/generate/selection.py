@@ -52,7 +52,7 @@ _CHANGE_QUOTA: Final = 350
 _LONG_RANGE_PARTS: Final = 3
 """The templates gap and consequence each have at most this part of their family's quota."""
 
-Row = dict[str, Any]
+_Row = dict[str, Any]
 
 
 def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int]) -> int:
@@ -78,7 +78,7 @@ def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int
 
 def select(
     pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, rules: Rules, profile: str, n: int | None = None
-) -> tuple[list[Question], list[Row]]:
+) -> tuple[list[Question], list[_Row]]:
     """Select the questions of all templates.
 
     Args:
@@ -111,9 +111,9 @@ def select(
 
 def _select_quotas(
     pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, taken: Taken, quotas: Mapping[str, int]
-) -> tuple[list[Question], list[Row]]:
+) -> tuple[list[Question], list[_Row]]:
     questions: list[Question] = []
-    rows: dict[str, Row] = {}
+    rows: dict[str, _Row] = {}
     sequences = len(counts.present)
     for templates in _TOGETHER:
         quota = quotas[FAMILIES[templates[0]]]
@@ -185,7 +185,7 @@ def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) 
 
 def _report(
     template: str, quota: int | None, candidates: Sequence[Candidate], selected: Selected, counts: LabelCounts
-) -> Row:
+) -> _Row:
     questions = selected.questions
     shortage = selected.shortage if candidates else f"nowhere is it certain that {forms_of(template)[0].seeks}"
     offers = [offer_of(question, counts) for question in questions] if template in ORDER else []

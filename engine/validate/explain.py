@@ -16,7 +16,8 @@ import msgspec
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Key
-from jrdb_avr.engine.generate.perturb import NoAnswerError, require_all
+from jrdb_avr.engine.generate.perturb import require_all
+from jrdb_avr.engine.generate.programs import NoAnswerError
 from jrdb_avr.engine.validate.checks import read_records
 from jrdb_avr.engine.validate.replay import StoredPlan, iterate_stored_proofs, read_plans
 from jrdb_avr.engine.validate.validation import Validation

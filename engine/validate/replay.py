@@ -13,7 +13,8 @@ import numpy as np
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.perturb import (
+from jrdb_avr.engine.generate.perturb import prove_changes, prove_conditions, require_all
+from jrdb_avr.engine.generate.programs import (
     Answer,
     FactSource,
     MissingFactsError,
@@ -21,9 +22,6 @@ from jrdb_avr.engine.generate.perturb import (
     Program,
     find_tracks,
     make_program,
-    prove_changes,
-    prove_conditions,
-    require_all,
 )
 from jrdb_avr.queries.compiler.find import compile_find
 from jrdb_avr.queries.compiler.mapping import SCENE

@@ -19,8 +19,9 @@ from jrdb_avr.engine.generate.choice_levels import level_choices
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.layer import read_layer
-from jrdb_avr.engine.generate.perturb import make_program, parse_answer, prove
+from jrdb_avr.engine.generate.perturb import prove
 from jrdb_avr.engine.generate.pool import Prover
+from jrdb_avr.engine.generate.programs import make_program, parse_answer
 from jrdb_avr.engine.generate.propose import Search, make_proposal, propose, propose_presence
 from jrdb_avr.engine.generate.run import SearchJob, search_sequence
 from jrdb_avr.engine.generate.stored_layer import LayerJob, layer_jobs

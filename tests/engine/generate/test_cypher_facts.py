@@ -9,7 +9,7 @@ from worlds import load_world
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Facts
-from jrdb_avr.engine.generate.perturb import MissingFactsError
+from jrdb_avr.engine.generate.programs import MissingFactsError
 from jrdb_avr.loaders.intervals import neighbors
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.relations import FIRST_LEFT, QUESTION_RELATIONS, RELATIONS
