@@ -1,8 +1,8 @@
-"""Descriptions of people, and the people to whom relations lead.
+"""Descriptions of people, and the targets of relations.
 
 A description is a set of few conditions that are certain of one person at a keyframe and exclude each other person in
 that frame. The shortest set is the best one. Among equally short sets the order of kinds in the rules decides, then a
-hash. A second description is the best one of those whose words imply the fewest actions, so that more actions can be
+hash. The words of a second description imply the fewest actions, so that more actions can be
 choices of a question.
 """
 
@@ -23,7 +23,7 @@ from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import implied_by
 
 _WEAK: Final = ("sector", "distance")
-"""Kinds of conditions that do not describe a person by themselves, because they fit whoever comes by."""
+"""Kinds of conditions that do not describe a person by themselves, because they fit each person who comes by."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) ->
         rules: Order of kinds, and the maximum number of conditions.
 
     Returns:
-        At most two descriptions: the best one, and one whose words imply the fewest actions. Often one is both.
+        At most two descriptions: the best one, and one with words that imply the fewest actions. Often one is both.
     """
     order = rules.condition_order
     held = [condition for condition in facts.conditions_of(who, frame) if condition.kind in order]
@@ -94,11 +94,11 @@ def conditions_json(conditions: tuple[Condition, ...]) -> str:
 
 
 def find_leads(facts: Facts, who: int, frame: int) -> dict[str, int]:
-    """Find the person to whom each relation leads.
+    """Find the target of each relation.
 
     Args:
         facts: Facts of the sequence.
-        who: Track of the person from whom the relations lead.
+        who: Track of the source.
         frame: Keyframe at which the person has a box.
 
     Returns:

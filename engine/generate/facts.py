@@ -2,7 +2,7 @@
 
 The statements in `queries/search` return which person is seen, and has which label, at which keyframe. `Facts` keeps
 their rows and answers two questions from them: of which people a condition holds (`match`), and to which people a
-relation leads (`follow`). Each answer has the people of whom the fact is possible and those of whom it is certain.
+relation leads (`follow`). Each answer has the people with a possible fact, and the people with a certain one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Sighting = Mapping[str, Any]
 
 
 class Fit(NamedTuple):
-    """The people of whom a fact may be true, and those of whom it is certainly true, by track."""
+    """The people with a fact that may be true, and with one that is certainly true, by track."""
 
     could: Set[int]
     certain: Set[int]
@@ -153,14 +153,14 @@ class Facts:
     # -- conditions ---------------------------------------------------------------------------------------------------
 
     def match(self, condition: Condition, frame: int) -> Fit:
-        """Find the people of whom a condition holds.
+        """Find the people who meet a condition.
 
         Args:
             condition: Condition of one person.
             frame: Keyframe.
 
         Returns:
-            The people of whom the condition may hold, and of whom it certainly holds. Covered people are left out.
+            The people who may meet the condition, and who certainly meet it. Covered people are left out.
         """
         if (key := (condition, frame)) not in self._matches:
             self._matches[key] = self._without_covered(self._match(condition, frame), frame)
@@ -214,17 +214,17 @@ class Facts:
         return Fit(fit.could & people, fit.certain & people)
 
     def _without(self, frame: int, column: str) -> set[int]:
-        """Return the people of whom a list of labels was not read."""
+        """Return the people without a list of labels."""
         return {who for who, row in self.people[frame].items() if not row[column]}
 
     # -- relations ----------------------------------------------------------------------------------------------------
 
     def follow(self, relation: str, who: int, frame: int) -> Fit:
-        """Find the people to whom a relation leads.
+        """Find the targets of a relation.
 
         Args:
             relation: Label of the relation.
-            who: Track of the person from whom the relation leads.
+            who: Track of the source.
             frame: Keyframe at which the person has a box.
 
         Returns:

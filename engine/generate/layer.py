@@ -2,7 +2,7 @@
 
 (Person)-[:At]->(Moment)                  a person at a keyframe: with a box, or certainly absent
 (Name)-[:Describes]->(Moment)             a description that fits one person at a keyframe
-(Moment)-[:Leads {relation}]->(Moment)    the only person to whom a relation leads
+(Moment)-[:Leads {relation}]->(Moment)    the only target of a relation
 (Moment)-[:Doing]->(Action)               an action that may be the true choice of a question
 (Person)-[:Acts]->(Segment)               a stable segment of an action
 (Person)-[:Leaves]->(Absence)             a certain absence between two boxes

@@ -118,7 +118,7 @@ def prove_changes(
         return
     moving, begin = program, keyframes[0]
     if program.moves == "times":
-        # The person of whom the answer is read stays the same.
+        # The target stays the same.
         moving = replace(program, edges=(), target="a", held=people[program.target])
         begin = program.frame + frames(rules.min_wait_s)
     for variant, shifted in shifts(moving, keyframes, rules):
@@ -220,7 +220,7 @@ def hops(program: Program) -> Iterator[tuple[str, str, Program]]:
 
 
 def _without(program: Program, skipped: Edge) -> tuple[Edge, ...]:
-    """Return the edges without a hop. The hops after it begin at the person from whom it led."""
+    """Return the edges without a hop. The hops after it begin at its source."""
     edges = (edge for edge in program.edges if edge is not skipped)
     moves = skipped.target != program.target
     return tuple(replace(e, source=skipped.source) if moves and e.source == skipped.target else e for e in edges)

@@ -70,11 +70,11 @@ class Program(msgspec.Struct, frozen=True):
         conditions: Conditions of person a.
         frame: Frame at which conditions and relations hold.
         edges: Relations between the people.
-        target: Name of the person of whom the answer is read.
+        target: Name of the target.
         read: What is read, as in `AnswerSpec`.
         times: Stated frames at which the answer is read.
-        action: Action whose start is the answer, or None.
-        join: Name of the person to whom two branches lead, or "".
+        action: Action, if its start is the answer, or None.
+        join: Name of the person at the end of two branches, or "".
         moves: What the proofs about time move.
         held: Track of person a, or None if the conditions find the person.
     """
@@ -162,13 +162,13 @@ def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
 
 
 def match(program: Program, source: FactSource) -> Fit:
-    """Find the people of whom all conditions of a program may hold, and of whom all certainly hold."""
+    """Find the people who may meet all conditions of a program, and who certainly meet all."""
     keys = [("match", program.sequence, condition, program.frame) for condition in program.conditions]
     return _overlap(source.ask([("people_at", program.sequence, program.frame), *keys]))
 
 
 def _step(program: Program, source: FactSource, people: dict[str, int], edges: Sequence[Edge]) -> int:
-    """Find the person to whom all of some edges lead. It is nobody of the people before."""
+    """Find the person at the end of all of some edges, who is not one of the people before."""
     keys = [("follow", program.sequence, edge.relation, people[edge.source], program.frame) for edge in edges]
     fit = _overlap(source.ask(keys))
     if edges[0].target == program.join:
@@ -188,7 +188,7 @@ def _overlap(fits: Sequence[Fit]) -> Fit:
 
 
 def _only(fit: Fit) -> int:
-    """Return the only person whom a fact fits. Raises NoAnswerError if there are several or none, or it is unknown."""
+    """Return the only person of a fact. Raises NoAnswerError if there are several or none, or it is unknown."""
     if len(fit.certain) > 1:
         raise NoAnswerError("ambiguous")
     if not fit.could:

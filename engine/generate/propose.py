@@ -2,7 +2,7 @@
 
 A generator is a statement in `queries/generators`. Its rows have what one row decides: descriptions, relations that
 lead to single people, clear views, images, waits, answers, and that the view straight ahead is not enough. Two forms
-add people here: a fork-join the person to whom both branches lead, and a count the people who are met.
+add people here: a fork-join the person at the end of both branches, and a count the people who are met.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Proposal:
 
     @property
     def target(self) -> int:
-        """Track of the person of whom the answer is read."""
+        """Track of the target."""
         return self.people[self.template.target]
 
     @property
@@ -173,7 +173,7 @@ def make_proposal(search: Search, template: Template, row: TableRow) -> Proposal
 
 
 def _fork_joins(search: Search, template: Template) -> Iterator[TableRow]:
-    """Yield the forks with the fourth person whom a relation of each branch singles out, but neither relation alone."""
+    """Yield the forks with the person at the end of both branches, if no branch alone leads to one person."""
     facts = search.layer.facts
     for row in search.rows(template.query):
         frame, apart = row["t0"], {row["a"], row["b"], row["c"]}
@@ -211,7 +211,7 @@ _UNSEEN: Final = -1
 
 
 def _counts(search: Search, template: Template) -> Iterator[TableRow]:
-    """Yield the people with whom a described person is in a relation, from keyframe to keyframe while that is known.
+    """Yield the people in a relation with a described person, from keyframe to keyframe while that is known.
 
     What lies between keyframes is left to the proof.
     """
