@@ -1,11 +1,8 @@
 """The question templates: one row each, with plan, layers, proofs and words.
 
-To add a template, add a row here and its search, a file of `queries/generators`. `docs/architecture.md` has the whole
-list, under "Add".
-
-In paraphrases, `{who}` is the description, `{t0}` a stated time, `{action1}` an action; people of a path are A to D.
-`{says1}`, `{Says1}`, `{the1}` and `{holds1}` are the first relation's phrases (`wording.relations`). `{At}`, `{at}`,
-`{When}`, `{How}` and `{about}` say "about" if a time is approximate.
+To add a template, see "Add" in `docs/architecture.md`. In paraphrases, `{who}` is the description, `{t0}` a stated
+time, `{action1}` an action, and `{says1}`, `{the1}` and `{holds1}` are phrases of the first relation, `{Says1}` at the
+start of a sentence. `{At}`, `{at}`, `{When}`, `{How}` and `{about}` say "about" if a time is approximate.
 """
 
 from __future__ import annotations
@@ -23,11 +20,8 @@ from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import Use
 
 TimeProof = Literal["times", "program", "construction"]
-"""Part of a question that the proofs time.shift and time.drop change.
-
-times: the stated times after the description, for the same person. program: the whole program, so that description and
-hops are read again. construction: nothing, because the answer is itself a time.
-"""
+"""Part that the proofs about time change: the stated times after the description, for the same person; the whole
+program, description and hops included; or nothing, because the answer is itself a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,8 +232,7 @@ _ROWS: Final = (
         (
             f"Find {{who}} at {{t0}}. Which of these is that person doing at {{t1}}? {_ONE}",
             f"At {{t0}}, find {{who}}. Which of these is this person doing later, at {{t1}}? {_ONE}",
-            "Consider {who} at {t0}. When the video has reached {t1}, which of these is that person doing? "
-            f"{_ONE}",
+            "Consider {who} at {t0}. When the video has reached {t1}, which of these is that person doing? " + _ONE,
         ),
         stated=("t0", "t1"),
         time_proof="times",

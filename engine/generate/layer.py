@@ -2,7 +2,7 @@
 
 (Person)-[:At]->(Moment)                  a person at a keyframe: with a box, or certainly absent
 (Name)-[:Describes]->(Moment)             a description that fits one person at a keyframe
-(Moment)-[:Leads {relation}]->(Moment)    the only person to whom a relation leads
+(Moment)-[:Leads {relation}]->(Moment)    the only target of a relation
 (Moment)-[:Doing]->(Action)               an action that may be the true choice of a question
 (Person)-[:Acts]->(Segment)               a stable segment of an action
 (Person)-[:Leaves]->(Absence)             a certain absence between two boxes
@@ -38,7 +38,7 @@ _TYPES: Final = {
     "DOUBLE": pa.float64(),
 }
 
-Row = dict[str, Any]
+TableRow = dict[str, Any]
 
 
 @dataclass
@@ -60,10 +60,10 @@ class Layer:
     """
 
     facts: Facts
-    rows: dict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
+    rows: dict[str, list[TableRow]] = field(default_factory=lambda: defaultdict(list))
     names: dict[int, tuple[Condition, ...]] = field(default_factory=dict)
-    segments: dict[int, Row] = field(default_factory=dict)
-    boxes: Mapping[tuple[int, int], Row] = field(default_factory=dict)
+    segments: dict[int, TableRow] = field(default_factory=dict)
+    boxes: Mapping[tuple[int, int], TableRow] = field(default_factory=dict)
     images: frozenset[int] = frozenset()
     present: frozenset[str] = frozenset()
     low: int = 0
@@ -186,7 +186,7 @@ def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tu
     return ids
 
 
-def _add_segments(layer: Layer, sequence: str, segments: Iterable[Row], low: int) -> None:
+def _add_segments(layer: Layer, sequence: str, segments: Iterable[TableRow], low: int) -> None:
     some = [row for row in segments if row["action"] in ACTIONS]
     some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
     for number, row in enumerate(some, start=low):

@@ -23,7 +23,7 @@ from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
-from jrdb_avr.engine.generate.layer import Row
+from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate_proofs
 from jrdb_avr.engine.generate.programs import Answer, Program
@@ -161,14 +161,14 @@ def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> 
     Time twins have equal descriptions. A template with twins begins with all times and answers of some descriptions.
     """
     (form,) = forms
-    described: dict[int, dict[tuple[Any, ...], list[Row]]] = defaultdict(lambda: defaultdict(list))
-    moments: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
+    described: dict[int, dict[tuple[Any, ...], list[TableRow]]] = defaultdict(lambda: defaultdict(list))
+    moments: dict[tuple[Any, ...], list[TableRow]] = defaultdict(list)
     for row in propose(search, form):
         if form.name in _WITH_TWINS:
             described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
         moments[_moment(form, row)].append(row)
 
-    def prove_all(rows: Iterable[Row]) -> Iterator[tuple[Candidate, Row]]:
+    def prove_all(rows: Iterable[TableRow]) -> Iterator[tuple[Candidate, TableRow]]:
         made = ((_make(search, make_proposal(search, form, row), row, prover), row) for row in rows)
         return ((one[1], row) for one, row in made if one and prover.prove(one[0]) is not None)
 
@@ -184,7 +184,7 @@ def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> 
         yield from islice(proven, 1)
 
 
-def _moment(form: Template, row: Row) -> tuple[Any, ...]:
+def _moment(form: Template, row: TableRow) -> tuple[Any, ...]:
     """Return the person, the time asked and the true answer of a row."""
     return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
 
@@ -208,7 +208,9 @@ def _fill_presence(search: Search, form: Template, prover: Prover) -> Iterator[C
         yield from _take_some(_prove_pairs(search, form, row, pairs.get(who, ()), prover) for row in ordered)
 
 
-def _prove_pairs(search: Search, form: Template, row: Row, pairs: Iterable[Row], prover: Prover) -> Iterator[Candidate]:
+def _prove_pairs(
+    search: Search, form: Template, row: TableRow, pairs: Iterable[TableRow], prover: Prover
+) -> Iterator[Candidate]:
     near, first = near_frames(form.name, search.rules), row["t0"] + frames(search.rules.min_wait_s)
     kept: dict[str, list[tuple[int, int]]] = defaultdict(list)
     later = [row | pair for pair in pairs if pair["t1"] >= first and not (row["ahead"] and pair["away"])]
@@ -224,7 +226,7 @@ def _prove_pairs(search: Search, form: Template, row: Row, pairs: Iterable[Row],
 
 def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Candidate]:
     """Yield candidates in the order of their keys, but none that reads the same as one before it."""
-    groups: dict[tuple[int, str], list[tuple[Proposal, Row]]] = defaultdict(list)
+    groups: dict[tuple[int, str], list[tuple[Proposal, TableRow]]] = defaultdict(list)
     for form in forms:
         for row in propose(search, form):
             proposal = make_proposal(search, form, row)
@@ -242,7 +244,7 @@ def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iter
                 yield made[1]
 
 
-def _make(search: Search, proposal: Proposal, row: Row, prover: Prover) -> tuple[Proposal, Candidate] | None:
+def _make(search: Search, proposal: Proposal, row: TableRow, prover: Prover) -> tuple[Proposal, Candidate] | None:
     """Return a proposal with its candidate, or note the proposal as refused if it lacks wrong choices."""
     candidate = make_candidate(search, proposal)
     if candidate is None:
@@ -251,7 +253,7 @@ def _make(search: Search, proposal: Proposal, row: Row, prover: Prover) -> tuple
     return proposal, candidate._replace(form=proposal.template.query, row=msgspec.msgpack.encode(row))
 
 
-def _rank(search: Search, row: Row) -> int:
+def _rank(search: Search, row: TableRow) -> int:
     """Return the hash that decides among rows. It does not depend on the place of the sequence in the data."""
     number = row["name"] - search.layer.low
     return hash_of(search.sequence, number, [row.get(key) for key in _ROW_KEYS])

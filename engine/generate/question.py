@@ -21,7 +21,7 @@ from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.layer import Layer, Row
+from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, find_tracks, match, prove, run
 from jrdb_avr.engine.generate.programs import Program, hops, make_program, shifts
 from jrdb_avr.engine.generate.proofs import failing
@@ -110,7 +110,7 @@ def _refuted(proofs: Sequence[Proof], proposal: Proposal, rules: Rules) -> str |
     return f"by statements, {', '.join(lacking)} do not hold" if lacking else None
 
 
-def _rederived(annotations: Annotations, row: Row, proposal: Proposal, rules: Rules) -> str | None:
+def _rederived(annotations: Annotations, row: TableRow, proposal: Proposal, rules: Rules) -> str | None:
     """Return how the result of the second program differs."""
     second = rederive(annotations, proposal.plan, proposal.template.name, rules, row["choices"])
     if second.outcome != "defined" or second.answer != proposal.answer:
@@ -130,7 +130,7 @@ def _places(boxes: Iterable[NeededBox]) -> set[tuple[str, int, int, bool]]:
 # -- rows -------------------------------------------------------------------------------------------------------------
 
 
-def _make_row(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> Row:
+def _make_row(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> TableRow:
     """Return the columns of a question in the tables `questions` and `answers`."""
     layer, template, plan = search.layer, proposal.template, proposal.plan
     needed, times, begin = needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]

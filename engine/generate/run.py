@@ -20,7 +20,7 @@ from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.diagnostics import refusal_rows, shortfalls, tallies
 from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.held_out import Extent, HeldOut, read_held_out
-from jrdb_avr.engine.generate.layer import Row, count_actions
+from jrdb_avr.engine.generate.layer import TableRow, count_actions
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Search
 from jrdb_avr.engine.generate.publish import publish, question_tables
@@ -265,10 +265,10 @@ class Found(NamedTuple):
         lacking: Missing layers of each template that was not searched.
     """
 
-    head: Row
+    head: TableRow
     pool: bytes
     counts: dict[int, Counter[str]]
-    refused: list[Row]
+    refused: list[TableRow]
     lacking: dict[str, tuple[str, ...]]
 
 
@@ -293,7 +293,7 @@ def search_sequence(job: SearchJob) -> Found:
     frames = store.interval("frames", job.sequence).sort_by("frame")
     frames = frames.filter(frames["image" if "images" in head["layers"] else "annotated"])["frame"].to_pylist()
     own = {"sequence": job.sequence, "fps": head["fps"], "frame_count": head["frame_count"], "frames": frames}
-    pool, refused, lacking = [], list[Row](), {}
+    pool, refused, lacking = [], list[TableRow](), {}
     with open_worker_graph(store.graph_path) as graph:
         search = Search(graph, job.sequence, job.layer(graph), job.rules)
         cypher = CypherFacts(graph, job.rules.load)
@@ -309,8 +309,8 @@ def search_sequence(job: SearchJob) -> Found:
     return Found(own, msgspec.msgpack.encode(pool), count_actions(search.layer.facts), refused, lacking)
 
 
-def _refusals(sequence: str, template: str, prover: Prover) -> list[Row]:
-    rows: list[Row] = []
+def _refusals(sequence: str, template: str, prover: Prover) -> list[TableRow]:
+    rows: list[TableRow] = []
     for rule, count in prover.counts.items():
         examples = [(one.target, canonical(one.plan), detail) for one, detail in prover.examples[rule]]
         rows += refusal_rows(sequence, template, rule, count, examples)
@@ -331,14 +331,14 @@ class Selection(NamedTuple):
     """
 
     questions: pa.Table
-    report: list[Row]
+    report: list[TableRow]
     left: Counter[tuple[str, str, str]]
     faults: list[str]
 
 
 def _choose(
     candidates: Sequence[Candidate],
-    choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[Row]]],
+    choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[TableRow]]],
     make: Callable[[Sequence[Question]], tuple[pa.Table, dict[str, str]]],
     excluded: Collection[str],
 ) -> Selection:

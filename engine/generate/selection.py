@@ -12,7 +12,7 @@ from typing import Final
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
 from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.layer import Row
+from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.levelling import level_choices, select_level
 from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.rules import Rules
@@ -75,7 +75,7 @@ def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int
 
 def select(
     pool: Mapping[str, Sequence[Candidate]], counts: LabelCounts, rules: Rules, profile: str, n: int | None = None
-) -> tuple[list[Question], list[Row]]:
+) -> tuple[list[Question], list[TableRow]]:
     """Select the questions of all templates.
 
     Args:
@@ -92,7 +92,7 @@ def select(
     quotas, taken = PROFILES[profile], Taken(rules)
     dealt = {} if quotas else _deal(pool, taken, n)
     questions: list[Question] = []
-    rows: dict[str, Row] = {}
+    rows: dict[str, TableRow] = {}
     for names in STAGES:
         candidates = [one for name in names for one in (pool if quotas else dealt).get(name, ())]
         quota = shortage = None
@@ -166,7 +166,7 @@ def _report(
     questions: Sequence[Question],
     shortage: str | None,
     counts: LabelCounts,
-) -> Row:
+) -> TableRow:
     form = forms_of(template)[0]
     offers = [offer_of(question, counts) for question in questions] if form.answer is None else []
     return {

@@ -350,18 +350,9 @@ def actions_of(condition: Condition) -> tuple[str, ...]:
     """
     if condition.action is not None:
         return (condition.action,)
-    if condition.interaction is not None:
-        return poses_of(condition.interaction)
+    if condition.interaction in POSES_OF_INTERACTIONS:
+        return (POSES_OF_INTERACTIONS[condition.interaction],)
     return POSES_OF_VERBS.get(condition.verb or "", ())
-
-
-def poses_of(relation: str) -> tuple[str, ...]:
-    """Return the pose that a relation implies, if any. For example, people who are "walking together" walk.
-
-    Args:
-        relation: Label of the relation.
-    """
-    return (POSES_OF_INTERACTIONS[relation],) if relation in POSES_OF_INTERACTIONS else ()
 
 
 def implied_choices(plan: Plan) -> frozenset[str]:
