@@ -125,6 +125,8 @@ def test_questions_by_id_by_file_and_by_number(store, tmp_path):
         (("--questions", "x" * 5000), "cannot read"),
         (("--questions", BLIND.question_id), "no selected question"),
         (("--run-id", "../evil"), "run id"),
+        (("--run-id", ""), "'' cannot be a run id"),
+        (("--run-id", "", "--epochs", "2"), "'' cannot be a run id"),
         (("--model", "qwen", "--base-url", "nowhere"), "no server address"),
     ],
 )
