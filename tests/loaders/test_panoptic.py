@@ -14,7 +14,7 @@ from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, normal_category
 
-SHELF, DOOR, WALL, PERSON, TEAPOT = 57, 71, 4, 63, 900
+SHELF, DOOR, PERSON = 57, 71, 63
 
 
 def reading_of(folder, content):
