@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 from environment import DOCS
 
-from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import reply_object
-from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.policy.explorer import Look, Sighting
 from jrdb_avr.agent.simulated.knobs import (
@@ -29,7 +27,7 @@ from jrdb_avr.agent.simulated.knobs import (
 )
 from jrdb_avr.agent.simulated.noise import with_wrong_boxes
 from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
-from jrdb_avr.agent.simulated.server import Server, marker_server
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.errors import DecodeError, InputError
 from jrdb_avr.schema.markers import Mark, Reading
 from jrdb_avr.schema.panorama import Box, iou
@@ -195,12 +193,6 @@ def test_replies_depend_on_the_request_alone(serve):
     straight = dict(zip(bodies, serve(bodies, **knobs), strict=True))
     shuffled = random.Random(0).sample(bodies, len(bodies))
     assert dict(zip(shuffled, serve(shuffled, **knobs), strict=True)) == straight
-
-
-def test_the_child_process_takes_its_knobs():
-    ask = [Message("user", (f"Question: {QUESTION}\nLegal frames: 000000\nLooks made: 0, left: 24\n{REACT}",))]
-    with marker_server(knobs=parse(["refusal=1", "seed=4"])) as url:
-        assert Client(url, "marker").complete(ask).refusal
 
 
 # -- boxes ------------------------------------------------------------------------------------------------------------

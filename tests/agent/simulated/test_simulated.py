@@ -145,8 +145,10 @@ def test_a_model_named_like_a_profile_has_its_knobs():
 
 
 def test_the_child_process_serves_and_ends(tmp_path):
-    with marker_server(tmp_path / "log") as url:
+    ask = [Message("user", (f"Question: {KNOWN}\nLegal frames: 000000\nLooks made: 0, left: 24\n{REACT}",))]
+    with marker_server(tmp_path / "log", Knobs(refusal=1.0, seed=4)) as url:
         assert Client(url, "marker").probe(HELLO).model == "marker"
+        assert Client(url, "marker").complete(ask).refusal, "it takes its knobs"
     with pytest.raises(urllib.error.URLError):
         post(url, b"{}")
 
