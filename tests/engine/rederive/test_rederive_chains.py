@@ -251,7 +251,6 @@ def test_an_absence_has_rules():
 
 # -- counts ---------------------------------------------------------------------------------------------------------
 
-TELLING = Condition(attribute="group_size", value=1, at="t1")
 TYPING = Condition(action="typing", at="t1")
 
 
