@@ -557,9 +557,6 @@ class Chains(Asked):
         moves = any(other not in (None, answer) for other in shifted)
         return moves and (not defined or any(other != answer for other in defined))
 
-    def anchors(self, track, t0):
-        return self.anchored(track, t0) if {"2d", "actions"} <= self.layers else None
-
     def actions_of_chains(self, track, t0):
         """two_hop and three_hop."""
         found = set()
@@ -682,8 +679,12 @@ class Chains(Asked):
 
     def action_search(self, track, t0):
         found = set()
-        if (conditions := self.anchors(track, t0)) is None:
-            return found
+        for conditions in self.descriptions(track, t0) if {"2d", "actions"} <= self.layers else ():
+            found |= self._action_search(track, t0, conditions)
+        return found
+
+    def _action_search(self, track, t0, conditions):
+        found = set()
         for labels, people in self.paths(t0, (track,), 2):
             last = people[-1]
             if not all(self.clear(t0, person) for person in people):
