@@ -1,22 +1,17 @@
 """Who is in clear view: covered shares of boxes, classes, and what load makes of covered people."""
 
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
-from environment import REAL
 from hypothesis import example, given
 from hypothesis import strategies as st
-from loaded_stores import load_root
 from oracle_covering import hidden_share
 from readings import HARD, World, intervals_of, toward
-from text_reader import Recording
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN
 from jrdb_avr.engine.rederive.covering import covered_area, outline_of
 from jrdb_avr.loaders.intervals.visibility import UNIT, covered_areas
-from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Condition
@@ -187,28 +182,6 @@ def test_a_person_cannot_be_clear_and_covered(least, most):
     with pytest.raises(InputError, match="min_covered is at least max_covered"):
         override(Rules(), {"load.max_covered": least, "load.min_covered": most})
     assert override(Rules(), {"load.max_covered": most, "load.min_covered": most}).load.min_covered == float(most)
-
-
-@pytest.mark.skipif(not REAL.exists(), reason="the slice of real data is not here")
-@pytest.mark.parametrize(
-    "sequence",
-    [
-        "gates-ai-lab-2019-02-08_0",
-        pytest.param("huang-lane-2019-02-12_0", marks=pytest.mark.slow),
-        pytest.param("packard-poster-session-2019-03-20_2", marks=pytest.mark.slow),
-        pytest.param("tressider-2019-04-26_2", marks=pytest.mark.slow),
-    ],
-)
-def test_real_boxes_have_the_class_that_the_text_reader_gives_them(sequence, tmp_path):
-    labels = tmp_path / "root" / "labels" / "labels_2d_stitched"
-    labels.mkdir(parents=True)
-    (labels / f"{sequence}.json").symlink_to(Path(REAL) / "labels" / "labels_2d_stitched" / f"{sequence}.json")
-    store, _ = load_root(tmp_path, tmp_path / "root", visibility="clear")
-    assert [files.sequence for files in find_root(tmp_path / "root").sequences] == [sequence]
-    reader, found = Recording(tmp_path / "root", sequence), store.interval("sightings", sequence).to_pylist()
-    assert {_view(row) for row in found} == {"clear", "covered", "uncertain"}
-    for row in found:
-        assert reader.view(row["track"], row["frame"]) == _view(row)
 
 
 # -- covered people ---------------------------------------------------------------------------------------------------

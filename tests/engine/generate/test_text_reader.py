@@ -220,27 +220,6 @@ def test_what_another_reader_could_say_is_a_dispute(reader, reading):
     assert all("several fit" in line or "nobody" in line for line in complaints)
 
 
-@pytest.mark.parametrize(
-    ("choices", "complaint"),
-    [
-        (["walking", "lying down", "holding something", "riding a scooter"], None),
-        (["walking", "lying down", "holding something", "typing"], "several fit"),  # people who write may be called so
-        (["walking", "lying down", "holding something", "standing"], "several fit"),
-        (["walking", "lying down", "looking into something (a screen, a phone, a book)", "running"], "nobody"),
-        (["walking", "lying down", "holding something", "pushing something"], "the text says pushing something"),
-        (["walking", "lying down", "holding something", "eating something"], "eating something is labelled about"),
-        (["walking", "sitting", "holding something", "running"], "sitting is labelled about"),
-    ],
-)
-def test_one_choice_is_right_and_no_other_may_be_called_so(reader, choices, complaint):
-    before = person(1, 95, "sitting", "holding sth", "pushing", "eating sth")
-    after = person(1, 95, "standing", "holding sth", "writing")
-    complaints = reader(before, person(2, 250, "sitting"), later=[after]).disputes(
-        described("person who is pushing something"), choices, Found(1, {"choice": 3})
-    )
-    assert bool(complaints) == bool(complaint) and all(complaint in line for line in complaints)
-
-
 def test_reader_shares_no_code_with_the_program():
     for path in SUPPORT.glob("text_reader*.py"):
         tree = ast.parse(path.read_text())
