@@ -52,39 +52,6 @@ def test_case_01_file_id_disagrees_with_its_key(tmp_path):
     assert report.problems == []
 
 
-def trail(track, frame):
-    """Where somebody who walks to and fro round the robot is seen, and stands."""
-    turn = 1.5 * track + 0.6 * math.sin(frame / (9 + track) + track)
-    x, y = 4 * math.cos(turn), 4 * math.sin(turn)
-    center = 3760 * (0.5 - math.atan2(y, x) / (2 * math.pi)) % 3760
-    return (round(center - 30, 1), 100, 60, 200), (x, y)
-
-
-@pytest.mark.parametrize("shift", [0, -2, -1, 1, 2])
-@pytest.mark.parametrize("layer", ["social", "reasoning"])
-def test_case_02_a_layer_with_another_numbering(tmp_path, layer, shift):
-    told = {"gender": {"Male": "1"}}
-    handles = [((1, 40), {"holding": "1"})] if layer == "reasoning" else None
-    talk = [(1, {"conversation": "1"})]
-    boxes = {f: [person(t, trail(t, f)[0], {"walking": 1}) for t in range(3)] for f in range(40)}
-    shifted = {
-        f: [member(t, trail(t, f + shift)[0], told, talk if t == 0 else [], handles=handles) for t in range(3)]
-        for f in range(40)
-    }
-    store, report = loaded(tmp_path, boxes=boxes, **{layer: shifted})
-    if not shift:
-        assert report.problems == []
-        assert column(store, "persons", "gender") == ["male"] * 3
-        return
-    assert column(store, "persons", "gender") == [None] * 3
-    for kind in ("interactions", "handles", "demographics"):
-        assert store.interval(kind, NAME).num_rows == 0
-    ((kind, count, file),) = [(p.kind, p.count, p.file) for p in report.problems]
-    assert (kind, count, file) == ("file", 1, f"{NAME}.json")
-    assert column(store, "sequence", "layers") == [["2d", "actions"]]
-    assert store.interval("sightings", NAME).num_rows == 120
-
-
 def test_case_03_occlusion_and_truncation_missing(tmp_path):
     bare = {"interpolated": False, "no_eval": False}
     store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2, attributes=bare)]})
@@ -212,15 +179,6 @@ def test_case_12_the_same_person_twice(tmp_path):
     assert len(problems(report, "twice")) == 5
 
 
-def test_case_13_2d_without_3d_and_the_reverse(tmp_path):
-    store, report = loaded(
-        tmp_path, boxes={0: [walking(1), walking(2)]}, solid={0: [person_3d(2, 3.0, 0.0), person_3d(3, 4.0, 0.0)]}
-    )
-    assert column(store, "persons", "track") == [1, 2, 3]
-    assert rows(store, "sightings", "track", "located", "distance") == [(1, False, None), (2, True, 3.0)]
-    assert report.problems == []
-
-
 def test_case_14_a_frame_in_one_file_only(tmp_path):
     store, report = loaded(
         tmp_path,
@@ -256,24 +214,6 @@ def test_case_16_a_box_over_the_seam(tmp_path):
     assert report.problems == []
 
 
-def test_case_17_a_sliver_at_the_seam(tmp_path):
-    store, report = loaded(tmp_path, boxes={0: [person(1, (3755, 60, 5, 200)), person(2, (0, 60, 11.9, 200))]})
-    assert rows(store, "sightings", "track", "w", "clear") == [(1, 5.0, False), (2, 11.9, False)]
-    assert report.problems == []
-
-
-def test_case_19_fully_occluded(tmp_path):
-    people = [walking(i, attributes=VISIBLE | {"occlusion": word}) for i, word in enumerate(OCCLUSIONS)]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "occlusion", "clear") == list(
-        zip(OCCLUSIONS, (True, True, False, False), strict=True)
-    )
-    assert report.problems == []
-
-
-OCCLUSIONS = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
-
-
 def test_case_21_3d_boxes_without_points(tmp_path):
     people = [walking(1), walking(2), walking(3)]
     solid = [person_3d(1, 3.0, 0.0, points=0), person_3d(2, 3.0, 1.0, points=None), person_3d(3, 3.0, 2.0, points=1)]
@@ -291,45 +231,6 @@ def test_case_23_rot_z_beyond_pi(tmp_path):
     store, report = loaded(tmp_path, boxes={0: [walking(i) for i in range(5)]}, solid={0: solid})
     headings = [math.pi - 3.509, math.pi + 2.171 - 2 * math.pi, math.pi - 3.509, math.pi / 2, -math.pi]
     assert column(store, "sightings", "heading") == pytest.approx(headings)
-    assert report.problems == []
-
-
-def test_case_24_distance_missing(tmp_path):
-    gone = person_3d(2, 3.0, 4.0)
-    del gone["attributes"]["distance"]
-    solid = [person_3d(1, 3.0, 4.0, distance=None), gone, person_3d(3, 3.0, 4.0, distance=6.5)]
-    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in (1, 2, 3)]}, solid={0: solid})
-    assert column(store, "sightings", "distance") == [5.0, 5.0, 6.5]
-    assert report.problems == []
-
-
-def test_case_26_tracks_with_gaps(tmp_path):
-    frames = [f for f in range(60) if not 20 <= f < 25 and not 40 <= f < 55]
-    stands = [person(1, placed(1), {"standing": 1})]
-    store, report = loaded(tmp_path, boxes={f: stands if f in frames else [] for f in range(60)})
-    assert column(store, "sightings", "frame") == frames
-    # A short gap is unknown, a long one is an end.
-    assert rows(store, "actions", "first", "last", "certain") == [(0, 19, True), (25, 39, True), (55, 59, True)]
-    assert rows(store, "possible_actions", "first", "last", "gap") == [(20, 24, True)]
-    assert report.problems == []
-
-
-def test_case_28_groups_and_actions_are_independent(tmp_path):
-    store, report = loaded(
-        tmp_path, boxes={0: [person(1, placed(1), None, (5, 1)), person(2, placed(2), {"walking": 1}, None)]}
-    )
-    assert rows(store, "sightings", "track", "pose", "cluster") == [(1, None, 5), (2, "walking", None)]
-    assert rows(store, "memberships", "track", "cluster") == [(1, 5)]
-    assert rows(store, "actions", "track", "action", "certain") == [(2, "walking", True)]
-    assert rows(store, "possible_actions", "track", "action", "gap") == [(2, "running", False)]
-    assert report.problems == []
-
-
-def test_case_31_poses_reach_over_the_whole_panorama(tmp_path):
-    store, report = loaded(tmp_path, boxes={0: [walking(1)]}, pose={0: [pose(1, x=3000.0)]})
-    ((points,),) = written(store, "poses", "keypoints")
-    assert points[:3] == [3000.0, 100.0, 2.0] and len(points) == 51
-    assert column(store, "sightings", "face_visible") == [True]
     assert report.problems == []
 
 
@@ -430,31 +331,6 @@ def test_case_10_person_zero(tmp_path):
     assert seen[0] == (0, "sitting", True, True, 2, 0)
     assert rows(store, "handles", "track", "object", "certain") == [(0, 0, True)]
     assert rows(store, "interactions", "source", "target") == [(0, 1), (1, 0)]
-    assert report.problems == []
-
-
-def test_case_22_no_eval(tmp_path):
-    people = [walking(1), walking(2, attributes=VISIBLE | {"no_eval": True})]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "no_eval", "clear", "pose") == [(False, True, "walking"), (True, False, "walking")]
-    assert report.problems == []
-
-
-def test_case_25_clusters_change_and_are_reused(tmp_path):
-    clusters = {f: (7, 7, 8) if f < 30 else (9, 9, 7) for f in range(60)}
-    boxes = {f: [person(t, placed(t), group=(c, 1)) for t, c in enumerate(own, 1)] for f, own in clusters.items()}
-    store, report = loaded(tmp_path, boxes=boxes)
-    assert sorted(rows(store, "memberships", "track", "first", "last", "cluster")) == [
-        (1, 0, 29, 7),
-        (1, 30, 59, 9),
-        (2, 0, 29, 7),
-        (2, 30, 59, 9),
-        (3, 0, 29, 8),
-        (3, 30, 59, 7),
-    ]
-    # Alone in one's cluster is a group of one: no group.
-    sizes = rows(store, "sightings", "track", "group_size")
-    assert sizes[:3] == sizes[-3:] == [(1, 2), (2, 2), (3, 1)]
     assert report.problems == []
 
 

@@ -55,17 +55,6 @@ def test_case_29_partners_without_a_box_are_counted(tmp_path):
     assert report.absent_partners == 3
 
 
-@pytest.mark.parametrize(("gap", "closed"), [(7, True), (6, False)])
-def test_gaps_are_closed_by_rows_of_their_own(tmp_path, gap, closed):
-    talking = [(2, {"conversation": "1"})]
-    frames = {f: scene(talking if f < 5 or f > 11 else [], []) for f in range(20)}
-    store, _ = loaded(tmp_path, frames, gap_frames=gap)
-    one_way = [row for row in spans(store) if row[0] == 1]
-    assert one_way == [(1, 2, "conversation", 0, 4, True), (1, 2, "conversation", 12, 19, True)]
-    between = [(1, 2, "conversation", 5, 11, True), (2, 1, "conversation", 5, 11, True)] if closed else []
-    assert spans(store, "possible_interactions") == between
-
-
 def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
     talking = [(2, {"conversation": "1"})]
     frames = {f: scene(talking if f != 45 else [], []) for f in range(0, 90, 15)}
@@ -75,13 +64,6 @@ def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
         (1, 2, "conversation", 60, 75, True),
     ]
     assert spans(store, "possible_interactions") == []
-
-
-def test_whose_lists_were_read_stands_with_the_sightings(tmp_path):
-    broken = [(2, {"hugging": "1"}), ("nobody", {"hugging": "1"})]
-    store, _ = loaded(tmp_path, {0: scene(broken, [], None)})
-    assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [False, True, False]
-    assert spans(store)[0] == (1, 2, "hugging", 0, 0, True)
 
 
 @pytest.mark.parametrize("said", [([(3, {"hugging": "1"})], [], None), ([], [], [(1, {"hugging": "1"})])])
@@ -121,11 +103,6 @@ def test_hard_and_unreadable_values_do_not_vote(tmp_path):
     store, report = loaded(tmp_path, frames)
     assert spans(store, "demographics") == [(1, "age", "late adulthood", 1, True)]
     assert report.disagreements == []
-
-
-def test_two_spellings_of_a_value_in_a_record_are_one_vote(tmp_path):
-    store, _ = loaded(tmp_path, {0: [member(1, BOX, {"gender": {"Male": "1", "male": "2"}})]})
-    assert spans(store, "demographics") == [(1, "gender", "male", 1, True)]
 
 
 def grouped(track, cluster, info):

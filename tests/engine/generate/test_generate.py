@@ -224,5 +224,3 @@ def test_rules_reach_the_search(one, another, in_memory):
     assert answers
     assert all(len(parse_plan(row["plan"]).nodes[0].conditions) == 1 for row in answers)
     assert sum(row["questions"] for row in report.templates) < sum(row["questions"] for row in one[1].templates)
-
-

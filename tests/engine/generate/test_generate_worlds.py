@@ -154,5 +154,3 @@ def test_world(title, tmp_path):
         # A generator does not propose what its own row refuses.
         assert verdict == expected or (verb == "refuses" and verdict is None), line
     assert claims
-
-

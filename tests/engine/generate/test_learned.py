@@ -61,13 +61,6 @@ def test_a_word_or_a_wait_that_goes_with_an_answer_is_found_out():
     assert min(shares(words)) > 0.75 and min(shares(waits)) > 0.75 and shares(words)[0] > 0.9
 
 
-def test_what_holds_in_one_sequence_alone_is_not_learned():
-    offered = POSES[:4]
-    rows = [choice(f"s{i % 4}", offered[i % 4], offered, f"Find word{'abcd'[i % 4]}") for i in range(200)]
-    assert shares(rows)[0] == 0
-    assert shares([row for row in rows if row.sequence == "s0"]) == []
-
-
 def test_another_store_teaches_what_holds_there_too():
     """In both stores the choice that is said first is right; of one sequence alone nothing can be learned."""
     generator = random.Random(0)

@@ -9,7 +9,7 @@ from jrdb_avr.engine.generate.scene_guessers import box_guesser, check_store, sc
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import PRESENCE_ANSWERS, answer_of_choice
+from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.tables import INTERVALS, QUESTIONS
 
@@ -87,24 +87,6 @@ def test_without_a_wait_the_description_tells_what_a_person_does_at_once(store):
     # Of the target of a chain nothing is stated: in b and c two people type, two walk, and three sit.
     assert share(store, asked("a", (), "sitting", (0,), choices)) == 1
     assert share(store, asked("a", (), "typing", (0,), choices)) == 0
-
-
-def test_the_likeliest_presence(store):
-    def presence(sequence, truth, times):
-        return share(store, asked(sequence, ("reading",), truth, times, PRESENCE_ANSWERS, "presence"))
-
-    # In b two of three readers have a box at both frames, one at the first only. In c no reader is in clear view.
-    assert presence("a", "both times", (0, 15, 45)) == 1
-    assert presence("a", "only at the first time", (0, 15, 45)) == 0
-    # No frame is so late, so that nobody counts and each answer is equally likely.
-    assert presence("a", "neither time", (0, 15, 75)) == 0.25
-
-
-def test_the_commonest_actions_are_counted_from_the_intervals(store):
-    # At frame 30 of b: walking 2, sitting 2; in all data sitting 3, standing 3, walking 2 of clear people.
-    assert share(store, asked("b", ("reading",), "sitting"), name="data") == 1
-    assert share(store, asked("b", ("reading",), "sitting"), name="frame") == 1
-    assert share(store, asked("a", ("reading",), "standing"), name="frame") == 1
 
 
 @pytest.fixture(scope="module")
