@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 
 import msgspec
 import pyarrow.compute as pc
@@ -19,8 +18,6 @@ from jrdb_avr.engine.rederive.labels import Annotations
 from jrdb_avr.engine.rederive.truth import TRUE, UNKNOWN
 from jrdb_avr.loaders.labelfiles import frames as labelfile
 from jrdb_avr.loaders.labelfiles.frames import MAX_RECORDS
-from jrdb_avr.loaders.layers.boxes_2d import load_2d
-from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.rules import Rules
 
 GOOD = person(1, (100, 60, 50, 200), {"walking": 1}, (5, 1))
@@ -180,28 +177,10 @@ def test_a_field_of_another_type_costs_its_record(tmp_path, field, changes):
     assert "pedestrian:2" in problem.detail
 
 
-@pytest.mark.parametrize("layer", ["2d", "3d"])
-def test_a_flag_of_another_type_is_read_or_unknown(tmp_path, layer):
-    flags = {"truncated": 1, "interpolated": "True", "no_eval": "false"}
-    record = {"2d": GOOD, "3d": person_3d(1, 3.0, 0.0)}[layer] | {"file_id": [7], "attributes": flags}
-    store, found = loaded(tmp_path, {0: [record]}, layer)
-    (row,) = store.annotation(f"boxes_{layer}", NAME).to_pylist()
-    assert (row["interpolated"], row["no_eval"]) == (True, False)
-    assert store.interval("frames", NAME)["annotated"].to_pylist()[0]
-    bad = {"2d": [("field", "attributes.truncated", "1"), ("field", "file_id", "[7]")], "3d": []}[layer]
-    assert [(p.kind, p.field, p.detail) for p in found.problems] == bad
-
-
 def test_whoever_may_be_excluded_from_the_evaluation_is_not_clear(tmp_path):
     store, found = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible", "no_eval": 1})))
     assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]
     assert [(p.kind, p.field, p.frame) for p in found.problems] == [("field", "attributes.no_eval", "000015.jpg")]
-
-
-def test_a_world_without_attributes_is_clear(tmp_path):
-    store, _ = loaded(tmp_path, {0: [person(1, (1, 60, 50, 200), attributes=None)]})
-    assert store.interval("sightings", NAME)["clear"].to_pylist() == [True]
-    assert store.interval("sequence", NAME)["visibility"].to_pylist() == ["geometry"]
 
 
 @pytest.mark.parametrize("value", [[], 5, {"cluster_ID": "x"}, {"cluster_ID": 1.5}, {}, {"cluster_ID": 10**30}, "a"])
@@ -210,28 +189,6 @@ def test_a_bad_group_is_no_group(tmp_path, value):
     assert store.annotation("groups", NAME)["track"].to_pylist() == [1]
     ((kind, field),) = [(p.kind, p.field.partition(".")[0]) for p in found.problems]
     assert (kind, field) == ("field", "social_group")
-
-
-def test_time_is_not_squared_where_every_record_is_wrong_in_its_own_way(tmp_path):
-    def crowd(frame):
-        named = [(i, f"label {frame} {i}") for i in range(500)]
-        return [person(i, (1, 2, 30, 40), {name: 1, "sitting": name}, (name, 1)) for i, name in named]
-
-    def seconds(frames):
-        """Of processor time, and the problems."""
-        path = write_root(tmp_path, {NAME: {"2d": {frame: crowd(frame) for frame in range(frames)}}})
-        problems = Problems("x.json")
-        started = time.process_time()
-        load_2d(path / "labels" / "labels_2d_stitched" / f"{NAME}.json", problems)
-        return time.process_time() - started, problems.listed()
-
-    few = min(seconds(1)[0] for _ in range(3))
-    many, problems = seconds(16)
-    assert many < 16 * 3 * few
-    assert {(p.reason, p.field): (p.count, p.frame, p.detail) for p in problems} == {
-        ("difficulty: not a number", "action_label"): (8_000, "000000.jpg", "label 0 0"),
-        ("not a number", "social_group.cluster_ID"): (8_000, "000000.jpg", "label 0 0"),
-    }
 
 
 # -- 3D --------------------------------------------------------------------------------------------------------
