@@ -6,8 +6,6 @@ readers of their layers.
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from loaded_stores import NAME, load_root, reported_store
 from worlds import VISIBLE, member, person, person_3d, pose, thing, write_root
@@ -52,32 +50,12 @@ def test_case_01_file_id_disagrees_with_its_key(tmp_path):
     assert report.problems == []
 
 
-def test_case_03_occlusion_and_truncation_missing(tmp_path):
-    bare = {"interpolated": False, "no_eval": False}
-    store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2, attributes=bare)]})
-    assert rows(store, "sightings", "track", "occlusion", "clear") == [(1, "Fully_visible", True), (2, None, False)]
-    assert written(store, "boxes_2d", "truncated") == [(False,), (None,)]
-    assert report.problems == []
-
-
 def test_case_04_truncation_in_four_forms(tmp_path):
     forms = ["true", True, None, "False"]
     people = [walking(i, attributes=VISIBLE | {"truncated": form}) for i, form in enumerate(forms)]
     store, report = loaded(tmp_path, boxes={0: people})
     assert written(store, "boxes_2d", "truncated") == [(True,), (True,), (None,), (False,)]
     assert report.problems == []
-
-
-def test_case_05_difficulty_as_number_or_text(tmp_path):
-    codes = [1, 1.0, "1", 4, "easy"]
-    people = [person(i, placed(i), {"walking": code}) for i, code in enumerate(codes)]
-    told = [member(i, placed(i), {"gender": {"Male": code}}) for i, code in enumerate(codes)]
-    store, report = loaded(tmp_path, boxes={0: people}, social={0: told})
-    assert written(store, "actions", "difficulty") == [(1,), (1,), (1,), (None,), (None,)]
-    assert written(store, "demographics", "difficulty") == [(1,), (1,), (1,), (None,), (None,)]
-    assert column(store, "sightings", "pose") == ["walking"] * 3 + [None] * 2
-    assert column(store, "persons", "gender") == ["male"] * 3 + [None] * 2
-    assert sum(p.count for p in report.problems) == 4
 
 
 def test_case_06_empty_lists(tmp_path):
@@ -91,26 +69,6 @@ def test_case_06_empty_lists(tmp_path):
     # An empty list says that there are none; a missing key, or a missing record, says nothing.
     assert column(store, "sightings", "interactions_listed") == [True, False, False]
     assert column(store, "sightings", "handles_listed") == [False, False, False]
-    assert report.problems == []
-
-
-def test_case_08_no_pose_or_two(tmp_path):
-    people = [
-        person(1, placed(1), {"talking to someone": 1}),
-        person(2, placed(2), {"bending": 1, "standing": 1}),
-        person(3, placed(3), {"sitting": 2, "holding sth": 1}),
-    ]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert column(store, "sightings", "pose") == [None, None, "sitting"]
-    assert rows(store, "actions", "track", "action", "certain") == [
-        (1, "talking to someone", True),
-        (2, "bending", False),
-        (2, "standing", False),
-        (3, "holding sth", True),
-        (3, "sitting", True),
-    ]
-    # Who bends down may also be said to sit or to walk.
-    assert rows(store, "possible_actions", "track", "action", "gap") == [(2, "sitting", False), (2, "walking", False)]
     assert report.problems == []
 
 
@@ -203,37 +161,6 @@ def test_case_15_an_empty_frame_is_not_an_unannotated_one(tmp_path):
     assert report.problems == []
 
 
-def test_case_16_a_box_over_the_seam(tmp_path):
-    people = [person(1, (-20, 60, 50, 200)), person(2, (3740, 60, 50, 200)), person(3, (100, -5, 50, 200))]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "x", "clear") == [(-20.0, True), (3740.0, True), (100.0, False)]
-    # Both centres lie 5 columns right of the seam, straight behind the robot.
-    angles = column(store, "sightings", "angle")
-    assert angles[0] == pytest.approx(5 / 3760 * 360) and angles[1] == pytest.approx(5 / 3760 * 360)
-    assert column(store, "sightings", "sector")[:2] == ["behind", "behind"]
-    assert report.problems == []
-
-
-def test_case_21_3d_boxes_without_points(tmp_path):
-    people = [walking(1), walking(2), walking(3)]
-    solid = [person_3d(1, 3.0, 0.0, points=0), person_3d(2, 3.0, 1.0, points=None), person_3d(3, 3.0, 2.0, points=1)]
-    store, report = loaded(tmp_path, boxes={0: people}, solid={0: solid})
-    assert rows(store, "sightings", "located", "cx") == [(False, None), (False, None), (True, 3.0)]
-    assert [label for (label,) in rows(store, "beside", "label") if "robot view" not in label] == []
-    assert report.problems == []
-
-
-def test_case_23_rot_z_beyond_pi(tmp_path):
-    turns = (3.509, -2.171, 3.509 + 2 * math.pi, math.pi / 2, 0.0)
-    solid = [person_3d(i, 3.0, 0.0) for i in range(5)]
-    for record, rot_z in zip(solid, turns, strict=True):
-        record["box"]["rot_z"] = rot_z
-    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in range(5)]}, solid={0: solid})
-    headings = [math.pi - 3.509, math.pi + 2.171 - 2 * math.pi, math.pi - 3.509, math.pi / 2, -math.pi]
-    assert column(store, "sightings", "heading") == pytest.approx(headings)
-    assert report.problems == []
-
-
 def test_case_32_poses_join_by_file_name(tmp_path):
     """Image numbers that say frame + 2, that run backwards, and that say nothing."""
     names = {17: 15, 2: 0, 5: 30}
@@ -287,32 +214,6 @@ def test_case_35_frames_are_counted_as_they_lie_on_disk(tmp_path):
     assert report.frames == 2
 
 
-@pytest.mark.parametrize("layer", ["social", "reasoning"])
-@pytest.mark.parametrize("alias", ["HHI", "H-interaction"])
-def test_case_36_hhi_is_h_interaction(tmp_path, layer, alias):
-    told = [member(1, placed(1), None, [(2, {"conversation": "1"})], alias=alias), member(2, placed(2))]
-    store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2)]}, **{layer: {0: told}})
-    assert rows(store, "interactions", "source", "target", "label") == [(1, 2, "conversation"), (2, 1, "conversation")]
-    # Absent means empty in a reasoning file alone.
-    assert column(store, "sightings", "interactions_listed") == [True, layer == "reasoning"]
-    assert report.problems == []
-
-
-def test_case_07_no_actions_or_an_impossible_one(tmp_path):
-    people = [person(1, placed(1), {}), person(2, placed(2)), person(3, placed(3), {"impossible": 1}), walking(4)]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "track", "listed", "pose") == [
-        (1, False, None),
-        (2, False, None),
-        (3, False, None),
-        (4, True, "walking"),
-    ]
-    assert rows(store, "actions", "action", "certain") == [("walking", True)]
-    # A person who walks may be said to run.
-    assert rows(store, "possible_actions", "action", "gap") == [("running", False)]
-    assert report.problems == []
-
-
 def test_case_10_person_zero(tmp_path):
     told = [
         member(0, placed(0), {"gender": {"Female": "1"}}, handles=[((0, 40), {"holding": "1"})]),
@@ -331,20 +232,4 @@ def test_case_10_person_zero(tmp_path):
     assert seen[0] == (0, "sitting", True, True, 2, 0)
     assert rows(store, "handles", "track", "object", "certain") == [(0, 0, True)]
     assert rows(store, "interactions", "source", "target") == [(0, 1), (1, 0)]
-    assert report.problems == []
-
-
-def test_case_30_members_disagree_on_their_group(tmp_path):
-    venues = ({"indoor_room/class": "1"}, {"indoor_room/class": "2"}, {"outdoor_street": "1"}, {"outdoor_street": "3"})
-    told = [member(i, placed(i), info={"venue": venue, "aim": {"wandering": "1"}}) for i, venue in enumerate(venues)]
-    boxes = [person(i, placed(i), {"sitting": 1}, (5, 1)) for i in range(4)]
-    store, report = loaded(tmp_path, boxes={0: boxes}, social={0: told})
-    assert rows(store, "group_info", "attribute", "value", "votes", "chosen") == [
-        ("aim", "wandering", 4, True),
-        ("venue", "indoor_room/class", 2, True),
-        ("venue", "outdoor_street", 1, False),
-    ]
-    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
-        ("group 5", "venue", {"indoor_room/class": 2, "outdoor_street": 1}, 3)
-    ]
     assert report.problems == []

@@ -89,14 +89,6 @@ def test_whoever_may_be_a_person_proves_nobodys_absence(tmp_path, label):
     assert store.interval("frames", NAME)["annotated"].to_pylist() == [True, False]
 
 
-@pytest.mark.parametrize("record", ["3", "null", '"pedestrian:1"', "[]", "true"])
-def test_a_record_that_is_no_object_is_refused(tmp_path, record):
-    store, found = loaded(tmp_path, raw_2d(record, json.dumps(GOOD)))
-    assert boxes(store) == [(0, 1), (15, 1)]
-    ((kind, reason, frame),) = [(p.kind, p.reason, p.frame) for p in found.problems]
-    assert (kind, frame) == ("record", "000015.jpg") and reason.startswith("Expected object, got")
-
-
 @pytest.mark.parametrize(
     "key", ["15.jpg", "000015", "000015.pcd", "-00015.jpg", "0000015.jpg", "x.jpg", "", "٠٠٠٠١٥.jpg"]
 )
@@ -145,21 +137,6 @@ def test_no_usable_actions_are_no_list_and_another_type_is_a_problem(tmp_path, v
     assert [(p.kind, p.field) for p in found.problems] == [("field", "action_label")] * another
 
 
-@pytest.mark.parametrize("name", ["", "\u0000", "x" * 101])
-def test_a_label_that_is_no_text_is_refused(tmp_path, name):
-    store, found = loaded(tmp_path, raw_2d(variant(action_label={name: 1, "sitting": 1})))
-    assert store.annotation("actions", NAME)["action"].to_pylist() == ["walking", "sitting"]
-    assert [(p.kind, p.field) for p in found.problems] == [("field", "action_label")]
-
-
-@pytest.mark.parametrize(("name", "value"), [("occlusion", "Nearly_visible"), ("truncated", "yes")])
-def test_a_bad_attribute_is_unknown(tmp_path, name, value):
-    store, found = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible"} | {name: value})))
-    assert store.annotation("boxes_2d", NAME)[name].to_pylist()[1] is None
-    (problem,) = found.problems
-    assert (problem.kind, problem.field, problem.frame) == ("field", f"attributes.{name}", "000015.jpg")
-
-
 @pytest.mark.parametrize(
     ("field", "changes"),
     [
@@ -181,14 +158,6 @@ def test_whoever_may_be_excluded_from_the_evaluation_is_not_clear(tmp_path):
     store, found = loaded(tmp_path, raw_2d(variant(attributes={"occlusion": "Fully_visible", "no_eval": 1})))
     assert store.interval("sightings", NAME)["clear"].to_pylist() == [True, False]
     assert [(p.kind, p.field, p.frame) for p in found.problems] == [("field", "attributes.no_eval", "000015.jpg")]
-
-
-@pytest.mark.parametrize("value", [[], 5, {"cluster_ID": "x"}, {"cluster_ID": 1.5}, {}, {"cluster_ID": 10**30}, "a"])
-def test_a_bad_group_is_no_group(tmp_path, value):
-    store, found = loaded(tmp_path, raw_2d(variant(social_group=value)))
-    assert store.annotation("groups", NAME)["track"].to_pylist() == [1]
-    ((kind, field),) = [(p.kind, p.field.partition(".")[0]) for p in found.problems]
-    assert (kind, field) == ("field", "social_group")
 
 
 # -- 3D --------------------------------------------------------------------------------------------------------
@@ -214,16 +183,6 @@ def test_a_bad_3d_box_costs_its_frame(tmp_path, changes, field):
     store, found = loaded(tmp_path, with_3d(**changes) | {15: [person_3d(1, 3.0, 0.0)]}, "3d")
     assert boxes(store, "boxes_3d") == [(15, 1)]
     assert [p[:1] + p[2:3] + p[4:] for p in problems_of(found)] == [("record", 1, "000000.pcd", field)]
-
-
-@pytest.mark.parametrize(("name", "value"), [("distance", -1), ("num_points", -1), ("num_points", 1.5)])
-def test_a_bad_3d_attribute_is_unknown(tmp_path, name, value):
-    record = person_3d(1, 3.0, 4.0)
-    record["attributes"][name] = value
-    store, found = loaded(tmp_path, {0: [record]}, "3d")
-    assert store.annotation("boxes_3d", NAME)[name].to_pylist() == [None]
-    assert [(p.kind, p.field) for p in found.problems] == [("field", f"attributes.{name}")]
-    assert store.interval("sightings", NAME)["distance"].to_pylist()[0] == (None if name == "num_points" else 5.0)
 
 
 def test_the_heading_check_sees_a_reversed_convention(tmp_path):
@@ -348,12 +307,3 @@ def test_frames_too_full_to_be_real_or_of_another_type_are_refused_and_not_known
     store, found = loaded(tmp_path, {0: [GOOD], 15: crowd})
     assert boxes(store) == [(0, 1)] and store.interval("frames", NAME)["frame"].to_pylist() == [0]
     assert [(p.kind, p.frame) for p in found.problems] == [("frame", "000015.jpg")]
-
-
-def test_refused_records_count_towards_the_limit_of_a_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(labelfile, "MAX_GATHERED", 20)
-    _, found = loaded(tmp_path, {0: [GOOD], 15: [0] * 20})
-    assert [problem.reason for problem in found.problems] == [f"{NAME}.json: more than 20 records"]
-
-
-# -- roots -----------------------------------------------------------------------------------------------------

@@ -164,27 +164,6 @@ def test_a_field_of_another_type_costs_its_record(tmp_path, field, value):
     ]
 
 
-BAD_CATEGORIES = {
-    "a name that is no text": {"id": 8, "name": 3},
-    "an empty name": {"id": 8, "name": " "},
-    "an endless name": {"id": 8, "name": "x" * 1000},
-    "no number": {"name": "door"},
-    "a negative number": {"id": -8, "name": "door"},
-    "no object": 3,
-}
-
-
-@pytest.mark.parametrize("entry", BAD_CATEGORIES.values(), ids=BAD_CATEGORIES)
-def test_a_bad_entry_of_the_categories_costs_itself(tmp_path, entry):
-    content = coco_file({0: [thing(1, SHELF)]}, "panoptic")
-    content["categories"] = [entry, {"id": SHELF, "name": "shelf"}]
-    reading, problems = reading_of(tmp_path, content)
-    assert reading.tables["categories"]["category_id"].to_pylist() == [SHELF]
-    ((kind, _, count, _, field),) = found(problems)
-    assert (kind, count) == ("record", 1)
-    assert field in ("categories", "id", "name") or entry == 3
-
-
 def test_a_category_number_of_two_names_stands_for_neither(tmp_path):
     content = coco_file({0: [thing(1, 8), thing(1, 9)]}, "panoptic")
     names = {8: ["shelf", "door"], 9: ["door", "DOOR"]}

@@ -65,57 +65,6 @@ def test_keypoints_are_kept_as_written(tmp_path):
 # -- what is refused -----------------------------------------------------------------------------------------------
 
 
-BAD_KEYPOINTS = {
-    "missing": ...,
-    "null": None,
-    "fifty": POINTS[:50],
-    "fifty-two": [*POINTS, 0],
-    "texts": ["1"] * 51,
-    "beyond a float": [10**400, *POINTS[1:]],
-    "far outside": [1e9, *POINTS[1:]],
-    "a null inside": [None, *POINTS[1:]],
-    "visibility 3": [1, 2, 3, *POINTS[3:]],
-    "visibility 0.5": [1, 2, 0.5, *POINTS[3:]],
-}
-
-
-@pytest.mark.parametrize("keypoints", BAD_KEYPOINTS.values(), ids=BAD_KEYPOINTS)
-def test_bad_keypoints_cost_their_own_record(tmp_path, keypoints):
-    rows, frames, problems = read(tmp_path, a_file(annotation(3, 20, 2, keypoints=keypoints), annotation(4, 20, 3)))
-    assert rows == GOOD | {(15, 3): POINTS}
-    assert frames == {0: 1, 15: 2}
-    ((kind, reason, count, frame, field),) = found(problems)
-    assert (kind, count, field) == ("record", 1, "keypoints")
-    assert reason and frame in ("annotation 3", "000015.jpg")
-
-
-BAD_NUMBERS = {
-    "missing": ...,
-    "null": None,
-    "a fraction": 1.5,
-    "a text": "one",
-    "a list": [1],
-}
-
-
-@pytest.mark.parametrize("number", [*BAD_NUMBERS.values(), -1, 2**31], ids=[*BAD_NUMBERS, "negative", "beyond 31 bits"])
-def test_a_bad_track_costs_its_own_record(tmp_path, number):
-    rows, _, problems = read(tmp_path, a_file(annotation(3, 20, 2, track_id=number)))
-    assert rows == GOOD
-    ((kind, _, count, frame, field),) = found(problems)
-    assert (kind, count, field) == ("record", 1, "track_id")
-    assert frame in ("annotation 3", "000015.jpg")
-
-
-@pytest.mark.parametrize("number", [*BAD_NUMBERS.values(), 30, -1], ids=[*BAD_NUMBERS, "unknown", "negative"])
-def test_an_annotation_of_no_image_is_refused(tmp_path, number):
-    rows, frames, problems = read(tmp_path, a_file(annotation(3, number, 2), annotation("b", number, 3)))
-    assert rows == GOOD
-    assert frames == {0: 1, 15: 1}
-    ((kind, _, count, frame, field),) = found(problems)
-    assert (kind, count, frame, field) == ("record", 2, "annotation 3", "image_id")
-
-
 BAD_IMAGES = {
     "another sequence": ({"file_name": "image_stitched/hall-2020-01-01_0/000030.jpg"}, "images.file_name"),
     "no frame": ({"file_name": f"{NAME}/panorama.jpg"}, "images.file_name"),
@@ -146,15 +95,6 @@ def test_a_number_of_two_images_stands_for_neither(tmp_path, other, order):
     counts = {field: count for _, _, count, _, field in found(problems)}
     assert sum(counts.values()) == 3
     assert counts["image_id"] == 1
-
-
-@pytest.mark.parametrize("record", ["3", "null", '"x"', "[]", "{}"])
-def test_what_is_no_annotation_is_refused(tmp_path, record):
-    text = json.dumps(a_file()).replace('"annotations": [', f'"annotations": [{record}, ')
-    rows, frames, problems = read(tmp_path, text.encode())
-    assert (rows, frames) == (GOOD, {0: 1, 15: 1})
-    ((kind, _, count, _, _),) = found(problems)
-    assert (kind, count) == ("record", 1)
 
 
 BAD_FILES = {

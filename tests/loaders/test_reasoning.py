@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import functools
 
-import pytest
-from label_records import BOX, NAME, placed, read, reasons, record, rows
+from label_records import BOX, NAME, placed, read, record, rows
 from loaded_stores import reported_store
 from worlds import member, person, thing
 
 from jrdb_avr.loaders.layers.social import load_reasoning
 
-whole = functools.partial(load_reasoning, social=True)
 things_alone = functools.partial(load_reasoning, social=False)
 
 
@@ -47,31 +45,6 @@ def test_case_09_verbs_in_every_spelling(tmp_path):
     ]
     assert dict(reading.unknown) == {("HOI", "juggling balls"): 1}
     assert problems == []
-
-
-PAIRS = {
-    "missing": (..., "pair: missing"),
-    "one end": ([3], "pair: not a track and a category"),
-    "three ends": ([3, 17, 1], "pair: not a track and a category"),
-    "negative": ([-1, 17], "pair: number out of range"),
-    "huge": ([10**30, 17], "pair: number out of range"),
-    "beyond numbers": ([10**400, 17], "pair: number too large"),
-    "half": ([0.5, 17], "pair: not a whole number"),
-    "bools": ([True, 17], "pair: not a number"),
-    "null end": ([3, None], "pair: not a number"),
-}
-
-
-@pytest.mark.parametrize("name", PAIRS)
-def test_a_pair_that_cannot_be_read(tmp_path, name):
-    pair, reason = PAIRS[name]
-    entry = {"inter_labels": {"holding": "1"}} | ({} if pair is ... else {"pair": pair})
-    content = [record(HOI=[*handling(([3, 17], {"using": "1"})), entry]), member(2, BOX)]
-    reading, problems = read(tmp_path, content, whole)
-    assert rows(reading, "handles") == [(0, 1, 3, 17, "using", 1)]
-    # Of things nothing can be denied; interactions are another list.
-    assert rows(reading, "listed") == [("interactions", 0, 1), ("interactions", 0, 2), ("handles", 0, 2)]
-    assert reasons(problems) == [(reason, "HOI", "000000.jpg", 1)]
 
 
 # -- intervals ---------------------------------------------------------------------------------------------------

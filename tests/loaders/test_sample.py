@@ -18,12 +18,11 @@ from jrdb_avr.engine.cli import group
 from jrdb_avr.loaders.load import Shard, load_shard
 from jrdb_avr.loaders.root import find_root
 from jrdb_avr.loaders.synthetic.write import plan, sequence_name, write
-from jrdb_avr.schema.labels import ACTIONS, POSES, normal_action
+from jrdb_avr.schema.labels import POSES, normal_action
 from jrdb_avr.schema.rules import LoadRules
 
 LONG = 600
 """Frames of a sequence; in a shorter one most tracks are cut before they have a gap."""
-KNOWN = {*ACTIONS, "impossible", "waiting for sth"}
 
 
 def run(*arguments):

@@ -181,7 +181,6 @@ def test_a_person_cannot_be_clear_and_covered(least, most):
 
 # -- covered people ---------------------------------------------------------------------------------------------------
 
-SECONDS = range(0, 301, 15)
 HIDDEN = {"occlusion": "Fully_occluded"}
 
 

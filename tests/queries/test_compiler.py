@@ -26,7 +26,6 @@ from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.rules import LoadRules, Rules
 
 NAME = "yard-2020-01-01_0"
-READ = {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"}
 
 
 class Site:

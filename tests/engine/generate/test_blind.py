@@ -1,6 +1,5 @@
 """The blind check, recomputed by hand and by trying every constant."""
 
-import random
 from dataclasses import replace
 
 import pyarrow as pa
@@ -81,14 +80,6 @@ def test_frames_by_hand():
     assert row["uniform"] is None and row["label"] is None and row["aim"] == 0.25
 
 
-def test_each_stated_time_is_tried():
-    rows = [
-        QuestionText("q", "a", "start", "start", "frame", (), (), (0, second), FrameAnswer(second + 50))
-        for second in (100, 500, 900)
-    ]
-    assert blind_check(rows)[0]["offset"] == 1.0
-
-
 def test_seconds_and_counts_are_judged_apart():
     rows = [seconds(value) for value in (5.0, 20.0, 21.0, 40.0)]
     counts, durations = blind_check([*rows, *(seconds(value, read="count") for value in (4.0, 5.0, 6.0))])
@@ -137,13 +128,6 @@ def test_no_span_of_the_answers_is_better(spans):
     guess = best_guess(spans)
     assert matches[guess] == max(matches.values())
     assert guess == min((span for span in spans if matches[span] == matches[guess]), key=repr)
-
-
-def test_a_balanced_template_is_within_its_aim():
-    generator = random.Random(0)
-    rows = [choice(f"s{i % 20}", generator.choice(POSES)) for i in range(2000)]
-    (row,) = blind_check(rows)
-    assert row["reason"] is None and row["label"] < 0.3
 
 
 def test_posed_reads_the_public_text():
