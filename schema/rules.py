@@ -163,8 +163,6 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Maximum number of questions about one person in one template."""
     max_per_person_in_all: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 24
     """Maximum number of questions about one person in all templates."""
-    max_answer_share: Share = 0.34
-    """Maximum share of one answer among the questions of a template with choices. 1 sets no limit."""
 
     def __post_init__(self) -> None:
         if sorted(self.condition_order) != sorted(CONDITION_KINDS):
@@ -174,13 +172,13 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def training_rules(rules: Rules) -> Rules:
-    """Return the rules of a training set, which has no maximum per person and no limit on answers.
+    """Return the rules of a training set, which has no maximum per person.
 
     Args:
         rules: Rules to change.
     """
     most = 1_000_000
-    return msgspec.structs.replace(rules, max_per_person=most, max_per_person_in_all=most, max_answer_share=1.0)
+    return msgspec.structs.replace(rules, max_per_person=most, max_per_person_in_all=most)
 
 
 def rules_hash(rules: Rules | LoadRules) -> str:

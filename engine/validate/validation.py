@@ -18,7 +18,7 @@ CHECKS: Final = {
     "evidence": "the evidence has all boxes of the target and no other box",
     "proofs": "all required proofs are present and hold; distractors and bindings fit",
     "rules": "generation used the same rules",
-    "selection": "shares of answers and questions per person obey the rules; no two questions are alike",
+    "selection": "questions per person obey the rules; no two questions are alike",
     "rederive": "the second program finds the same person, answer, needed boxes, measures and proofs",
 }
 """Names of the checks of stored questions, each with what it checks, in the order of the report."""

@@ -98,7 +98,6 @@ def test_a_load_rule_out_of_its_range_is_refused(name, value):
         ("shift_s", "0.01"),
         ("max_conditions", "4"),
         ("visible_share", "0"),
-        ("max_answer_share", "1.5"),
         ("near_duplicate_s", "-1"),
         ("max_per_person", "0"),
         ("distance_same_m", "2"),

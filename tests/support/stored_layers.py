@@ -13,7 +13,8 @@ def layer_rows(store):
             found[name] = graph.query(f"MATCH (n:{name}) RETURN {listed}", ordered=False)
         for name, (source, target, columns) in LAYER_RELS.items():
             listed = "".join(f", r.{column.split()[0]}" for column in columns)
-            text = f"MATCH (a:{source})-[r:{name}]->(b:{target}) RETURN a.id, b.id{listed}"
+            key = "name" if target == "Action" else "id"
+            text = f"MATCH (a:{source})-[r:{name}]->(b:{target}) RETURN a.id, b.{key}{listed}"
             found[name] = graph.query(text, ordered=False)
     del found["Keyframes"]
     return {name: sorted(repr(tuple(row.values())) for row in rows.to_pylist()) for name, rows in found.items()}

@@ -260,3 +260,20 @@ def test_twins_never_exceed_the_size_of_a_template():
     questions = select_level(pool, 10, COUNTS, Taken(Rules()), 20, pairs).questions
     assert len(questions) == 10
     assert sum(one.twin is not None for one in questions) == 10
+
+
+def test_the_quotas_are_the_numbers_of_the_paper():
+    assert list(PROFILES["paper"].values()) == [67, 76, 222, 32, 51, 30, 1620]
+    assert sum(PROFILES["paper"].values()) == 2098 and PROFILES["paper"].keys() == set(FAMILIES.values())
+
+
+def test_starts_and_spans_fill_their_family_together():
+    pool = {"start": [], "span": []}
+    for number in range(60):
+        name = "start" if number < 15 else "span"
+        one = candidate(number, name)._replace(wrong=frozenset(), truth=str(number), contexts=((f"form {name}", 1),))
+        pool[name].append(one._replace(track=number, event=f"start {number}"))
+    questions, rows = select(pool, COUNTS, Rules(), "paper")
+    reached = {row["template"]: row["reached"] for row in rows}
+    assert reached["start"] == 15 and reached["span"] == min(45, 67 - 15)
+    assert len(questions) == reached["start"] + reached["span"]

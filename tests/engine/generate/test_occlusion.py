@@ -1,6 +1,5 @@
 """Sequences without occlusion attributes: said at load and generation, listed in statistics, skipped on demand."""
 
-import shutil
 import warnings
 
 import pytest
@@ -70,9 +69,6 @@ def test_the_statistics_name_them(store):
         generate(store, workers=1)
     tables = statistics(store)
     assert {row["sequence"]: row["visibility"] for row in tables["sequence"]} == {SEEN: "attributes", UNSEEN: EVIDENCE}
-    shutil.rmtree(store.path / "intervals")
-    tables = statistics(store)
-    assert [row["visibility"] for row in tables["sequence"]] == [None, None]
     result = CliRunner().invoke(group, ["stats", "--store", str(store.path)])
     assert result.exit_code == 0, result.output
 

@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
 from jrdb_avr.engine.generate.near_duplicates import Subject, Taken
-from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.schema.rules import Rules
 
 
@@ -89,8 +88,3 @@ def test_gap_and_wait_bins():
     for seconds, number in {5: 1, 9.9: 1, 10: 2, 20: 3, 39.9: 3, 40: 4, 400: 4}.items():
         assert answer_bin("number", f'{{"value":{seconds}}}', [0], "seconds_between") == number
     assert [wait_bin(round(s * 15)) for s in (3, 5.9, 6, 11.9, 12, 24)] == [1, 1, 2, 2, 3, 4]
-
-
-def test_the_paper_profile():
-    assert list(PROFILES["paper"].values()) == [67, 76, 222, 32, 51, 30, 1620]
-    assert sum(PROFILES["paper"].values()) == 2098

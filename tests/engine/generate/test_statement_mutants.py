@@ -24,6 +24,7 @@ from jrdb_avr.engine.generate.propose import Search
 from jrdb_avr.engine.generate.stored_layer import ensure_layer, layer_jobs
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.statements import read_statement
+from jrdb_avr.schema.choice_labels import CHOICE_LABELS
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
@@ -98,6 +99,9 @@ def searches(tmp_path_factory):
     ensure_layer(store, RULES, 1)
     with Graph.open(store.graph_path, read_only=True) as graph:
         found = [Search(graph, job.sequence, job.layer(graph), RULES) for job in layer_jobs(store, RULES)]
+        for search in found:
+            # Otherwise few actions may be choices in these small worlds.
+            search.layer.present = frozenset(CHOICE_LABELS)
         yield [(search, keys_by_statement(search)) for search in found]
 
 
@@ -106,6 +110,11 @@ def keys_by_statement(search):
     for key in keys_of(search.layer.facts, search.sequence, random.Random(5), 60):
         found.setdefault(statement_of(key), []).append(key)
     starts = [(row["track"], row["action"], row["first"]) for row in search.layer.segments.values()]
+    # A person without a list may do anything, and a person with two postures may have either.
+    unread = [
+        (who, frame) for frame, some in search.layer.facts.people.items() for who in some if not some[who]["pose"]
+    ]
+    starts += [(who, action, frame) for who, frame in unread[:40] for action in ("walking", "holding sth")]
     return found | {"onsets": [("onsets", search.sequence, *start) for start in starts]}
 
 
@@ -115,10 +124,15 @@ def results(search, keys, path):
     if folder == "generators":
         form = TEMPLATES["presence" if name == "described" else name]
         pool = fill_pool(search, [form], make_prover(search))
-        return sorted((one.key, one.answer, *one.people.items(), *one.frames.items()) for one, _ in pool)
+        return sorted((entry.candidate.key, repr(sorted(entry.row.items()))) for entry in pool)
     if folder == "search":
         found = Facts(search.graph, search.sequence, RULES.load, with_faces=True)
-        return found.people, found.keyframes, [found.ask(some) for kind, some in keys.items() if kind != "onsets"]
+        return (
+            found.people,
+            found.lists,
+            found.keyframes,
+            [found.ask(some) for kind, some in keys.items() if kind != "onsets"],
+        )
     source = CypherFacts(search.graph, RULES.load)
     return source.complete(lambda: source.ask(keys.get(name, [])))
 

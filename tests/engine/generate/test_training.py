@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 NAMES = ("hall-2020-01-01_0", "yard-2020-01-01_0")
 FEW = 6
-CAPS = Rules(max_per_person=1, max_per_person_in_all=2, max_answer_share=0.1)
+CAPS = Rules(max_per_person=1, max_per_person_in_all=2)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections import Counter
 
 import msgspec
 import pytest
@@ -133,12 +132,8 @@ CASES = TAMPERED | NOTICED_BY_BOTH
 
 
 def test_every_record_that_is_tampered_with_is_named(few, tmp_path):
-    """Each change is in a question of its own, and all other questions stay sound. All are of one sequence."""
-    store = copied(few, tmp_path)
-    asked = store.questions("questions").to_pylist()
-    most, _ = Counter(row["sequence"] for row in asked).most_common(1)[0]
-    keep_only(store, {row["question_id"] for row in asked if row["sequence"] == most})
-    free = {}
+    """Each change is in a question of its own, and all other questions stay sound."""
+    store, free = copied(few, tmp_path), {}
     for row in store.questions("questions").sort_by("question_id").to_pylist():
         free.setdefault(row["template"], []).append(row["question_id"])
     of_case = {}

@@ -215,26 +215,13 @@ def test_a_missing_sequence_is_found(few):
     assert "files" in faulty(few)
 
 
-def test_too_many_of_one_answer_are_found(benchmark_copy):
-    asked = {row["question_id"]: row for row in benchmark_copy.questions("questions").to_pylist()}
-    kept = set()
-    for row in benchmark_copy.questions("answers").to_pylist():
-        question = asked[row["question_id"]]
-        if question["template"] == "presence":
-            answer = question["choices"][json.loads(row["answer"])["choice"] - 1]
-            if answer == "both times":
-                kept.add(row["question_id"])
-    keep_only(benchmark_copy, kept)
-    assert faulty(benchmark_copy) == {"selection"}
-
-
 @pytest.mark.parametrize(
     ("template", "copies", "fault"),
     [
         ("start", [{"template": "span"}], "about one start"),
         ("action_search", [{"template": "start"}], "about one start"),
         ("presence", [{}], "read at nearly the same times"),
-        ("gap", [{"template": name} for name in TEMPLATES] * 2, f"{1 + 2 * len(TEMPLATES)} questions of person"),
+        ("gap", [{"template": name} for name in TEMPLATES] * 2, "questions of person"),
     ],
 )
 def test_too_much_about_a_person_is_found(few, template, copies, fault):
