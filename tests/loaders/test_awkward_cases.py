@@ -58,20 +58,6 @@ def test_case_04_truncation_in_four_forms(tmp_path):
     assert report.problems == []
 
 
-def test_case_06_empty_lists(tmp_path):
-    store, report = loaded(
-        tmp_path,
-        boxes={0: [walking(1), walking(2), walking(3)]},
-        social={0: [member(1, placed(1), [], [], []), member(2, placed(2), [], None, [])]},
-    )
-    for kind in ("demographics", "interactions", "group_info", "handles"):
-        assert store.interval(kind, NAME).num_rows == 0
-    # An empty list says that there are none; a missing key, or a missing record, says nothing.
-    assert column(store, "sightings", "interactions_listed") == [True, False, False]
-    assert column(store, "sightings", "handles_listed") == [False, False, False]
-    assert report.problems == []
-
-
 def test_case_09_spelling_variants(tmp_path):
     doors = {"opening the door": 1, "Pushing_the-door": 1, "looking at something": 1, "juggling balls": 1}
     told = {"gender": {"Male": "1"}, "age": {"young-adulthood": "1"}}
@@ -135,30 +121,6 @@ def test_case_12_the_same_person_twice(tmp_path):
     assert rows(store, "demographics", "value", "votes") == []
     assert written(store, "panoptic", "object", "x") == [(1, 1.0)]
     assert len(problems(report, "twice")) == 5
-
-
-def test_case_14_a_frame_in_one_file_only(tmp_path):
-    store, report = loaded(
-        tmp_path,
-        boxes={f: [walking(1)] for f in range(3)},
-        solid={f: [person_3d(1, 3.0, 0.0)] for f in range(1, 5)},
-        pose={f: [pose(1)] for f in range(2)},
-        panoptic={0: [thing(1, 40)], 15: [thing(1, 40)]},
-        social={6: [member(1, placed(1), {"gender": {"Male": "1"}})]},
-    )
-    assert rows(store, "frames", "frame", "annotated") == [(f, f < 3) for f in (0, 1, 2, 3, 4, 6, 15)]
-    assert rows(store, "sightings", "frame", "face_visible") == [(0, True), (1, True), (2, None)]
-    assert rows(store, "persons", "first_frame", "last_frame", "gender") == [(0, 4, "male")]
-    assert report.problems == []
-
-
-def test_case_15_an_empty_frame_is_not_an_unannotated_one(tmp_path):
-    store, report = loaded(
-        tmp_path, boxes={0: [walking(1)], 15: [], 30: [walking(1)]}, panoptic={0: [], 15: [thing(1, 40)], 45: []}
-    )
-    assert rows(store, "frames", "frame", "annotated") == [(0, True), (15, True), (30, True), (45, False)]
-    assert [f for layer, f in written(store, "frames", "layer", "frame") if layer == "panoptic"] == [0, 15, 45]
-    assert report.problems == []
 
 
 def test_case_32_poses_join_by_file_name(tmp_path):
