@@ -7,8 +7,6 @@ from label_records import placed
 from loaded_stores import NAME, reported_store
 from worlds import member, person
 
-BOX = (100, 60, 50, 200)
-
 
 def loaded(tmp_path, social, boxes=None, **rules):
     """Store and report of a social file beside 2D boxes; by default everybody of the social file has a box."""
