@@ -6,8 +6,6 @@ readers of their layers.
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from loaded_stores import NAME, load_root, reported_store
 from worlds import VISIBLE, member, person, person_3d, pose, thing, write_root
@@ -52,98 +50,11 @@ def test_case_01_file_id_disagrees_with_its_key(tmp_path):
     assert report.problems == []
 
 
-def trail(track, frame):
-    """Where somebody who walks to and fro round the robot is seen, and stands."""
-    turn = 1.5 * track + 0.6 * math.sin(frame / (9 + track) + track)
-    x, y = 4 * math.cos(turn), 4 * math.sin(turn)
-    center = 3760 * (0.5 - math.atan2(y, x) / (2 * math.pi)) % 3760
-    return (round(center - 30, 1), 100, 60, 200), (x, y)
-
-
-@pytest.mark.parametrize("shift", [0, -2, -1, 1, 2])
-@pytest.mark.parametrize("layer", ["social", "reasoning"])
-def test_case_02_a_layer_with_another_numbering(tmp_path, layer, shift):
-    told = {"gender": {"Male": "1"}}
-    handles = [((1, 40), {"holding": "1"})] if layer == "reasoning" else None
-    talk = [(1, {"conversation": "1"})]
-    boxes = {f: [person(t, trail(t, f)[0], {"walking": 1}) for t in range(3)] for f in range(40)}
-    shifted = {
-        f: [member(t, trail(t, f + shift)[0], told, talk if t == 0 else [], handles=handles) for t in range(3)]
-        for f in range(40)
-    }
-    store, report = loaded(tmp_path, boxes=boxes, **{layer: shifted})
-    if not shift:
-        assert report.problems == []
-        assert column(store, "persons", "gender") == ["male"] * 3
-        return
-    assert column(store, "persons", "gender") == [None] * 3
-    for kind in ("interactions", "handles", "demographics"):
-        assert store.interval(kind, NAME).num_rows == 0
-    ((kind, count, file),) = [(p.kind, p.count, p.file) for p in report.problems]
-    assert (kind, count, file) == ("file", 1, f"{NAME}.json")
-    assert column(store, "sequence", "layers") == [["2d", "actions"]]
-    assert store.interval("sightings", NAME).num_rows == 120
-
-
-def test_case_03_occlusion_and_truncation_missing(tmp_path):
-    bare = {"interpolated": False, "no_eval": False}
-    store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2, attributes=bare)]})
-    assert rows(store, "sightings", "track", "occlusion", "clear") == [(1, "Fully_visible", True), (2, None, False)]
-    assert written(store, "boxes_2d", "truncated") == [(False,), (None,)]
-    assert report.problems == []
-
-
 def test_case_04_truncation_in_four_forms(tmp_path):
     forms = ["true", True, None, "False"]
     people = [walking(i, attributes=VISIBLE | {"truncated": form}) for i, form in enumerate(forms)]
     store, report = loaded(tmp_path, boxes={0: people})
     assert written(store, "boxes_2d", "truncated") == [(True,), (True,), (None,), (False,)]
-    assert report.problems == []
-
-
-def test_case_05_difficulty_as_number_or_text(tmp_path):
-    codes = [1, 1.0, "1", 4, "easy"]
-    people = [person(i, placed(i), {"walking": code}) for i, code in enumerate(codes)]
-    told = [member(i, placed(i), {"gender": {"Male": code}}) for i, code in enumerate(codes)]
-    store, report = loaded(tmp_path, boxes={0: people}, social={0: told})
-    assert written(store, "actions", "difficulty") == [(1,), (1,), (1,), (None,), (None,)]
-    assert written(store, "demographics", "difficulty") == [(1,), (1,), (1,), (None,), (None,)]
-    assert column(store, "sightings", "pose") == ["walking"] * 3 + [None] * 2
-    assert column(store, "persons", "gender") == ["male"] * 3 + [None] * 2
-    assert sum(p.count for p in report.problems) == 4
-
-
-def test_case_06_empty_lists(tmp_path):
-    store, report = loaded(
-        tmp_path,
-        boxes={0: [walking(1), walking(2), walking(3)]},
-        social={0: [member(1, placed(1), [], [], []), member(2, placed(2), [], None, [])]},
-    )
-    for kind in ("demographics", "interactions", "group_info", "handles"):
-        assert store.interval(kind, NAME).num_rows == 0
-    # An empty list says that there are none; a missing key, or a missing record, says nothing.
-    assert column(store, "sightings", "interactions_listed") == [True, False, False]
-    assert column(store, "sightings", "handles_listed") == [False, False, False]
-    assert report.problems == []
-
-
-def test_case_08_no_pose_or_two(tmp_path):
-    people = [
-        person(1, placed(1), {"talking to someone": 1}),
-        person(2, placed(2), {"bending": 1, "standing": 1}),
-        person(3, placed(3), {"sitting": 2, "holding sth": 1}),
-    ]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert column(store, "sightings", "pose") == [None, None, "sitting"]
-    assert rows(store, "actions", "track", "action", "certain") == [
-        (1, "talking to someone", True),
-        (2, "bending", False),
-        (2, "standing", False),
-        (3, "holding sth", True),
-        (3, "sitting", True),
-    ]
-    # Who bends down may also be said to sit or to walk.
-    assert rows(store, "possible_actions", "track", "action", "gap") == [(2, "sitting", False), (2, "walking", False)]
     assert report.problems == []
 
 
@@ -212,127 +123,6 @@ def test_case_12_the_same_person_twice(tmp_path):
     assert len(problems(report, "twice")) == 5
 
 
-def test_case_13_2d_without_3d_and_the_reverse(tmp_path):
-    store, report = loaded(
-        tmp_path, boxes={0: [walking(1), walking(2)]}, solid={0: [person_3d(2, 3.0, 0.0), person_3d(3, 4.0, 0.0)]}
-    )
-    assert column(store, "persons", "track") == [1, 2, 3]
-    assert rows(store, "sightings", "track", "located", "distance") == [(1, False, None), (2, True, 3.0)]
-    assert report.problems == []
-
-
-def test_case_14_a_frame_in_one_file_only(tmp_path):
-    store, report = loaded(
-        tmp_path,
-        boxes={f: [walking(1)] for f in range(3)},
-        solid={f: [person_3d(1, 3.0, 0.0)] for f in range(1, 5)},
-        pose={f: [pose(1)] for f in range(2)},
-        panoptic={0: [thing(1, 40)], 15: [thing(1, 40)]},
-        social={6: [member(1, placed(1), {"gender": {"Male": "1"}})]},
-    )
-    assert rows(store, "frames", "frame", "annotated") == [(f, f < 3) for f in (0, 1, 2, 3, 4, 6, 15)]
-    assert rows(store, "sightings", "frame", "face_visible") == [(0, True), (1, True), (2, None)]
-    assert rows(store, "persons", "first_frame", "last_frame", "gender") == [(0, 4, "male")]
-    assert report.problems == []
-
-
-def test_case_15_an_empty_frame_is_not_an_unannotated_one(tmp_path):
-    store, report = loaded(
-        tmp_path, boxes={0: [walking(1)], 15: [], 30: [walking(1)]}, panoptic={0: [], 15: [thing(1, 40)], 45: []}
-    )
-    assert rows(store, "frames", "frame", "annotated") == [(0, True), (15, True), (30, True), (45, False)]
-    assert [f for layer, f in written(store, "frames", "layer", "frame") if layer == "panoptic"] == [0, 15, 45]
-    assert report.problems == []
-
-
-def test_case_16_a_box_over_the_seam(tmp_path):
-    people = [person(1, (-20, 60, 50, 200)), person(2, (3740, 60, 50, 200)), person(3, (100, -5, 50, 200))]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "x", "clear") == [(-20.0, True), (3740.0, True), (100.0, False)]
-    # Both centres lie 5 columns right of the seam, straight behind the robot.
-    angles = column(store, "sightings", "angle")
-    assert angles[0] == pytest.approx(5 / 3760 * 360) and angles[1] == pytest.approx(5 / 3760 * 360)
-    assert column(store, "sightings", "sector")[:2] == ["behind", "behind"]
-    assert report.problems == []
-
-
-def test_case_17_a_sliver_at_the_seam(tmp_path):
-    store, report = loaded(tmp_path, boxes={0: [person(1, (3755, 60, 5, 200)), person(2, (0, 60, 11.9, 200))]})
-    assert rows(store, "sightings", "track", "w", "clear") == [(1, 5.0, False), (2, 11.9, False)]
-    assert report.problems == []
-
-
-def test_case_19_fully_occluded(tmp_path):
-    people = [walking(i, attributes=VISIBLE | {"occlusion": word}) for i, word in enumerate(OCCLUSIONS)]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "occlusion", "clear") == list(
-        zip(OCCLUSIONS, (True, True, False, False), strict=True)
-    )
-    assert report.problems == []
-
-
-OCCLUSIONS = ("Fully_visible", "Mostly_visible", "Severely_occluded", "Fully_occluded")
-
-
-def test_case_21_3d_boxes_without_points(tmp_path):
-    people = [walking(1), walking(2), walking(3)]
-    solid = [person_3d(1, 3.0, 0.0, points=0), person_3d(2, 3.0, 1.0, points=None), person_3d(3, 3.0, 2.0, points=1)]
-    store, report = loaded(tmp_path, boxes={0: people}, solid={0: solid})
-    assert rows(store, "sightings", "located", "cx") == [(False, None), (False, None), (True, 3.0)]
-    assert [label for (label,) in rows(store, "beside", "label") if "robot view" not in label] == []
-    assert report.problems == []
-
-
-def test_case_23_rot_z_beyond_pi(tmp_path):
-    turns = (3.509, -2.171, 3.509 + 2 * math.pi, math.pi / 2, 0.0)
-    solid = [person_3d(i, 3.0, 0.0) for i in range(5)]
-    for record, rot_z in zip(solid, turns, strict=True):
-        record["box"]["rot_z"] = rot_z
-    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in range(5)]}, solid={0: solid})
-    headings = [math.pi - 3.509, math.pi + 2.171 - 2 * math.pi, math.pi - 3.509, math.pi / 2, -math.pi]
-    assert column(store, "sightings", "heading") == pytest.approx(headings)
-    assert report.problems == []
-
-
-def test_case_24_distance_missing(tmp_path):
-    gone = person_3d(2, 3.0, 4.0)
-    del gone["attributes"]["distance"]
-    solid = [person_3d(1, 3.0, 4.0, distance=None), gone, person_3d(3, 3.0, 4.0, distance=6.5)]
-    store, report = loaded(tmp_path, boxes={0: [walking(i) for i in (1, 2, 3)]}, solid={0: solid})
-    assert column(store, "sightings", "distance") == [5.0, 5.0, 6.5]
-    assert report.problems == []
-
-
-def test_case_26_tracks_with_gaps(tmp_path):
-    frames = [f for f in range(60) if not 20 <= f < 25 and not 40 <= f < 55]
-    stands = [person(1, placed(1), {"standing": 1})]
-    store, report = loaded(tmp_path, boxes={f: stands if f in frames else [] for f in range(60)})
-    assert column(store, "sightings", "frame") == frames
-    # A short gap is unknown, a long one is an end.
-    assert rows(store, "actions", "first", "last", "certain") == [(0, 19, True), (25, 39, True), (55, 59, True)]
-    assert rows(store, "possible_actions", "first", "last", "gap") == [(20, 24, True)]
-    assert report.problems == []
-
-
-def test_case_28_groups_and_actions_are_independent(tmp_path):
-    store, report = loaded(
-        tmp_path, boxes={0: [person(1, placed(1), None, (5, 1)), person(2, placed(2), {"walking": 1}, None)]}
-    )
-    assert rows(store, "sightings", "track", "pose", "cluster") == [(1, None, 5), (2, "walking", None)]
-    assert rows(store, "memberships", "track", "cluster") == [(1, 5)]
-    assert rows(store, "actions", "track", "action", "certain") == [(2, "walking", True)]
-    assert rows(store, "possible_actions", "track", "action", "gap") == [(2, "running", False)]
-    assert report.problems == []
-
-
-def test_case_31_poses_reach_over_the_whole_panorama(tmp_path):
-    store, report = loaded(tmp_path, boxes={0: [walking(1)]}, pose={0: [pose(1, x=3000.0)]})
-    ((points,),) = written(store, "poses", "keypoints")
-    assert points[:3] == [3000.0, 100.0, 2.0] and len(points) == 51
-    assert column(store, "sightings", "face_visible") == [True]
-    assert report.problems == []
-
-
 def test_case_32_poses_join_by_file_name(tmp_path):
     """Image numbers that say frame + 2, that run backwards, and that say nothing."""
     names = {17: 15, 2: 0, 5: 30}
@@ -386,32 +176,6 @@ def test_case_35_frames_are_counted_as_they_lie_on_disk(tmp_path):
     assert report.frames == 2
 
 
-@pytest.mark.parametrize("layer", ["social", "reasoning"])
-@pytest.mark.parametrize("alias", ["HHI", "H-interaction"])
-def test_case_36_hhi_is_h_interaction(tmp_path, layer, alias):
-    told = [member(1, placed(1), None, [(2, {"conversation": "1"})], alias=alias), member(2, placed(2))]
-    store, report = loaded(tmp_path, boxes={0: [walking(1), walking(2)]}, **{layer: {0: told}})
-    assert rows(store, "interactions", "source", "target", "label") == [(1, 2, "conversation"), (2, 1, "conversation")]
-    # Absent means empty in a reasoning file alone.
-    assert column(store, "sightings", "interactions_listed") == [True, layer == "reasoning"]
-    assert report.problems == []
-
-
-def test_case_07_no_actions_or_an_impossible_one(tmp_path):
-    people = [person(1, placed(1), {}), person(2, placed(2)), person(3, placed(3), {"impossible": 1}), walking(4)]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "track", "listed", "pose") == [
-        (1, False, None),
-        (2, False, None),
-        (3, False, None),
-        (4, True, "walking"),
-    ]
-    assert rows(store, "actions", "action", "certain") == [("walking", True)]
-    # A person who walks may be said to run.
-    assert rows(store, "possible_actions", "action", "gap") == [("running", False)]
-    assert report.problems == []
-
-
 def test_case_10_person_zero(tmp_path):
     told = [
         member(0, placed(0), {"gender": {"Female": "1"}}, handles=[((0, 40), {"holding": "1"})]),
@@ -430,45 +194,4 @@ def test_case_10_person_zero(tmp_path):
     assert seen[0] == (0, "sitting", True, True, 2, 0)
     assert rows(store, "handles", "track", "object", "certain") == [(0, 0, True)]
     assert rows(store, "interactions", "source", "target") == [(0, 1), (1, 0)]
-    assert report.problems == []
-
-
-def test_case_22_no_eval(tmp_path):
-    people = [walking(1), walking(2, attributes=VISIBLE | {"no_eval": True})]
-    store, report = loaded(tmp_path, boxes={0: people})
-    assert rows(store, "sightings", "no_eval", "clear", "pose") == [(False, True, "walking"), (True, False, "walking")]
-    assert report.problems == []
-
-
-def test_case_25_clusters_change_and_are_reused(tmp_path):
-    clusters = {f: (7, 7, 8) if f < 30 else (9, 9, 7) for f in range(60)}
-    boxes = {f: [person(t, placed(t), group=(c, 1)) for t, c in enumerate(own, 1)] for f, own in clusters.items()}
-    store, report = loaded(tmp_path, boxes=boxes)
-    assert sorted(rows(store, "memberships", "track", "first", "last", "cluster")) == [
-        (1, 0, 29, 7),
-        (1, 30, 59, 9),
-        (2, 0, 29, 7),
-        (2, 30, 59, 9),
-        (3, 0, 29, 8),
-        (3, 30, 59, 7),
-    ]
-    # Alone in one's cluster is a group of one: no group.
-    sizes = rows(store, "sightings", "track", "group_size")
-    assert sizes[:3] == sizes[-3:] == [(1, 2), (2, 2), (3, 1)]
-    assert report.problems == []
-
-
-def test_case_30_members_disagree_on_their_group(tmp_path):
-    venues = ({"indoor_room/class": "1"}, {"indoor_room/class": "2"}, {"outdoor_street": "1"}, {"outdoor_street": "3"})
-    told = [member(i, placed(i), info={"venue": venue, "aim": {"wandering": "1"}}) for i, venue in enumerate(venues)]
-    boxes = [person(i, placed(i), {"sitting": 1}, (5, 1)) for i in range(4)]
-    store, report = loaded(tmp_path, boxes={0: boxes}, social={0: told})
-    assert rows(store, "group_info", "attribute", "value", "votes", "chosen") == [
-        ("aim", "wandering", 4, True),
-        ("venue", "indoor_room/class", 2, True),
-        ("venue", "outdoor_street", 1, False),
-    ]
-    assert [(d.subject, d.attribute, d.votes, d.stated) for d in report.disagreements] == [
-        ("group 5", "venue", {"indoor_room/class": 2, "outdoor_street": 1}, 3)
-    ]
     assert report.problems == []

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import pytest
-from loaded_stores import graphless_store
+from loaded_stores import NAME, graphless_store, read_store
 from worlds import coco_file, person, pose
 
-from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.labelfiles import coco
 from jrdb_avr.loaders.labelfiles import frames as labelfile
-from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.pose import load_pose
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS
 
-NAME = "yard-2020-01-01_0"
 POINTS = [value for i in range(17) for value in (100.0 + i, 200.0 + i, i % 3)]
 
 
@@ -68,57 +65,6 @@ def test_keypoints_are_kept_as_written(tmp_path):
 # -- what is refused -----------------------------------------------------------------------------------------------
 
 
-BAD_KEYPOINTS = {
-    "missing": ...,
-    "null": None,
-    "fifty": POINTS[:50],
-    "fifty-two": [*POINTS, 0],
-    "texts": ["1"] * 51,
-    "beyond a float": [10**400, *POINTS[1:]],
-    "far outside": [1e9, *POINTS[1:]],
-    "a null inside": [None, *POINTS[1:]],
-    "visibility 3": [1, 2, 3, *POINTS[3:]],
-    "visibility 0.5": [1, 2, 0.5, *POINTS[3:]],
-}
-
-
-@pytest.mark.parametrize("keypoints", BAD_KEYPOINTS.values(), ids=BAD_KEYPOINTS)
-def test_bad_keypoints_cost_their_own_record(tmp_path, keypoints):
-    rows, frames, problems = read(tmp_path, a_file(annotation(3, 20, 2, keypoints=keypoints), annotation(4, 20, 3)))
-    assert rows == GOOD | {(15, 3): POINTS}
-    assert frames == {0: 1, 15: 2}
-    ((kind, reason, count, frame, field),) = found(problems)
-    assert (kind, count, field) == ("record", 1, "keypoints")
-    assert reason and frame in ("annotation 3", "000015.jpg")
-
-
-BAD_NUMBERS = {
-    "missing": ...,
-    "null": None,
-    "a fraction": 1.5,
-    "a text": "one",
-    "a list": [1],
-}
-
-
-@pytest.mark.parametrize("number", [*BAD_NUMBERS.values(), -1, 2**31], ids=[*BAD_NUMBERS, "negative", "beyond 31 bits"])
-def test_a_bad_track_costs_its_own_record(tmp_path, number):
-    rows, _, problems = read(tmp_path, a_file(annotation(3, 20, 2, track_id=number)))
-    assert rows == GOOD
-    ((kind, _, count, frame, field),) = found(problems)
-    assert (kind, count, field) == ("record", 1, "track_id")
-    assert frame in ("annotation 3", "000015.jpg")
-
-
-@pytest.mark.parametrize("number", [*BAD_NUMBERS.values(), 30, -1], ids=[*BAD_NUMBERS, "unknown", "negative"])
-def test_an_annotation_of_no_image_is_refused(tmp_path, number):
-    rows, frames, problems = read(tmp_path, a_file(annotation(3, number, 2), annotation("b", number, 3)))
-    assert rows == GOOD
-    assert frames == {0: 1, 15: 1}
-    ((kind, _, count, frame, field),) = found(problems)
-    assert (kind, count, frame, field) == ("record", 2, "annotation 3", "image_id")
-
-
 BAD_IMAGES = {
     "another sequence": ({"file_name": "image_stitched/hall-2020-01-01_0/000030.jpg"}, "images.file_name"),
     "no frame": ({"file_name": f"{NAME}/panorama.jpg"}, "images.file_name"),
@@ -149,15 +95,6 @@ def test_a_number_of_two_images_stands_for_neither(tmp_path, other, order):
     counts = {field: count for _, _, count, _, field in found(problems)}
     assert sum(counts.values()) == 3
     assert counts["image_id"] == 1
-
-
-@pytest.mark.parametrize("record", ["3", "null", '"x"', "[]", "{}"])
-def test_what_is_no_annotation_is_refused(tmp_path, record):
-    text = json.dumps(a_file()).replace('"annotations": [', f'"annotations": [{record}, ')
-    rows, frames, problems = read(tmp_path, text.encode())
-    assert (rows, frames) == (GOOD, {0: 1, 15: 1})
-    ((kind, _, count, _, _),) = found(problems)
-    assert (kind, count) == ("record", 1)
 
 
 BAD_FILES = {
@@ -193,36 +130,19 @@ def test_limits(tmp_path, monkeypatch):
 # -- what follows from it ------------------------------------------------------------------------------------------
 
 
-def derived(folder, people, poses):
-    """Interval tables of 2D boxes {frame: [track]} and a pose file."""
-    boxes = {
-        "labels": {f"{f:06d}.jpg": [person(t, (100, 60, 50, 200)) for t in tracks] for f, tracks in people.items()}
-    }
-    (folder / "2d.json").write_text(json.dumps(boxes))
-    (folder / f"{NAME}.json").write_text(json.dumps(poses))
-    readings = [
-        load(folder / f"{name}.json", Problems(name)).of(NAME) for name, load in (("2d", load_2d), (NAME, load_pose))
+def test_a_face_is_visible_where_head_or_an_eye_is(tmp_path):
+    """Of a person per key point and visibility. The last one has no pose, and frame 15 has none at all."""
+    cases = list(itertools.product(range(17), range(3)))
+    poses = [
+        pose(track, visibility=[code if i == point else 1 if i < 3 else 2 for i in range(17)])
+        for track, (point, code) in enumerate(cases)
     ]
-    frames = [
-        {"sequence": NAME, "layer": layer, "frame": frame, "records": n}
-        for reading in readings
-        for layer, known in reading.frames.items()
-        for frame, n in zip(*(column.tolist() for column in known), strict=True)
-    ]
-    tables = readings[0].tables | readings[1].tables
-    tables["frames"] = ANNOTATIONS["frames"].empty_table().from_pylist(frames, ANNOTATIONS["frames"])
-    return derive(NAME, tables, LoadRules())
-
-
-@pytest.mark.parametrize("code", [0, 1, 2])
-@pytest.mark.parametrize("point", range(17))
-def test_a_face_is_visible_where_head_or_an_eye_is(tmp_path, point, code):
-    visibility = [1 if i < 3 else 2 for i in range(17)]
-    visibility[point] = code
-    tables = derived(tmp_path, {0: [0, 1], 15: [0]}, coco_file({0: [pose(0, visibility=visibility)]}, "pose"))
-    seen = {(row["frame"], row["track"]): row["face_visible"] for row in tables["sightings"].to_pylist()}
-    # A person without a pose, and one in a frame without poses: unknown.
-    assert seen == {(0, 0): point < 3 and code == 2, (0, 1): None, (15, 0): None}
+    world = {0: [person(t, (70 * t, 60, 50, 200)) for t in range(52)], 15: [person(0, (0, 60, 50, 200))]}
+    store, _ = read_store(tmp_path, {"2d": world, "pose": coco_file({0: poses}, "pose")})
+    rows = store.interval("sightings", NAME).to_pylist()
+    seen = {(row["frame"], row["track"]): row["face_visible"] for row in rows}
+    visible = {(0, track): point < 3 and code == 2 for track, (point, code) in enumerate(cases)}
+    assert seen == visible | {(0, 51): None, (15, 0): None}
 
 
 def test_keypoints_are_read_with_their_sighting(tmp_path):

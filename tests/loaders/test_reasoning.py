@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import functools
 
-import pytest
-from label_records import BOX, NAME, placed, read, reasons, record, rows
-from loaded_stores import reported_store
-from worlds import member, person, thing
+from label_records import BOX, read, record, rows
+from worlds import member
 
 from jrdb_avr.loaders.layers.social import load_reasoning
 
-whole = functools.partial(load_reasoning, social=True)
 things_alone = functools.partial(load_reasoning, social=False)
 
 
@@ -47,74 +44,3 @@ def test_case_09_verbs_in_every_spelling(tmp_path):
     ]
     assert dict(reading.unknown) == {("HOI", "juggling balls"): 1}
     assert problems == []
-
-
-PAIRS = {
-    "missing": (..., "pair: missing"),
-    "one end": ([3], "pair: not a track and a category"),
-    "three ends": ([3, 17, 1], "pair: not a track and a category"),
-    "negative": ([-1, 17], "pair: number out of range"),
-    "huge": ([10**30, 17], "pair: number out of range"),
-    "beyond numbers": ([10**400, 17], "pair: number too large"),
-    "half": ([0.5, 17], "pair: not a whole number"),
-    "bools": ([True, 17], "pair: not a number"),
-    "null end": ([3, None], "pair: not a number"),
-}
-
-
-@pytest.mark.parametrize("name", PAIRS)
-def test_a_pair_that_cannot_be_read(tmp_path, name):
-    pair, reason = PAIRS[name]
-    entry = {"inter_labels": {"holding": "1"}} | ({} if pair is ... else {"pair": pair})
-    content = [record(HOI=[*handling(([3, 17], {"using": "1"})), entry]), member(2, BOX)]
-    reading, problems = read(tmp_path, content, whole)
-    assert rows(reading, "handles") == [(0, 1, 3, 17, "using", 1)]
-    # Of things nothing can be denied; interactions are another list.
-    assert rows(reading, "listed") == [("interactions", 0, 1), ("interactions", 0, 2), ("handles", 0, 2)]
-    assert reasons(problems) == [(reason, "HOI", "000000.jpg", 1)]
-
-
-# -- intervals ---------------------------------------------------------------------------------------------------
-
-
-def loaded(tmp_path, **layers):
-    layers = {{"boxes": "2d"}.get(name, name): content for name, content in layers.items()}
-    return reported_store(tmp_path, layers)
-
-
-def spans(store, kind):
-    names = [n for n in store.interval(kind, NAME).column_names if n not in ("sequence", "first_s", "last_s")]
-    return [tuple(row[n] for n in names) for row in store.interval(kind, NAME).to_pylist()]
-
-
-def people(frames, *tracks):
-    return {f: [person(t, placed(t)) for t in tracks] for f in frames}
-
-
-def test_handling_becomes_intervals_with_gaps_and_doubts(tmp_path):
-    def entries(frame):
-        if 4 <= frame <= 6:
-            return []
-        code = "3" if frame >= 15 else "1"
-        return [((12, 40), {"touching": code}), ((12, 40), {"touching": "3"}), ((12, 57), {"opening": "2"})]
-
-    told = {f: [member(1, placed(1), handles=entries(f))] for f in range(20)}
-    store, _ = loaded(tmp_path, boxes=people(range(20), 1), reasoning=told)
-    assert spans(store, "handles") == [
-        (1, 12, 40, "touching", 0, 3, True),
-        (1, 12, 40, "touching", 7, 14, True),
-        (1, 12, 40, "touching", 15, 19, False),
-        (1, 12, 57, "opening", 0, 3, True),
-        (1, 12, 57, "opening", 7, 19, True),
-    ]
-    gaps = [(1, 12, 40, "touching", 4, 6, True), (1, 12, 57, "opening", 4, 6, True)]
-    assert spans(store, "possible_handles") == gaps
-
-
-def test_people_are_no_things_and_the_absent_handle_nothing(tmp_path):
-    told = {
-        0: [member(t, placed(t), handles=[((5, 63), {"touching": "1"}), ((5, 40), {"touching": "1"})]) for t in (1, 2)]
-    }
-    store, _ = loaded(tmp_path, boxes=people([0], 1), reasoning=told, panoptic={0: [thing(5, 40), thing(5, 63)]})
-    # Category 63 is the pedestrian; person 2 has no box.
-    assert spans(store, "handles") == [(1, 5, 40, "touching", 0, 0, True)]

@@ -79,16 +79,6 @@ def test_spellings_of_interactions(written, label):
 # -- what files say ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("code", [0, 4, 1.5, -1, "one", "", "1.0", True, None, [], 10**30, "9" * 4000])
-def test_case_05_other_codes_leave_the_label_unknown(tmp_path, code):
-    content = [member(1, BOX, {"gender": {"Male": code}}, [(2, {"hugging": code})], {"aim": {"wandering": code}})]
-    reading, problems = read(tmp_path, content)
-    for layer in ("demographics", "interactions", "group_info"):
-        assert reading.tables[layer]["difficulty"].to_pylist() == [None]
-    assert rows(reading, "listed") == [("interactions", 0, 1)]
-    assert sorted(p.field for p in problems) == ["H-interaction", "demographics_info.gender", "group_info.aim"]
-
-
 def test_case_09_unknown_labels_are_kept_and_counted(tmp_path):
     said = {"gender": {"Unsure_yet": "1"}, "race": {"impossible": "1"}}
     info = {"SSC": {"food-truck": "1", "Ice-cream Stand": "1"}, "aim": {"socializing&juggling": "1"}}
@@ -102,24 +92,6 @@ def test_case_09_unknown_labels_are_kept_and_counted(tmp_path):
     }
     assert (0, 1, 2, "dancing together", 1) in rows(reading, "interactions")
     assert problems == []
-
-
-@pytest.mark.parametrize("pair", ["pedestrian:9", "9", 9, 9.0])
-def test_partners_in_every_form(tmp_path, pair):
-    reading, problems = read(tmp_path, [record(**{"H-interaction": talk((pair, {"hugging": "1"}))})])
-    assert rows(reading, "interactions") == [(0, 1, 9, "hugging", 1)]
-    assert problems == []
-
-
-def test_of_several_objects_the_first_is_kept_and_the_others_counted(tmp_path):
-    said, info = [{"gender": {"Male": "1"}}, {"gender": {"Female": "1"}}], [{"aim": {"wandering": "1"}}, {}, 5]
-    reading, problems = read(tmp_path, [record(demographics_info=said, group_info=info)])
-    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1)]
-    assert rows(reading, "group_info") == [(0, 1, "aim", "wandering", 1)]
-    assert [(reason, field) for reason, field, _, _ in reasons(problems)] == [
-        ("more than one element, the first is kept", "demographics_info"),
-        ("more than one element, the first is kept", "group_info"),
-    ]
 
 
 # -- broken input ------------------------------------------------------------------------------------------------
@@ -154,17 +126,6 @@ def test_a_broken_entry_leaves_the_others_but_the_list_is_not_whole(tmp_path, na
     assert reasons(problems) == [(reason, "H-interaction", "000000.jpg", 1)]
 
 
-@pytest.mark.parametrize("value", [5, {}, [5], [[2, {"hugging": "1"}]]], ids=str)
-@pytest.mark.parametrize("key", ["H-interaction", "HHI"])
-def test_what_is_no_list_of_entries_costs_its_record(tmp_path, key, value):
-    lost = record(demographics_info=[GOOD], **{key: value})
-    reading, problems = read(tmp_path, {0: [lost, member(2, BOX, GOOD, [])], 1: [member(2, BOX, GOOD, [])]})
-    # A person is lost, so the frame proves nothing.
-    assert rows(reading, "demographics") == [(1, 2, "gender", "male", 1)]
-    assert rows(reading, "listed") == [("interactions", 1, 2)]
-    assert [(p.kind, p.field, p.frame, p.count) for p in problems] == [("record", key, "000000.jpg", 1)]
-
-
 def test_case_36_a_record_with_both_names_has_both_lists(tmp_path):
     entries, others = talk((2, {"hugging": "1"})), talk((3, {"conversation": "1"}))
     reading, problems = read(tmp_path, [record(HHI=entries, **{"H-interaction": others})])
@@ -178,32 +139,6 @@ def test_an_impossible_interaction_is_no_fact_and_no_denial(tmp_path):
     assert rows(reading, "interactions") == [(0, 1, 2, "hugging", 1)]
     assert rows(reading, "listed") == []
     assert problems == []
-
-
-@pytest.mark.parametrize(
-    ("value", "reason", "field"),
-    [
-        ([5], "not an object", "demographics_info"),
-        (5, "not a list", "demographics_info"),
-        ([{"gender": "Male", "age": {"Childhood": "1"}}], "not an object", "demographics_info.gender"),
-        ([{"gender": {"": "1"}, "age": {"Childhood": "1"}}], "label: empty text", "demographics_info.gender"),
-        ([{"gender": {"-": "1"}, "age": {"Childhood": "1"}}], "label: no word", "demographics_info.gender"),
-    ],
-)
-def test_broken_demographics(tmp_path, value, reason, field):
-    reading, problems = read(tmp_path, [record(demographics_info=value)])
-    kept = [(0, 1, "age", "childhood", 1)] if field.endswith("gender") else []
-    assert rows(reading, "demographics") == kept
-    assert reasons(problems) == [(reason, field, "000000.jpg", 1)]
-
-
-def test_a_record_without_a_box_has_its_facts(tmp_path):
-    content = [record(demographics_info=[GOOD], box=[1, 2, -3, 4]), {"label_id": "pedestrian:2", "H-interaction": []}]
-    reading, problems = read(tmp_path, content)
-    assert rows(reading, "demographics") == [(0, 1, "gender", "male", 1)]
-    assert rows(reading, "listed") == [("interactions", 0, 2)]
-    assert reading.boxes.num_rows == 0
-    assert {(p.kind, p.field) for p in problems} == {("field", "box")}
 
 
 @pytest.mark.parametrize(

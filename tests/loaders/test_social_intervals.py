@@ -7,8 +7,6 @@ from label_records import placed
 from loaded_stores import NAME, reported_store
 from worlds import member, person
 
-BOX = (100, 60, 50, 200)
-
 
 def loaded(tmp_path, social, boxes=None, **rules):
     """Store and report of a social file beside 2D boxes; by default everybody of the social file has a box."""
@@ -55,17 +53,6 @@ def test_case_29_partners_without_a_box_are_counted(tmp_path):
     assert report.absent_partners == 3
 
 
-@pytest.mark.parametrize(("gap", "closed"), [(7, True), (6, False)])
-def test_gaps_are_closed_by_rows_of_their_own(tmp_path, gap, closed):
-    talking = [(2, {"conversation": "1"})]
-    frames = {f: scene(talking if f < 5 or f > 11 else [], []) for f in range(20)}
-    store, _ = loaded(tmp_path, frames, gap_frames=gap)
-    one_way = [row for row in spans(store) if row[0] == 1]
-    assert one_way == [(1, 2, "conversation", 0, 4, True), (1, 2, "conversation", 12, 19, True)]
-    between = [(1, 2, "conversation", 5, 11, True), (2, 1, "conversation", 5, 11, True)] if closed else []
-    assert spans(store, "possible_interactions") == between
-
-
 def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
     talking = [(2, {"conversation": "1"})]
     frames = {f: scene(talking if f != 45 else [], []) for f in range(0, 90, 15)}
@@ -75,13 +62,6 @@ def test_at_one_frame_per_second_nothing_is_bridged(tmp_path):
         (1, 2, "conversation", 60, 75, True),
     ]
     assert spans(store, "possible_interactions") == []
-
-
-def test_whose_lists_were_read_stands_with_the_sightings(tmp_path):
-    broken = [(2, {"hugging": "1"}), ("nobody", {"hugging": "1"})]
-    store, _ = loaded(tmp_path, {0: scene(broken, [], None)})
-    assert store.interval("sightings", NAME)["interactions_listed"].to_pylist() == [False, True, False]
-    assert spans(store)[0] == (1, 2, "hugging", 0, 0, True)
 
 
 @pytest.mark.parametrize("said", [([(3, {"hugging": "1"})], [], None), ([], [], [(1, {"hugging": "1"})])])
@@ -111,47 +91,3 @@ def test_case_37_a_vote_that_differs_makes_the_attribute_unknown(tmp_path):
         ("person 1", "gender", {"female": 2, "male": 3}, 5),
         ("person 2", "gender", {"female": 2, "male": 2}, 4),
     ]
-
-
-def test_hard_and_unreadable_values_do_not_vote(tmp_path):
-    codes = ["3", "x", "2"]
-    frames = {
-        f: [member(1, BOX, {"age": {"Childhood" if code != "2" else "elderly": code}})] for f, code in enumerate(codes)
-    }
-    store, report = loaded(tmp_path, frames)
-    assert spans(store, "demographics") == [(1, "age", "late adulthood", 1, True)]
-    assert report.disagreements == []
-
-
-def test_two_spellings_of_a_value_in_a_record_are_one_vote(tmp_path):
-    store, _ = loaded(tmp_path, {0: [member(1, BOX, {"gender": {"Male": "1", "male": "2"}})]})
-    assert spans(store, "demographics") == [(1, "gender", "male", 1, True)]
-
-
-def grouped(track, cluster, info):
-    return member(track, placed(track), info=info, group=(cluster, 1))
-
-
-def in_groups(tmp_path, frames):
-    """`frames`: {frame: [(track, cluster, info)]}."""
-    social = {f: [grouped(*row) for row in found] for f, found in frames.items()}
-    boxes = {f: [person(t, placed(t), group=(c, 1)) for t, c, _ in found] for f, found in frames.items()}
-    return loaded(tmp_path, social, boxes)
-
-
-def test_several_values_of_a_group_may_be_chosen_but_one_venue(tmp_path):
-    info = {
-        "aim": {"socializing&commuting": "1"},
-        "SSC": {"table": "1", "board": "2", "wall": "3"},
-        "venue": {"indoor_street": "1", "outdoor_street": "1"},
-    }
-    store, report = in_groups(tmp_path, {0: [(1, 7, info), (2, 7, info)]})
-    assert spans(store, "group_info") == [
-        (7, "aim", "commuting", 2, True),
-        (7, "aim", "socializing", 2, True),
-        (7, "ssc", "board", 2, True),
-        (7, "ssc", "table", 2, True),
-        (7, "venue", "indoor_street", 2, False),
-        (7, "venue", "outdoor_street", 2, False),
-    ]
-    assert report.disagreements == []

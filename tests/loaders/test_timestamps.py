@@ -89,26 +89,6 @@ def entry(frame, timestamp, url=None, **more):
 
 
 GOOD = [entry(f, START + f) for f in (0, 1, 2, 4, 5)]
-BAD = {
-    "no number": (entry(3, "noon"), "timestamp"),
-    "null": (entry(3, None), "timestamp"),
-    "negative": (entry(3, -1.0), "timestamp"),
-    "nanoseconds": (entry(3, START * 1e9), "timestamp"),
-    "no agreement": (entry(3, START + 3, url="x/000007.jpg"), "frame_id"),
-    "no frame": ({"timestamp": START + 3, "cameras": [{"url": "x/first.jpg"}]}, "frame_id"),
-    "frame below zero": (entry(-3, START + 3, url="x/000003.jpg"), "frame_id"),
-    "half a frame": (entry(3, START + 3) | {"frame_id": 3.5}, "frame_id"),
-    "frame of seven digits": (entry(3, START + 3, url="x") | {"frame_id": 1_000_000}, "frame_id"),
-    "no object": (7, ""),
-}
-
-
-@pytest.mark.parametrize("bad, field", BAD.values(), ids=BAD)
-def test_a_bad_entry_costs_itself(tmp_path, bad, field):
-    store, problems = read(tmp_path, {"images": json.dumps({"data": [*GOOD, bad]})})
-    assert rows(store) == [(f, START + f) for f in (0, 1, 2, 4, 5)]
-    ((kind, count, layer, where),) = [(p.kind, p.count, p.layer, p.field) for p in problems]
-    assert (kind, count, layer, where) == ("record", 1, "timestamps", field)
 
 
 @pytest.mark.parametrize("frame_id", [3, None])

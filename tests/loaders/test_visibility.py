@@ -1,22 +1,17 @@
 """Who is in clear view: covered shares of boxes, classes, and what load makes of covered people."""
 
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
-from environment import REAL
 from hypothesis import example, given
 from hypothesis import strategies as st
-from loaded_stores import load_root
 from oracle_covering import hidden_share
-from readings import HARD, World, intervals_of, toward
-from text_reader import Recording
+from readings import HARD, World, intervals_of
 
 from jrdb_avr.engine.rederive import FALSE, TRUE, UNKNOWN
 from jrdb_avr.engine.rederive.covering import covered_area, outline_of
 from jrdb_avr.loaders.intervals.visibility import UNIT, covered_areas
-from jrdb_avr.loaders.root import find_root
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Condition
@@ -132,11 +127,6 @@ def test_without_attributes_the_covered_share_decides(width, view):
     assert rows(world, "sequence", LoadRules(visibility="any"))[0]["visibility"] == "nothing"
 
 
-def test_other_thresholds_decide_otherwise():
-    rules = LoadRules(visibility="clear", max_covered=0.3, min_covered=0.3)
-    assert [views(pair(width), rules)[1, 0] for width in (29.99, 30)] == ["clear", "covered"]
-
-
 @pytest.mark.parametrize("more", [{"h": 39}, {"y": -1}, {"no_eval": True}])
 def test_what_was_no_clear_view_is_uncertain_unless_it_is_covered(more):
     assert [views(pair(width, **more))[1, 0] for width in (0, 60, 90)] == ["uncertain", "uncertain", "covered"]
@@ -189,31 +179,8 @@ def test_a_person_cannot_be_clear_and_covered(least, most):
     assert override(Rules(), {"load.max_covered": most, "load.min_covered": most}).load.min_covered == float(most)
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="the slice of real data is not here")
-@pytest.mark.parametrize(
-    "sequence",
-    [
-        "gates-ai-lab-2019-02-08_0",
-        pytest.param("huang-lane-2019-02-12_0", marks=pytest.mark.slow),
-        pytest.param("packard-poster-session-2019-03-20_2", marks=pytest.mark.slow),
-        pytest.param("tressider-2019-04-26_2", marks=pytest.mark.slow),
-    ],
-)
-def test_real_boxes_have_the_class_that_the_text_reader_gives_them(sequence, tmp_path):
-    labels = tmp_path / "root" / "labels" / "labels_2d_stitched"
-    labels.mkdir(parents=True)
-    (labels / f"{sequence}.json").symlink_to(Path(REAL) / "labels" / "labels_2d_stitched" / f"{sequence}.json")
-    store, _ = load_root(tmp_path, tmp_path / "root", visibility="clear")
-    assert [files.sequence for files in find_root(tmp_path / "root").sequences] == [sequence]
-    reader, found = Recording(tmp_path / "root", sequence), store.interval("sightings", sequence).to_pylist()
-    assert {_view(row) for row in found} == {"clear", "covered", "uncertain"}
-    for row in found:
-        assert reader.view(row["track"], row["frame"]) == _view(row)
-
-
 # -- covered people ---------------------------------------------------------------------------------------------------
 
-SECONDS = range(0, 301, 15)
 HIDDEN = {"occlusion": "Fully_occluded"}
 
 
@@ -225,39 +192,6 @@ def test_on_covered_frames_a_written_label_is_unknown_and_another_stays_false():
     assert [(row["frame"], row["pose"]) for row in rows(world)] == [(0, None), (15, "walking")]
     certain = {(row["action"], row["first"], row["last"]): row["certain"] for row in rows(world, "actions")}
     assert certain == {("reading", 0, 0): False, ("walking", 0, 0): False, ("walking", 15, 15): True}
-
-
-@pytest.mark.parametrize(
-    ("covered", "starts"),
-    [((), [90]), (range(0, 75), [90]), ([75], []), ([105], []), (range(195, 301), [90])],
-)
-def test_a_segment_may_have_covered_frames_around_it_but_not_in_it(covered, starts):
-    world = World(SECONDS)
-    for frame in SECONDS:
-        doing = ["standing", "reading"] if 90 <= frame <= 180 else ["standing"]
-        world.see(1, [frame], doing, **(HIDDEN if frame in covered else {}))
-    found = [row for row in rows(world, "segments") if row["action"] == "reading"]
-    assert [row["first"] for row in found] == starts
-    assert [segment.first for segment in world.read(RULES).segments(1, "reading")] == starts
-
-
-def test_covered_people_are_not_the_first_to_a_side():
-    world = World([0]).see(1, [0], x=toward(90)).see(2, [0], x=toward(100), **HIDDEN).see(3, [0], x=toward(110))
-    world.see(4, [0], x=toward(130), occlusion=None).see(5, [0], x=toward(131))
-    found = {(row["source"], row["target"]): row["certain"] for row in rows(world, "beside") if "right" in row["label"]}
-    assert found == {(1, 3): True, (3, 4): False, (3, 5): False, (4, 5): True}
-    assert world.read(RULES).first_beside(1, 3, 0, False) == TRUE
-    assert world.read(RULES).first_beside(1, 2, 0, False) == FALSE
-
-
-def test_a_covered_person_is_present_but_not_for_certain():
-    world = World(SECONDS).see(1, SECONDS).see(2, [0]).see(2, [15], **HIDDEN).see(2, [75])
-    spans = {
-        kind: {(row["first"], row["last"], row["certain"]) for row in rows(world, kind) if row["track"] == 2}
-        for kind in ("presences", "absences")
-    }
-    assert spans["presences"] == {(0, 0, True), (15, 15, False), (75, 75, True)}
-    assert spans["absences"] == {(30, 30, False), (45, 45, True), (60, 60, False)}
 
 
 SIZES = {
@@ -289,48 +223,11 @@ def test_a_group_has_its_clear_members_and_perhaps_the_uncertain_ones(others):
         assert annotations.holds(Condition(attribute="group_size", value=size, at="t0"), 1, 0) == fact
 
 
-@pytest.mark.parametrize("own", [{"group": (7, HARD)}, {"group": None}, {"group": 7, **HIDDEN}])
-def test_the_size_of_a_group_is_unknown_if_it_is_not_known_which_group_it_is(own):
-    world = World([0]).see(1, [0], **own).see(2, [0], x=100, group=7)
-    assert rows(world)[0]["group_size_min"] is None
-    assert not world.read(RULES).group_sizes(1, 0)
-
-
-def test_a_group_may_have_any_whole_number():
-    world = World([0]).see(1, [0], group=-1).see(2, [0], x=100, group=-1).see(3, [0], x=200, group=(-1, HARD))
-    assert [(row["group_size_min"], row["group_size_max"]) for row in rows(world)] == [(2, 3), (2, 3), (None, None)]
-
-
-def test_an_uncertain_person_counts_one_in_the_own_group():
-    world = World([0]).see(1, [0], group=7, occlusion=None).see(2, [0], x=100, group=7)
-    assert [(row["group_size_min"], row["group_size_max"]) for row in rows(world)] == [(2, 2), (1, 2)]
-
-
-def test_somebody_out_of_the_picture_counts_for_no_group_and_an_unread_frame_makes_it_unknown():
-    world = World(range(3)).see(1, range(3), group=7).see(2, [0], x=100, group=7)
-    assert [row["group_size"] for row in rows(world) if row["track"] == 1] == [2, 1, 1]
-    world = World(range(3)).see(1, range(3), group=7)
-    world.frames.remove(1)
-    assert [row["group_size"] for row in rows(world)] == [1, None, 1]
-
-
 @pytest.mark.parametrize(("partner", "fact"), [({}, TRUE), ({"occlusion": None}, UNKNOWN), (HIDDEN, UNKNOWN)])
 def test_a_conversation_with_someone_needs_a_partner_in_clear_view(partner, fact):
     world = World([0]).see(1, [0]).see(2, [0], x=100, **partner).join(1, 2, [0]).list([1, 2], [0])
     assert world.read(RULES).holds(Condition(interaction="conversation", at="t0"), 1, 0) == fact
     assert world.read(Rules(load=LoadRules(visibility="any"))).interacts(1, "conversation", 0) == TRUE
-
-
-def test_covered_people_fit_no_description_and_no_hop_leads_to_them():
-    walking = (Condition(action="walking", at="t0"),)
-    world = World([0]).see(1, [0], ["walking"]).see(2, [0], ["walking"], x=100, **HIDDEN).see(3, [0], x=200)
-    world.join(1, 2, [0]).join(1, 3, [0]).list([1, 2, 3], [0])
-    annotations = world.read(RULES)
-    assert annotations.find(walking, 0) == ("defined", 1)
-    assert annotations.step_to("conversation", 1, 0) == ("defined", 3)
-    anybody = world.read(Rules(load=LoadRules(visibility="any")))
-    assert anybody.find(walking, 0) == ("ambiguous", None)
-    assert anybody.step_to("conversation", 1, 0) == ("ambiguous", None)
 
 
 @pytest.mark.parametrize(

@@ -445,48 +445,6 @@ def test_starts_are_found_exactly_where_they_are_stable_and_nothing_is_unknown_b
 STARTS = {"mode": "frame", "read": "start"}
 
 
-def test_the_next_posture_follows_at_once_and_lasts_or_is_unknown(sites):
-    seen = Counter()
-    for site in sites:
-        world, plans, expected = site.world, [], []
-        for track, t0, conditions in described(site):
-            event = {"event": "end", "of": "a", "after": "t0"}
-            how = {"mode": "multiple_choice", "read": "next_action", "at": "t1"}
-            plans.append(planned(site, conditions, {"t0": t0, "t1": event}, how))
-            poses = [world.pose(t, track) if (t, track) in world.people else None for t in world.keyframes if t >= t0]
-            held = next((i for i, pose in enumerate(poses) if pose != poses[0]), None)
-            pose, last = (poses[held], t0 + 15 * held - 15) if poses[0] and held else (None, 0)
-            rows = [row for row in world.segments if (row["track"], row["action"]) == (track, pose)]
-            lasts = any(last < row["first"] <= last + 15 for row in rows)
-            expected.append(pose if lasts else None)
-            seen["follows" if lasts else "passes" if pose else "nothing"] += 1
-        for plan, solution, answer in zip(plans, site.solve(plans), expected, strict=True):
-            assert solution.answer == answer, plan
-    assert min(seen[kind] for kind in ("follows", "passes", "nothing")) >= 3, seen
-
-
-@pytest.mark.slow
-def test_people_are_counted_where_everybody_who_could_be_met_certainly_is(sites):
-    seen = Counter()
-    for site in sites:
-        world, plans, expected = site.world, [], []
-        for track, t1, conditions in itertools.islice(described(site), 12):
-            for t2, label in itertools.product([t for t in world.keyframes if t > t1][:9:4], (GROUP, *TOGETHER[:2])):
-                how = {"mode": "number", "read": "count", "at": ["t1", "t2"], "relation": label}
-                plans.append(planned(site, conditions, {"t1": t1, "t2": t2}, how))
-                between = [world.company(frame, track, label) or {} for frame in range(t1, t2 + 1)]
-                met, could = (
-                    {other for facts in between for other, fact in facts.items() if fact in kinds}
-                    for kinds in ((YES,), (YES, MAYBE))
-                )
-                there = all((t, track) in world.people for t in world.keyframes if t1 <= t <= t2)
-                expected.append(f'{{"value":{float(len(met))}}}' if there and met == could else None)
-                seen["nobody" if not could else "unsure" if met != could else "gone" if not there else "known"] += 1
-        for plan, solution, answer in zip(plans, site.solve(plans), expected, strict=True):
-            assert solution.answer == answer, plan
-    assert min(seen[kind] for kind in ("nobody", "unsure", "gone", "known")) >= 3, seen
-
-
 HIDDEN, DOUBTFUL = {"occlusion": "Fully_occluded"}, {"occlusion": None}
 FIRST_WALK = {"mode": "frame", "read": "start", "of": "a", "at": "t1"}
 MET = {"mode": "number", "read": "count", "of": "a", "at": ["t1", "t2"], "relation": "conversation"}

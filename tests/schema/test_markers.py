@@ -86,19 +86,6 @@ def scene(rng, width=CROP):
     return np.clip(image + noise, 0, 185).astype(np.uint8)
 
 
-@settings(max_examples=examples(30))
-@given(any_mark(), st.sampled_from(["first", "tall", "wide"]), st.integers(0, 255), st.integers(0, 255))
-def test_cells_give_back_the_mark(mark, layout, wide, high):
-    decoded = decode(encode(mark, layout, wide, high))
-    assert (decoded.wide, decoded.high) == (wide, high)
-    if layout == "first":
-        assert not decoded.complete
-        assert decoded.mark == first_only(mark)
-    else:
-        assert decoded.complete
-        assert decoded.mark == mark
-
-
 @pytest.mark.slow
 @settings(max_examples=examples(30))
 @given(any_mark(), st.sampled_from(["first", "tall", "wide"]), st.data())

@@ -24,7 +24,6 @@ class Story:
     def __init__(self):
         self.rows = {"observations": [], "sightings": [], "attributes": [], "relations": []}
         self.nodes = {}
-        self.kinds = {}
         self._writes = 0
 
     def look(self, frame, *lefts, width=480):
@@ -64,10 +63,6 @@ class Story:
             self.rows["relations"].append(row)
         return self
 
-    def is_a(self, entity, kind):
-        self.kinds[entity] = kind
-        return self
-
     def is_node(self, entity, node):
         self.nodes[entity] = node
         return self
@@ -88,7 +83,7 @@ def write(graph, stories):
             tables["Made"].append({"from": key, "to": name})
         for number, name in enumerate(sorted({one["entity"] for one in story.rows["sightings"]})):
             row = {"id": f"{key}/{name}", **of_episode, "name": name, "number": number}
-            tables["Entity"].append({**row, "node": story.nodes.get(name, ""), "kind": story.kinds.get(name, "person")})
+            tables["Entity"].append({**row, "node": story.nodes.get(name, ""), "kind": "person"})
             tables["Holds"].append({"from": key, "to": f"{key}/{name}"})
         for one in story.rows["sightings"]:
             box = dict(zip("xywh", one["box"], strict=True))

@@ -26,7 +26,6 @@ from jrdb_avr.engine.generate.stored_layer import LayerJob, layer_jobs
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, table_ddl
-from jrdb_avr.schema.panorama import CROP, Box, crop_left, to_crop
 from jrdb_avr.schema.rules import LoadRules, Rules, frames
 from jrdb_avr.schema.templates import FORMS, TEMPLATES
 
@@ -143,11 +142,3 @@ def layers_in_memory():
         for module, name in ((run, "open_worker_graph"), (question, "open_worker_graph"), (run, "hold_graph")):
             patch.setattr(module, name, shared)
         yield
-
-
-def visible_share(box: Box, angle_deg: float) -> float:
-    """Share, [0, 1], of the box's width that the crop at `angle_deg` shows. A box without width: 0."""
-    if not box.w > 0:
-        return 0.0
-    seen = to_crop(box, crop_left(angle_deg))
-    return max(0.0, min(seen.x + seen.w, float(CROP)) - max(seen.x, 0.0)) / box.w

@@ -38,18 +38,6 @@ def text(value):
     return json.dumps(value, sort_keys=True, separators=(",", ":"))
 
 
-def poses_in(words):
-    """The poses that somebody who reads these words of a relation or of handling a thing takes for granted."""
-    if words in FIRST or words in PLACES or words in WINDOWS or words == GROUP:
-        return set()
-    first = words.split()[0]
-    named = {"walking", "standing", "sitting", "bending", "cycling", "running"} & {first}
-    named |= {"cycling", "skating", "scootering"} if first == "riding" else set()
-    up, down = ("going upstairs", "going up", "climbing"), ("going downstairs", "going down")
-    named |= {"going upstairs"} if any(words in (w, f"{w} together") for w in up) else set()
-    return named | ({"going downstairs"} if any(words in (w, f"{w} together") for w in down) else set())
-
-
 class People(Oracle):
     def __init__(self, root, sequence, judged=JUDGED):
         super().__init__(read_root(root, sequence), sequence, judged)

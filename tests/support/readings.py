@@ -28,7 +28,7 @@ from jrdb_avr.schema.templates import TEMPLATES, Slots
 
 RULES = Rules()
 SEQUENCE = "world"
-EASY, MIDDLE, HARD = 1, 2, 3
+EASY, HARD = 1, 3
 CATEGORIES = {57: "shelf", 40: "accessory", 63: "pedestrian", 900: None}
 
 
@@ -79,11 +79,6 @@ class World:
             self.see(track, self.frames[-1:], [action], x=track % 60 * 60, occlusion=occlusion)
         return self
 
-    def tell(self, track, frames, **values):
-        """Gender or age of a person as frames say it: a value, or a value and a difficulty."""
-        self._write("demographics", track, frames, [("attribute", name, value) for name, value in values.items()])
-        return self
-
     def list(self, tracks, frames, layer="interactions"):
         """The whole lists of these people could be read: they have no interactions (or things) but those written."""
         for frame in frames:
@@ -94,23 +89,21 @@ class World:
 
     def join(self, track, partner, frames, label="conversation"):
         """The person's labels say that it is in an interaction with the partner."""
-        self._write("interactions", track, frames, [("label", label, label)], partner=partner)
+        self._write("interactions", track, frames, [("label", label)], partner=partner)
         return self
 
     def handle(self, track, frames, verb, category, thing=1):
         """The person does something with a thing of the category of this number."""
-        self._write("handles", track, frames, [("verb", verb, verb)], object=thing, category_id=category)
+        self._write("handles", track, frames, [("verb", verb)], object=thing, category_id=category)
         return self
 
     def _write(self, layer, track, frames, facts, **more):
         self.more.add(layer)
         for frame in frames:
-            for column, name, said in facts:
-                value, difficulty = said if isinstance(said, tuple) else (said, EASY)
-                name, difficulty = name if isinstance(name, tuple) else (name, difficulty)
+            for column, said in facts:
+                name, difficulty = said if isinstance(said, tuple) else (said, EASY)
                 row = {"sequence": SEQUENCE, "frame": frame, "track": track, column: name, "difficulty": difficulty}
-                told = {"value": value, "raw": str(value)} if layer == "demographics" else {"raw": str(name)}
-                self.rows[layer].append(row | told | more)
+                self.rows[layer].append(row | {"raw": str(name)} | more)
 
     def read(self, rules=RULES):
         """The tables as the second path has them."""

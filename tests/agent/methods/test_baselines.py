@@ -87,38 +87,6 @@ def last_line(part):
     return part.rsplit("\n", 1)[-1]
 
 
-def test_monolithic_is_shown_the_stored_panoramas(world):
-    prediction, chat = play(
-        Monolithic, script("monolithic", frame=85), world.task("What does the person do?", "multiple_choice", CHOICES)
-    )
-    *shown, stage = chat.user(0)
-    assert shown == [HEAD, *panorama_parts(world, FRAMES)]
-    assert last_line(stage) == "Your answer, as one JSON object:"
-    assert "one of 000000, 000040, 000085, 000125, 000170, 000210, 000255, 000295." in stage
-    assert [message.role for message in chat.sent[0]] == ["system", "user"]
-    assert prediction.answer == Choice(2)
-    assert prediction.evidence == Evidence(85, pytest.approx((1504, 120, 752, 240)))
-
-
-def test_chain_of_thought_is_shown_the_same_and_then_its_facts(world):
-    prediction, chat = play(
-        ChainOfThought,
-        script("chain-of-thought", frame=295),
-        world.task("What does the person do?", "multiple_choice", CHOICES),
-    )
-    same = [HEAD, *panorama_parts(world, FRAMES)]
-    *shown, stage = chat.user(0)
-    assert shown == same
-    assert last_line(stage) == "Your facts, as one JSON object:"
-    *shown, facts, stage = chat.user(1)
-    assert shown == same
-    assert facts == "Fact 1: a man stands ahead\nFact 2: he sits later"
-    assert last_line(stage) == "Your answer, as one JSON object:"
-    assert chat.sent[0][0] == chat.sent[1][0]
-    assert (prediction.n_observations, prediction.n_model_calls) == (8, 2)
-    assert prediction.evidence.frame == 295
-
-
 def test_search_is_shown_panoramas_then_its_crop_then_both(world):
     prediction, chat = play(
         SearchRecognize,

@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 from environment import DOCS
 
-from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.decode import reply_object
-from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.policy.explorer import Look, Sighting
 from jrdb_avr.agent.simulated.knobs import (
@@ -29,7 +27,7 @@ from jrdb_avr.agent.simulated.knobs import (
 )
 from jrdb_avr.agent.simulated.noise import with_wrong_boxes
 from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
-from jrdb_avr.agent.simulated.server import Server, marker_server
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.errors import DecodeError, InputError
 from jrdb_avr.schema.markers import Mark, Reading
 from jrdb_avr.schema.panorama import Box, iou
@@ -197,12 +195,6 @@ def test_replies_depend_on_the_request_alone(serve):
     assert dict(zip(shuffled, serve(shuffled, **knobs), strict=True)) == straight
 
 
-def test_the_child_process_takes_its_knobs():
-    ask = [Message("user", (f"Question: {QUESTION}\nLegal frames: 000000\nLooks made: 0, left: 24\n{REACT}",))]
-    with marker_server(knobs=parse(["refusal=1", "seed=4"])) as url:
-        assert Client(url, "marker").complete(ask).refusal
-
-
 # -- boxes ------------------------------------------------------------------------------------------------------------
 
 
@@ -283,15 +275,6 @@ def test_every_field_is_misread_at_its_rate_and_apart_from_the_others():
         assert abs(sum(flags) / N - RATE) < NEAR, name
     assert len({tuple(flags) for flags in wrong.values()}) == len(FIELDS)
     assert {mark.identity for mark in seen} == {7} and {mark.partner for mark in seen} == {9}
-
-
-def test_a_mark_is_misread_alike_in_one_picture_and_anew_in_the_next():
-    see = reader(Knobs(wrong_attribute=0.5))
-    again = reader(Knobs(wrong_attribute=0.5))
-    assert all(see(bytes([n]), FULL) == again(bytes([n]), FULL) for n in range(50))
-    assert len({see(bytes([n]), FULL) for n in range(50)}) > 20
-    other = reader(Knobs(wrong_attribute=0.5), "another question")
-    assert any(see(bytes([n]), FULL) != other(bytes([n]), FULL) for n in range(50))
 
 
 def test_the_log_names_the_knob_that_spoiled_an_answer(tmp_path):

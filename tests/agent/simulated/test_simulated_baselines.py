@@ -1,4 +1,4 @@
-"""The marker model plays the methods with a fixed context on painted worlds, through pixels and a socket."""
+"""The marker model plays ReAct and the methods with a fixed context on painted worlds: through pixels and a socket."""
 
 import json
 import threading
@@ -9,6 +9,7 @@ from painted import Actor, World, still
 
 from jrdb_avr.agent.methods.chain_of_thought import ChainOfThought
 from jrdb_avr.agent.methods.monolithic import Monolithic
+from jrdb_avr.agent.methods.react import ReAct
 from jrdb_avr.agent.methods.search_recognize import SearchRecognize
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.policy.explorer import FixedExplorer, Look, Sighting
@@ -16,7 +17,7 @@ from jrdb_avr.agent.policy.state import EpisodeState
 from jrdb_avr.agent.simulated.facts import known_facts, shown_there, write_facts
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.markers import Mark
-from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Node, Plan, Time
 from jrdb_avr.schema.things import OBJECTS
 from jrdb_avr.schema.wording.people import in_order
@@ -91,6 +92,27 @@ def first_reply(steps):
 def check_box(prediction, box, least=0.9):
     assert prediction.status == "answered", prediction
     assert iou(Box(*prediction.evidence.box), box(prediction.evidence.frame)) >= least
+
+
+# -- looking ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "x", [-70, -69, -35, -1, 0, 10, 200, 1800, 2000, WIDTH - 71, WIDTH - 70, WIDTH - 35, WIDTH - 1, WIDTH, WIDTH + 40]
+)
+def test_react_wherever_the_person_stands(play, x):
+    person = who(lambda f: Box(x, 120, 70, 220), until=90)
+    prediction = play.change(ReAct, play.world([person, *CROWD[1:]], range(601)), [STANDING], t1=150)
+    assert prediction.answer.choice == POSES.index("sitting") + 1
+    check_box(prediction, person.box)
+
+
+def test_react_boxes_nobody_if_no_mark_can_be_read(play):
+    prediction = play.change(ReAct, play.world(CROWD, range(601)), [STANDING], t1=150)
+    assert prediction.status == "invalid" and prediction.evidence is None
+    assert prediction.answer is not None
+    assert any("mark unreadable" in reason for reason in play.missing())
 
 
 # -- all at once ------------------------------------------------------------------------------------------------------

@@ -1,24 +1,13 @@
-"""Questions about gaps: their forms are judged together, and a form without its layer is not asked."""
+"""Counts of people who are met between keyframes, in worlds that are labelled at every frame."""
 
-import itertools
-import json
 import random
-from collections import Counter
 
-import msgspec
-import pytest
-from keyframe_layers import make_all, make_prover, proposals, search_one, searched
+from keyframe_layers import make_prover, proposals, searched
 from loaded_stores import memory_store
-from worlds import member, person, person_3d
+from worlds import member, person
 
-from jrdb_avr.engine.generate import run
-from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
-from jrdb_avr.schema.answer_modes import decode_answer
-from jrdb_avr.schema.answers import encode_answer
-from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
-from jrdb_avr.schema.wording.text import question_key, render
 
 NAME = "yard-2020-01-01_0"
 FORMS = [template for template in TEMPLATES.values() if template.name == "gap"]
@@ -70,38 +59,6 @@ def busy_world(rng):
     return {NAME: layers}
 
 
-@pytest.fixture
-def only_gaps(monkeypatch):
-    monkeypatch.setattr(run, "FORMS", {"gap": tuple(FORMS)})
-
-
-def counts_of(found):
-    return Counter({row["rule"]: row["candidates"] for row in found.refused if row["kind"] == "count"})
-
-
-def test_forms_are_judged_together(tmp_path, only_gaps):
-    store = memory_store(tmp_path, busy_world(random.Random(9)))
-    rules = msgspec.structs.replace(RULES, max_per_person=2)
-    found, candidates = search_one(store, NAME, rules)
-    assert found.lacking == {} and counts_of(found).keys() <= {*REASONS, "choices"}
-    kept, faults = make_all(store, NAME, rules, candidates, found.counts)
-    assert not faults
-    assert {parse_plan(row["plan"]).times["t1"].event for row in kept} == {"start", "leaves", None}
-    # The caps of a person over all answers are for the selection across sequences.
-    alike = [(row["target_track"], row["answer"]) for row in kept]
-    assert max(Counter(alike).values()) == 2
-    for (one, first), (other, second) in itertools.combinations(zip(alike, kept, strict=True), 2):
-        if one == other:
-            times = [json.loads(row["bindings"]) for row in (first, second)]
-            apart = [abs(times[0][name] - times[1][name]) for name in ("t1", "t2")]
-            assert max(apart) > 30
-    for row in kept:
-        answer = decode_answer("number", row["answer"])
-        assert encode_answer(answer) == row["answer"]
-        plan = parse_plan(row["plan"])
-        assert render("gap", plan, question_key(NAME, row["target_track"], plan), True)
-
-
 def test_people_who_are_met_between_keyframes_are_counted(tmp_path):
     """Labels at every frame: a person who is met for a moment only may make the number another one, or unknown."""
     store = memory_store(tmp_path, busy_world(random.Random(10)))
@@ -110,18 +67,3 @@ def test_people_who_are_met_between_keyframes_are_counted(tmp_path):
         (form,) = (form for form in FORMS if form.counts)
         proven = [prover.prove(one) is not None for one in proposals(search, form)]
     assert prover.counts["count"] and any(proven)
-
-
-def test_without_actions_absences_and_counts_are_asked_about(tmp_path, only_gaps):
-    world = busy_world(random.Random(9))
-    for rows in world[NAME]["2d"].values():
-        for row in rows:
-            del row["action_label"]
-    found, candidates = search_one(memory_store(tmp_path, world), NAME, RULES)
-    assert found.lacking == {} and len(candidates) + counts_of(found).total() > 0
-
-
-def test_without_boxes_there_is_nothing_to_ask(tmp_path, only_gaps):
-    store = memory_store(tmp_path, {NAME: {"3d": {0: [person_3d(1, 3.0, 0.0)], 15: []}}})
-    found, candidates = search_one(store, NAME, RULES)
-    assert found.lacking == {"gap": ("2d",)} and found.refused == candidates == []

@@ -9,13 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from keyframe_layers import layers_in_memory, visible_share
+from keyframe_layers import layers_in_memory
 from loaded_stores import graphless_store
 from processes import run_program
 from question_files import question_files
@@ -24,13 +21,11 @@ from stored_layers import layer_rows
 from worlds import load_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
-from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.diagnostics import REFUSALS
 from jrdb_avr.engine.generate.pool import EXAMPLES
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import LockedError, StoreError
-from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules, override
 
@@ -225,30 +220,3 @@ def test_rules_reach_the_search(one, another, in_memory):
     assert answers
     assert all(len(parse_plan(row["plan"]).nodes[0].conditions) == 1 for row in answers)
     assert sum(row["questions"] for row in report.templates) < sum(row["questions"] for row in one[1].templates)
-
-
-# -- views ----------------------------------------------------------------------------------------------------
-
-BOXES = st.lists(
-    st.tuples(st.integers(-400, 4100), st.integers(1, 960)).map(lambda b: (b[0] / 1.0, b[1] / 2)),
-    min_size=1,
-    max_size=4,
-)
-
-
-@settings(deadline=None)
-@given(BOXES, st.integers(0, 3759))
-def test_shares_agree_with_the_panorama(boxes, left):
-    x, w = np.array(boxes).T
-    angle = (left + 240) % 3760 * 360 / 3760
-    one_by_one = [visible_share(Box(a, 0.0, b, 10.0), angle) for a, b in boxes]
-    assert np.allclose(views.shares(x, w, float(left)), one_by_one)
-
-
-@settings(deadline=None)
-@given(BOXES)
-def test_single_view_tries_every_angle_that_matters(boxes):
-    x, w = np.array(boxes).T
-    every = np.arange(3760.0)[:, None]
-    best = bool(np.any(np.all(views.shares(x[None, :], w[None, :], every) >= 0.5, axis=1)))
-    assert views.single_view(x, w, 0.5) == best

@@ -1,6 +1,5 @@
 """Small worlds written as text: what generation must give, refuse (and by which rule), and never consider."""
 
-import itertools
 import json
 import re
 from collections import Counter
@@ -15,7 +14,6 @@ from random_worlds import SEQUENCE, build
 from worlds import write_root
 
 from jrdb_avr.engine.generate.describe import describe
-from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
 from jrdb_avr.schema.relations import FIRST_LEFT, FIRST_RIGHT, SAME_GROUP
 from jrdb_avr.schema.templates import TEMPLATES
 
@@ -174,73 +172,3 @@ def test_world(title, tmp_path):
         place = (template, int(track), tuple(map(int, when.split())), path, action)
         assert is_true(verb, value, found.get(place, {})), (line, found.get(place))
     assert claims
-
-
-# -- what the worlds cover ------------------------------------------------------------------------------------------
-
-ALONE = ("start", "span", "change", "presence", "distance", "consequence", "gap_starts", "gap_absence", "gap_count")
-FORMS = (*ALONE, "two_hop", "three_hop", "fork_join", "action_search", "later_action")
-DROPPED = ("near_duplicate", "max_per_person")
-HOPS = {"two_hop": 2, "three_hop": 3, "action_search": 2, "later_action": 2}
-PROVEN_RULES = ("evidence", "image", "view.ahead", *(rule for rule in REASONS if rule not in DROPPED))
-TIMELESS = {"start", "span", "action_search", "consequence", "gap_starts", "gap_absence", "gap_count"}
-NEVER = (
-    ("held_out", set(FORMS), "only a training set is kept apart from another store's questions"),
-    ("count", set(FORMS), "between the keyframes of these worlds nothing happens; test_gap has other worlds"),
-    ("view.single", set(FORMS) - {"action_search"}, "only a search asks for a turn of the head"),
-    ("choices", set(FORMS), "choices are judged before the proofs are tried; the oracle has all sets of wrong choices"),
-    ("hop.stop", set(ALONE), "there are no hops"),
-    ("hop.skip", set(ALONE), "there are no hops"),
-    ("time.shift", TIMELESS, "what is asked for is a time, or hangs on all that happens after one"),
-    ("time.drop", TIMELESS, "what is asked for is a time, or hangs on all that happens after one"),
-)
-"""Rules, the forms that they never refuse, and why. Beside these rules `rederive` finds faults of the program alone,
-and `selection` weighs all sequences together."""
-
-
-def cells(form, rule):
-    """The proofs of a rule that some world must show to refuse."""
-    if rule == "time.shift":
-        return {"-3", "+3"}
-    if rule == "hop.stop":
-        # The last person is the one asked about.
-        return {str(place) for place in range(HOPS.get(form, 3))}
-    if rule == "hop.skip":
-        # To leave out the last hop of a path is to stop one person early.
-        return {"1", "2", "3", "4"} if form == "fork_join" else {str(hop) for hop in range(1, HOPS[form])}
-    return {""}
-
-
-def claimed_refusals():
-    """{(form, rule, proof)} of all worlds; shifts that leave the sequence refuse nothing."""
-    found = set()
-    for line in itertools.chain.from_iterable(WORLDS.values()):
-        match = CLAIM.fullmatch(line)
-        if match and match[1] == "refuses":
-            rule, _, proofs = match[7].partition(" ")
-            for name, outcome in (proof.split(" ") for proof in proofs.split(", ")) if proofs else [("", "same")]:
-                if outcome != "outside":
-                    found.add((match[2], rule, name))
-    return found
-
-
-def test_every_rule_is_seen_to_refuse_in_every_form_by_every_proof():
-    assert sorted(FORMS) == sorted(template.query for template in TEMPLATES.values())
-    never = {(form, rule) for rule, forms, _ in NEVER for form in forms}
-    wanted = {
-        (form, rule, proof)
-        for form in FORMS
-        for rule in PROVEN_RULES
-        if (form, rule) not in never
-        for proof in cells(form, rule)
-    }
-    assert sorted(wanted - claimed_refusals()) == []
-    assert sorted(claimed_refusals() - wanted) == []
-
-
-def test_every_form_is_seen_given_refused_and_lacking():
-    claims = [line.split(" ")[:2] for lines in WORLDS.values() for line in lines]
-    for verb in ("gives", "refuses", "lacks"):
-        assert sorted({form for word, form in claims if word == verb}) == sorted(FORMS)
-    said = {line.partition(": ")[2] for lines in WORLDS.values() for line in lines if line.startswith("desc")}
-    assert "nothing" in said and any(", " in words for words in said)

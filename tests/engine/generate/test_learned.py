@@ -33,15 +33,6 @@ def choices_of(generator):
     return tuple(generator.sample(POSES, 4))
 
 
-@pytest.mark.slow
-def test_choices_that_say_nothing_are_guessed_at_chance():
-    generator = random.Random(0)
-    sets = [choices_of(generator) for _ in range(800)]
-    rows = [choice(f"s{i % 20}", generator.choice(offered), offered) for i, offered in enumerate(sets)]
-    assert shares(rows) == pytest.approx([0.25, 0.25], abs=0.05)
-    assert shares(rows) == shares(rows)
-
-
 def test_an_answer_that_is_offered_oftener_than_true_is_found_out():
     generator = random.Random(0)
     sets = [choices_of(generator) for _ in range(400)]
@@ -61,13 +52,6 @@ def test_a_word_or_a_wait_that_goes_with_an_answer_is_found_out():
     assert min(shares(words)) > 0.75 and min(shares(waits)) > 0.75 and shares(words)[0] > 0.9
 
 
-def test_what_holds_in_one_sequence_alone_is_not_learned():
-    offered = POSES[:4]
-    rows = [choice(f"s{i % 4}", offered[i % 4], offered, f"Find word{'abcd'[i % 4]}") for i in range(200)]
-    assert shares(rows)[0] == 0
-    assert shares([row for row in rows if row.sequence == "s0"]) == []
-
-
 def test_another_store_teaches_what_holds_there_too():
     """In both stores the choice that is said first is right; of one sequence alone nothing can be learned."""
     generator = random.Random(0)
@@ -83,38 +67,6 @@ def test_another_store_teaches_what_holds_there_too():
     assert row["other_store"] == 1.0 and row["reason"].startswith("constant 100 %, other_store 100 %")
     # Questions of another form teach nothing.
     assert blind_check([replace(own, form="later") for own in rows], [guesser])[0]["other_store"] is None
-
-
-def test_the_logistic_share_is_that_of_scikit_learn_itself():
-    """With one word and no other choices, the features are the word and the choice: a fit by hand gives the same."""
-    import numpy as np
-    from sklearn.linear_model import LogisticRegression
-    from sklearn.model_selection import LeaveOneGroupOut
-
-    generator = random.Random(1)
-    words, offered = ("red", "blue", "green"), POSES[:2]
-    rows = []
-    for i in range(120):
-        word = generator.choice(words)
-        answer = offered[(words.index(word) + (generator.random() < 0.3)) % 2]
-        rows.append(choice(f"s{i % 5}", answer, offered, word, ()))
-    share = np.mean(_learned(rows, ())["logistic"])
-    # The same by hand: a column for each choice, and for each choice with each word, the other choice, or both others.
-    columns, true, group = [], [], []
-    for row in rows:
-        for one in row.choices:
-            facts = {one, *(f"{one}/{fact}" for fact in (one, row.text, "beside", "of"))}
-            columns.append([float(f"{a}{b}" in facts) for a in offered for b in ("", f"/{a}", "/beside", "/of")])
-            columns[-1] += [float(f"{a}/{word}" in facts) for a in offered for word in words]
-            true.append(one == row.chosen)
-            group.append(row.sequence)
-    columns, true = np.array(columns), np.array(true)
-    worth = np.zeros(len(true))
-    for learn, guess in LeaveOneGroupOut().split(columns, true, group):
-        model = LogisticRegression(max_iter=5000).fit(columns[learn], true[learn])
-        worth[guess] = model.predict_proba(columns[guess])[:, 1]
-    best = worth.reshape(-1, 2).argmax(axis=1)
-    assert share == pytest.approx(np.mean(true.reshape(-1, 2)[np.arange(len(rows)), best])) and 0.5 < share < 1
 
 
 def test_without_scikit_learn_one_line_says_how_to_get_it(monkeypatch):

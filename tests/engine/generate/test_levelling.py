@@ -139,20 +139,6 @@ def test_selection_levels_choices_under_its_caps():
     assert cost_from_scratch(questions) < cost_from_scratch(arbitrary) // 4
 
 
-def test_levelling_without_selection_keeps_every_moment():
-    pool = [candidate(number) for number in range(60)]
-    questions = level_choices(pool, COUNTS, Rules())
-    assert {one.candidate.moment for one in questions} == {one.moment for one in pool if wrong_sets(one.wrong)}
-    assert len(questions) == len({one.candidate.moment for one in questions})
-
-
-@pytest.mark.parametrize(
-    ("quota", "sequences", "percent", "cap"), [(76, 27, 20, 16), (32, 2, 20, 24), (900, 27, 10, 90)]
-)
-def test_cap_of_a_sequence_is_rounded_up(quota, sequences, percent, cap):
-    assert sequence_cap(quota, sequences, percent) == cap
-
-
 def twin(number, frame, truth):
     return candidate(1, asked=(frame,), truth=truth)._replace(
         key=hashlib.sha256(f"twin {number}".encode()).hexdigest(), wrong=frozenset(LABELS) - {truth}, track=number

@@ -2,16 +2,16 @@
 
 import duckdb
 import pytest
-from scored_runs import Benchmark, table
+from scored_runs import table
 
 from jrdb_avr.engine.generate.blind import QuestionText, blind_check, question_texts
-from jrdb_avr.engine.generate.scene_guessers import box_guesser, check_store, scene_guessers
+from jrdb_avr.engine.generate.scene_guessers import check_store, scene_guessers
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import PRESENCE_ANSWERS, answer_of_choice
+from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.panorama import Box, iou
-from jrdb_avr.schema.tables import INTERVALS, QUESTIONS
+from jrdb_avr.schema.tables import INTERVALS
 
 CHOICES = ("walking", "standing", "sitting", "cycling")
 FRAMES = (0, 15, 30, 45)
@@ -87,24 +87,6 @@ def test_without_a_wait_the_description_tells_what_a_person_does_at_once(store):
     # Of the target of a chain nothing is stated: in b and c two people type, two walk, and three sit.
     assert share(store, asked("a", (), "sitting", (0,), choices)) == 1
     assert share(store, asked("a", (), "typing", (0,), choices)) == 0
-
-
-def test_the_likeliest_presence(store):
-    def presence(sequence, truth, times):
-        return share(store, asked(sequence, ("reading",), truth, times, PRESENCE_ANSWERS, "presence"))
-
-    # In b two of three readers have a box at both frames, one at the first only. In c no reader is in clear view.
-    assert presence("a", "both times", (0, 15, 45)) == 1
-    assert presence("a", "only at the first time", (0, 15, 45)) == 0
-    # No frame is so late, so that nobody counts and each answer is equally likely.
-    assert presence("a", "neither time", (0, 15, 75)) == 0.25
-
-
-def test_the_commonest_actions_are_counted_from_the_intervals(store):
-    # At frame 30 of b: walking 2, sitting 2; in all data sitting 3, standing 3, walking 2 of clear people.
-    assert share(store, asked("b", ("reading",), "sitting"), name="data") == 1
-    assert share(store, asked("b", ("reading",), "sitting"), name="frame") == 1
-    assert share(store, asked("a", ("reading",), "standing"), name="frame") == 1
 
 
 @pytest.fixture(scope="module")
@@ -196,31 +178,6 @@ def test_boxes_are_those_of_the_evidence(sample_benchmark, texts, sample):
         assert row["largest"] == pytest.approx(right / len(group)), form
         assert row["combined"] <= min(max(row["best_box"], row["largest"]), 1)
     assert any(row["combined"] for row in sample.values())
-
-
-def test_box_guesses_by_hand(store):
-    """Two questions about the largest person of the middle, one about another; without a person there is no guess."""
-    benchmark = Benchmark([("q1", "b", "unique_anchor"), ("q2", "b", "unique_anchor"), ("q3", "b", "unique_anchor")])
-    tables = {name: own.to_pylist() for name, own in benchmark.tables.items()}
-    for row, track in zip(tables["answers"], (4, 4, 1), strict=True):
-        row["target_track"] = track
-    tables["evidence"] = [
-        {"sequence": "b", "track": track, "frame": frame, "x": 100.0, "y": 100.0, "w": 10.0 * track, "h": 100.0}
-        for track in (1, 4)
-        for frame in FRAMES
-    ]
-    benchmark.tables = {name: table(rows, QUESTIONS[name]) for name, rows in tables.items()}
-    benchmark.write(store)
-    texts = [
-        QuestionText(name, "b", "change", "action", "multiple_choice", CHOICES, (), (0, 30), Choice(number))
-        for name, number in (("q1", 1), ("q2", 2), ("q3", 1))
-    ]
-    scores = box_guesser(store)(texts)
-    # The middle of 60 frames is frame 30. There the person with track 4 is the largest one.
-    assert scores == {"largest": [True, True, False], "best_box": [True, True, False]}
-    (row,) = blind_check(texts, [], box_guesser(store))
-    # Walking (the first choice) is the best constant: right for q1 and q3, with the right box for q1.
-    assert row["combined"] == pytest.approx(1 / 3)
 
 
 def test_a_store_without_new_sequences_teaches_nothing(sample_benchmark, texts):

@@ -1,7 +1,6 @@
 """The keyframe layer of the stored graph: made once, reused, made anew, and whole whatever happens to its maker."""
 
 import contextlib
-import os
 import random
 import shutil
 import signal
@@ -21,14 +20,12 @@ from jrdb_avr.engine.generate.stored_layer import STAGE, ensure_layer, layer_job
 from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.loaders.load import rebuild
 from jrdb_avr.queries.beliefs.graph import WorldGraph
-from jrdb_avr.queries.beliefs.record import drop_world
 from jrdb_avr.queries.graph.database import engine
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.keyframes import layer_stamp
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.rules import LoadRules, Rules
-from jrdb_avr.schema.tables import RUNS
 
 NAMES = ["hall-2020-01-01_0", "yard-2020-01-01_0"]
 RULES = Rules()
@@ -73,13 +70,6 @@ def test_the_graph_holds_the_layers_of_all_sequences(made, made_rows):
                 expected[name] += [repr(tuple(row.values())) for row in rows.to_pylist()]
     assert made_rows == {name: sorted(rows) for name, rows in expected.items()}
     assert all(made_rows.values()) and stamp(made) == (NAMES, RULES)
-
-
-@pytest.mark.slow
-def test_workers_make_the_same_layer(loaded, made_rows, tmp_path):
-    store = copied(loaded, tmp_path)
-    ensure_layer(store, RULES, 2)
-    assert layer_rows(store) == made_rows
 
 
 @pytest.mark.slow
@@ -208,17 +198,6 @@ def test_a_graph_in_use_is_not_written_and_its_holder_named(made, tmp_path, how)
     assert not (store.path / STAGE).exists()
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(made, tmp_path):
-    if os.geteuid() == 0:
-        pytest.skip("the superuser may write everywhere")
-    store = copied(made, tmp_path)
-    store.path.chmod(0o500)
-    try:
-        assert "cannot" in refused(store, "--rule", "max_conditions=1")
-    finally:
-        store.path.chmod(0o700)
-
-
 # -- beside a world model -----------------------------------------------------------------------------------------
 
 BELIEVER = """
@@ -255,17 +234,6 @@ def test_the_world_model_of_a_run_stays(loaded, made_rows, tmp_path):
         assert tables_of(world) == written
     # Opening the graph for a run rewrites its first page. The rows of the run explain the change.
     assert run("load", "--verify", "--store", store.path)[0] == 0
-
-
-@pytest.mark.slow
-def test_a_world_model_that_was_dropped_is_no_damage(made, tmp_path):
-    store = copied(made, tmp_path)
-    with WorldGraph.open(store.graph_path) as world:
-        believe(world)
-        drop_world(world.graph, "run")
-    # The record of the run says that the graph has been written into.
-    store.write_run("run", "world", RUNS["world"].empty_table())
-    assert sorted(ensure_layer(store, RULES, 1)) == NAMES
 
 
 # -- killed -------------------------------------------------------------------------------------------------------

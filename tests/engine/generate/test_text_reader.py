@@ -6,7 +6,6 @@ way: a question passes when all of them single out the stored person and score a
 
 import ast
 import json
-import math
 import shutil
 from dataclasses import replace
 
@@ -15,7 +14,7 @@ from environment import REAL, SUPPORT
 from keyframe_layers import ANY_VIEW
 from question_files import all_evidence
 from text_reader import Found, Reader, differs
-from text_reader_language import HELD, Reading, parse
+from text_reader_language import Reading, parse
 
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.plan import parse_plan
@@ -119,129 +118,6 @@ def test_reader_finds_every_answer_of_two_real_sequences(tmp_path, rules):
 @pytest.mark.slow
 def test_reader_finds_every_answer_of_the_real_annotations(tmp_path):
     check(real_benchmark(tmp_path, (REAL / "labels" / "labels_2d_stitched").glob("*.json"), Rules()))
-
-
-# The reader itself, on worlds of a few people.
-
-CHOICES = ["walking", "holding something", "sitting", "lying down"]
-ASKED = "Which of these is that person doing at 4.0 s (frame 60)? Only one is true."
-
-
-def person(number, degrees, *actions, width=40, prefix="pedestrian", group=None):
-    box = [degrees / 360 * 3760 - width / 2, 100, width, 200]
-    group = {"cluster_ID": group or number, "cluster_stat": 1}
-    return {
-        "label_id": f"{prefix}:{number}",
-        "box": box,
-        "action_label": dict.fromkeys(actions, 1),
-        "social_group": group,
-    }
-
-
-def told(number, partner=None, **demographics):
-    """A social record: values of gender and age, each with how many entries say so, and who a conversation is with."""
-    entries = [{kind: {value: 1}} for kind, votes in demographics.items() for value in votes]
-    talks = [{"pair": f"pedestrian:{partner}", "inter_labels": {"conversation": 1}}] if partner else []
-    return {"label_id": f"pedestrian:{number}", "demographics_info": entries, "H-interaction": talks}
-
-
-def placed(number, metres, degrees, recorded=None):
-    """A 3D record of a person who faces away from the robot's front at (5, 0), or of one so far and turned from it."""
-    way = math.radians(degrees)
-    box = {"cx": 5 + metres * math.cos(way), "cy": metres * math.sin(way), "cz": 0, "rot_z": math.pi}
-    marks = {"num_points": 9, "distance": recorded or math.hypot(box["cx"], box["cy"])}
-    return {"label_id": f"pedestrian:{number}", "box": box, "attributes": marks}
-
-
-@pytest.fixture
-def reader(tmp_path):
-    """A reader of one sequence whose people are the same at every keyframe."""
-
-    def make(*people, later=None, social=(), places=()):
-        frames = range(0, 91, 15)
-        boxes = {frame: people if later is None or frame < 60 else later for frame in frames}
-        layers = {"2d_stitched": boxes, "2d_social": dict.fromkeys(frames, social), "3d": dict.fromkeys(frames, places)}
-        for layer, records in layers.items():
-            (tmp_path / f"labels_{layer}").mkdir(exist_ok=True)
-            labels = {f"{frame:06}.jpg": each for frame, each in records.items()}
-            (tmp_path / f"labels_{layer}" / "place.json").write_text(json.dumps({"labels": labels}))
-        return Reader(tmp_path, "place")
-
-    return make
-
-
-def alone(complaints):
-    """The readings of single words that are disputed."""
-    readings = [line[line.rindex("(") + 1 : -1] for line in complaints]
-    return {reading for reading in readings if "," not in reading}
-
-
-ALICE = person(1, 95, "standing", "holding sth")
-
-
-def described(words, at="1.0 s (frame 15)"):
-    return f"Consider the only {words} at {at}. {ASKED}"
-
-
-SECOND_OPINIONS = {
-    "words=wide": (described("person who is standing"), [person(2, 250, "bending")], {}),
-    "votes=any": (
-        described("man or boy"),
-        [person(2, 250, "sitting")],
-        {"social": [told(1, gender=["male"]), told(2, gender=["male", "female", "female"])]},
-    ),
-    "age=wide": (
-        described("child"),
-        [person(2, 250, "sitting")],
-        {"social": [told(1, age=["childhood"]), told(2, age=["adolescence"])]},
-    ),
-    "partner=anybody": (
-        described("person to the robot's left who is having a conversation with someone"),
-        [person(2, 280, "sitting"), person(3, 70, "sitting")],
-        {"social": [told(1, partner=2), told(2), told(3, partner=9)]},
-    ),
-    "group=around": (
-        described("person who is in no group in the picture", "3.0 s (frame 45)"),
-        [person(2, 250, "sitting", group=7), person(3, 270, "sitting", group=7)],
-        {"later": [ALICE, person(4, 150, "sitting", group=1)]},
-    ),
-    "metres=ground": (
-        described("person close to the robot (0.5 to 1.5 m)"),
-        [person(2, 250, "sitting")],
-        {"places": [placed(1, 4, 180), placed(2, 4, 180, recorded=2)]},
-    ),
-}
-
-
-@pytest.mark.parametrize("reading", SECOND_OPINIONS)
-def test_what_another_reader_could_say_is_a_dispute(reader, reading):
-    text, others, files = SECOND_OPINIONS[reading]
-    word, value = reading.split("=")
-    assert value in HELD[word]
-    complaints = reader(ALICE, *others, **files).disputes(text, CHOICES, Found(1, {"choice": 2}))
-    assert reading in alone(complaints) <= {reading, "metres=space"}
-    assert all("several fit" in line or "nobody" in line for line in complaints)
-
-
-@pytest.mark.parametrize(
-    ("choices", "complaint"),
-    [
-        (["walking", "lying down", "holding something", "riding a scooter"], None),
-        (["walking", "lying down", "holding something", "typing"], "several fit"),  # people who write may be called so
-        (["walking", "lying down", "holding something", "standing"], "several fit"),
-        (["walking", "lying down", "looking into something (a screen, a phone, a book)", "running"], "nobody"),
-        (["walking", "lying down", "holding something", "pushing something"], "the text says pushing something"),
-        (["walking", "lying down", "holding something", "eating something"], "eating something is labelled about"),
-        (["walking", "sitting", "holding something", "running"], "sitting is labelled about"),
-    ],
-)
-def test_one_choice_is_right_and_no_other_may_be_called_so(reader, choices, complaint):
-    before = person(1, 95, "sitting", "holding sth", "pushing", "eating sth")
-    after = person(1, 95, "standing", "holding sth", "writing")
-    complaints = reader(before, person(2, 250, "sitting"), later=[after]).disputes(
-        described("person who is pushing something"), choices, Found(1, {"choice": 3})
-    )
-    assert bool(complaints) == bool(complaint) and all(complaint in line for line in complaints)
 
 
 def test_reader_shares_no_code_with_the_program():

@@ -69,10 +69,6 @@ def test_both_folders_load_by_their_configs(store, folders, datasets, tmp_path):
         assert sorted(found.data.table.to_pylist(), key=str) == sorted(store.questions(name).to_pylist(), key=str)
 
 
-def by_key(rows):
-    return sorted(rows, key=lambda row: next(iter(row.values())))
-
-
 @pytest.mark.slow
 def test_croissant_is_valid_and_loads_the_same_records(folders):
     import mlcroissant

@@ -40,10 +40,6 @@ def test_a_clear_view(change, clear):
     assert World(SECONDS).see(2, [15], x=100).see(1, [15], **change).read().clear(1, 15) is clear
 
 
-def test_without_any_attributes_occlusion_is_not_asked():
-    assert World(SECONDS, attributes=False).see(1, [15]).read().clear(1, 15)
-
-
 # -- whom a description means -------------------------------------------------------------------------------------
 
 
@@ -171,14 +167,6 @@ def test_distance(metres, answer):
     assert (outcome.answer, outcome.outcome) == (answer, "defined" if answer else "unknown")
 
 
-def test_distance_needs_points_and_knows_absence():
-    world = World(SECONDS).see(9, SECONDS, x=100).see(1, [15], ["sitting"], at=(10.0, 0.0))
-    world.see(1, [60], at=(3.0, 0.0), points=0)
-    assert ask(world, "distance", [SITTING], [15, 60]).outcome == "unknown"
-    outcome = ask(world, "distance", [SITTING], [15, 90])
-    assert outcome.answer == "not in view" and [(n.frame, n.decisive) for n in outcome.needed] == [(15, True)]
-
-
 # -- start and span -----------------------------------------------------------------------------------------------
 
 
@@ -213,37 +201,6 @@ def test_start_and_span_at_fifteen_frames_per_second():
     assert [(n.frame, n.decisive) for n in outcome.needed] == [(15, False), (100, True), (199, True)]
 
 
-@pytest.mark.parametrize(
-    "broken",
-    [
-        {"on": range(100, 130)},  # 29 frames from first to last
-        {"on": range(100, 200), "hard": [99]},
-        {"on": range(100, 200), "hard": [60]},
-        {"on": range(100, 200), "hard": [200]},
-        {"on": range(100, 200), "hard": [244]},
-        {"on": range(100, 200), "missing": [90]},
-        {"on": range(100, 200), "occluded": [90]},
-        {"on": range(100, 200), "missing": [60]},
-        {"on": range(100, 200), "occluded": [150]},
-    ],
-)
-def test_an_unclear_start_is_unknown(broken):
-    assert start(phone_call(1, **broken)).outcome == "unknown"
-
-
-@pytest.mark.parametrize(
-    "fine",
-    [
-        {"on": range(100, 131)},
-        {"on": range(100, 200), "hard": [245]},
-        {"on": range(100, 200), "occluded": [84, 240]},
-        {"on": range(100, 601)},
-    ],
-)
-def test_a_clear_start_is_known(fine):
-    assert start(phone_call(1, **fine)).answer == '{"frame":100}'
-
-
 def test_the_first_time_after_is_the_first_that_is_not_certainly_false():
     world = phone_call(1, [*range(100, 160), *range(300, 400)])
     assert start(world).answer == '{"frame":100}'
@@ -253,13 +210,6 @@ def test_the_first_time_after_is_the_first_that_is_not_certainly_false():
     assert start(phone_call(1, range(100, 200), hard=[40])).outcome == "unknown"
     assert start(phone_call(1, range(100, 200), hard=[15])).outcome == "unknown"
     assert start(phone_call(1, range(100, 200), hard=[40]), t0=45).answer == '{"frame":100}'
-
-
-def test_a_span_needs_a_clear_end():
-    assert span(phone_call(1, range(100, 200), occluded=[205])).outcome == "unknown"
-    assert span(phone_call(1, range(100, 601))).outcome == "unknown"
-    assert span(phone_call(1, range(100, 586))).answer == '{"start_frame":100,"end_frame":585}'
-    assert span(phone_call(1, range(100, 587))).outcome == "unknown"
 
 
 def test_keyframes():

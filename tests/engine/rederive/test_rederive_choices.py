@@ -48,14 +48,6 @@ def test_the_true_choice_is_certain_a_second_before_or_after(lists, faults):
     assert found == ("'holding sth' is not certain one second before or after frame 150",) * faults
 
 
-def test_labels_support_a_choice_whatever_the_view_but_not_off_keyframes():
-    assert held(lists={135: WALKS}, covered=[165]).faults == ()
-    world = holder({135: WALKS})
-    world.action_frames.remove(165)
-    found = ask(world, "change", [SITTING], [15, 150], choices=CHOICES).faults
-    assert found == ("'holding sth' is not certain one second before or after frame 150",)
-
-
 TALKS = ["walking", "holding sth", ("talking to someone", HARD)]
 
 
@@ -77,26 +69,6 @@ TALKS = ["walking", "holding sth", ("talking to someone", HARD)]
 def test_a_false_choice_is_false_at_the_time_and_without_a_label_around_it(lists, refused):
     fault = f"the choice {refused!r} is not certainly false around frame 150"
     assert held(lists=lists).faults == ((fault,) if refused else ())
-
-
-@pytest.mark.parametrize("poses", [["walking", "running"], [("walking", HARD)], []])
-def test_a_pose_is_false_only_beside_one_certain_pose(poses):
-    fault = "the choice {!r} is not certainly false around frame 150".format
-    assert held(lists={150: [*poses, "holding sth"]}).faults == (fault("lying"), fault("standing"))
-
-
-def test_no_action_is_false_by_a_list_with_faults():
-    assert sum("not certainly false around" in fault for fault in held(partial=[150]).faults) == 3
-
-
-def test_labels_between_keyframes_or_without_a_box_are_no_labels():
-    assert held(lists={165: None}).faults == ()
-    world = holder()
-    world.rows["actions"] += [
-        {**world.rows["actions"][-1], "frame": frame, "action": "talking to someone", "track": 1}
-        for frame in (157, 160)
-    ]
-    assert ask(world, "change", [SITTING], [15, 150], choices=CHOICES).faults == ()
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,8 @@ def test_questions_by_id_by_file_and_by_number(store, tmp_path):
         (("--questions", "x" * 5000), "cannot read"),
         (("--questions", BLIND.question_id), "no selected question"),
         (("--run-id", "../evil"), "run id"),
+        (("--run-id", ""), "'' cannot be a run id"),
+        (("--run-id", "", "--epochs", "2"), "'' cannot be a run id"),
         (("--model", "qwen", "--base-url", "nowhere"), "no server address"),
     ],
 )
@@ -133,13 +135,6 @@ def test_wrong_calls_are_one_line(store, options, message):
     assert isinstance(result.exception, AvrError)
     assert message in str(result.exception)
     assert "\n" not in str(result.exception)
-
-
-def test_a_run_is_not_overwritten(store):
-    evaluate(store, "--limit", "1")
-    result = evaluate(store, "--limit", "1", ok=False)
-    assert isinstance(result.exception, StoreError)
-    assert "--resume" in str(result.exception)
 
 
 def test_default_run_ids_are_names():

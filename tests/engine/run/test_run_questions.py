@@ -195,13 +195,6 @@ def test_a_method_that_would_end_the_program_ends_its_question(evaluate, tmp_pat
     assert f"3 of them because: {error.partition('(')[0]}" in err and "(mine.py:8, in answer)" in err
 
 
-def test_a_run_id_of_no_letters_is_refused_in_a_line(store):
-    for more in ((), ("--epochs", "2")):
-        ask = ("--store", store.path, "--method", "react", "--model", "simulated", "--run-id", "", *more)
-        code, out, err = run("evaluate", *ask)
-        assert (code, out, err.count("\n")) == (1, "", 1) and "'' cannot be a run id" in err
-
-
 def test_an_exception_of_a_method_is_shown_with_its_place(store, evaluate, tmp_path):
     lines = METHOD.replace("return Prediction(", "return {}['who'] or Prediction(")
     (tmp_path / "mine.py").write_text(lines)

@@ -17,7 +17,6 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import TEMPLATES
-from jrdb_avr.schema.wording.text import question_id
 
 RULES = Rules()
 
@@ -67,12 +66,6 @@ def test_a_fresh_benchmark_is_sound(sample_benchmark):
     assert [row["check"] for row in report.rows()] == list(CHECKS)
     assert set(report.checked) == set(CHECKS)
     assert all(row["faults"] == 0 for row in report.rows())
-
-
-def with_id(row):
-    row["question_id"] = question_id(
-        *(row[name] for name in ("sequence", "family", "template", "question", "choices", "answer_mode"))
-    )
 
 
 def first(rows, template):
