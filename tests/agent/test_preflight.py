@@ -198,17 +198,12 @@ def test_thinking_is_as_declared(model, declared, thinks, passes):
     assert failed(found) == ([] if passes else ["thinking"])
 
 
-def test_a_response_format_that_keeps_a_model_from_thinking():
-    """It thinks in free text, but not in the replies that a run asks for."""
-    found, _ = checks(changed(lambda q, r: r if "response_format" in q else thinking()(q, r)), "fake", thinking="on")
-    assert failed(found) == ["thinking"]
-
-
 def test_a_format_without_thinking_is_what_is_declared_off():
     """Its free text alone thinks. What helps where thinking is declared on ends in a server that passes."""
     script = changed(lambda q, r: r if "response_format" in q else thinking()(q, r))
     assert failed(checks(script, "fake", thinking="off")[0]) == []
     found, _ = checks(script, "fake", thinking="on")
+    assert failed(found) == ["thinking"]
     assert "--thinking off, or --response-format none" in found["thinking"].remedy
     assert failed(checks(script, "fake", thinking="on", response_format="none")[0]) == []
 

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 
-import pyarrow as pa
 import pytest
-from worlds import coco_file, person, thing
+from loaded_stores import NAME, read_store
+from worlds import coco_file, member, person, thing
 
-from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.layers import panoptic
-from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.panoptic import load_panoptic
 from jrdb_avr.loaders.problems import Problems
-from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS
 from jrdb_avr.schema.things import OBJECTS, PERSON_CATEGORIES, normal_category
 
-NAME = "yard-2020-01-01_0"
 SHELF, DOOR, WALL, PERSON, TEAPOT = 57, 71, 4, 63, 900
 
 
@@ -223,39 +219,20 @@ def test_masks_are_bounded(tmp_path, monkeypatch):
 # -- objects -------------------------------------------------------------------------------------------------------
 
 
-def derived(folder, frames, handles=(), categories=None):
-    """Interval tables of a panoptic file beside 2D boxes; `handles`: (frame, person, object, category)."""
-    boxes = {"labels": {f"{f:06d}.jpg": [person(1, (100, 60, 50, 200))] for f in range(32)}}
-    (folder / "2d.json").write_text(json.dumps(boxes))
-    flat = load_2d(folder / "2d.json", Problems("2d")).of(NAME)
-    content = coco_file(frames, "panoptic")
+def objects(folder, frames, handles, categories=None):
+    """Objects of a panoptic file beside 2D boxes; `handles`: (frame, person, object, category)."""
+    box = (100, 60, 50, 200)
+    layers = {"2d": {f: [person(1, box)] for f in range(32)}, "panoptic": coco_file(frames, "panoptic")}
     if categories:
-        content["categories"] = [{"id": number, "name": name} for number, name in categories.items()]
-    reading, _ = reading_of(folder, content)
-    rows = [
-        {"sequence": NAME, "layer": layer, "frame": frame, "records": n}
-        for layer, (numbers, counts) in (flat.frames | reading.frames).items()
-        for frame, n in zip(numbers.tolist(), counts.tolist(), strict=True)
-    ]
-    held = [
-        {"sequence": NAME, "frame": frame, "track": track, "object": thing, "category_id": category}
-        | {"verb": "holding", "raw": "holding", "difficulty": 1}
-        for frame, track, thing, category in handles
-    ]
-    tables = flat.tables | reading.tables
-    tables["frames"] = pa.Table.from_pylist(rows, ANNOTATIONS["frames"])
-    tables["handles"] = pa.Table.from_pylist(held, ANNOTATIONS["handles"])
-    return derive(NAME, tables, LoadRules())
-
-
-def objects(tables):
-    return [tuple(row.values())[1:] for row in tables["objects"].to_pylist()]
+        layers["panoptic"]["categories"] = [{"id": number, "name": name} for number, name in categories.items()]
+    layers["reasoning"] = {f: [member(t, box, handles=[(pair, {"holding": "1"})])] for f, t, *pair in handles}
+    store, _ = read_store(folder, layers)
+    return [tuple(row.values())[1:] for row in store.interval("objects", NAME).to_pylist()]
 
 
 def test_what_people_handle_is_an_object_where_no_mask_shows_it_too(tmp_path):
     handles = [(0, 1, 2, SHELF), (1, 1, 8, DOOR), (2, 1, 8, DOOR), (3, 1, 4, 12), (4, 1, 5, PERSON), (5, 1, 0, SHELF)]
-    tables = derived(tmp_path, {15: [thing(2, SHELF)]}, handles)
-    assert objects(tables) == [
+    assert objects(tmp_path, {15: [thing(2, SHELF)]}, handles) == [
         (4, 12, None, None, None),
         (0, SHELF, "shelf", None, None),
         (2, SHELF, "shelf", 15, 15),
@@ -265,5 +242,5 @@ def test_what_people_handle_is_an_object_where_no_mask_shows_it_too(tmp_path):
 
 @pytest.mark.parametrize("name", sorted(PERSON_CATEGORIES))
 def test_people_are_left_out_under_any_number_and_spelling(tmp_path, name):
-    tables = derived(tmp_path, {0: [thing(1, 3), thing(1, 4)]}, [(0, 1, 9, 3)], {3: f"T_{name.upper()}", 4: "bag"})
-    assert objects(tables) == [(1, 4, "bag", 0, 0)]
+    categories = {3: f"T_{name.upper()}", 4: "bag"}
+    assert objects(tmp_path, {0: [thing(1, 3), thing(1, 4)]}, [(0, 1, 9, 3)], categories) == [(1, 4, "bag", 0, 0)]

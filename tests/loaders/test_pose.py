@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import pytest
-from loaded_stores import graphless_store
+from loaded_stores import NAME, graphless_store, read_store
 from worlds import coco_file, person, pose
 
-from jrdb_avr.loaders.intervals.derive import derive
 from jrdb_avr.loaders.labelfiles import coco
 from jrdb_avr.loaders.labelfiles import frames as labelfile
-from jrdb_avr.loaders.layers.boxes_2d import load_2d
 from jrdb_avr.loaders.layers.pose import load_pose
 from jrdb_avr.loaders.problems import Problems
 from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS
 
-NAME = "yard-2020-01-01_0"
 POINTS = [value for i in range(17) for value in (100.0 + i, 200.0 + i, i % 3)]
 
 
@@ -193,36 +190,19 @@ def test_limits(tmp_path, monkeypatch):
 # -- what follows from it ------------------------------------------------------------------------------------------
 
 
-def derived(folder, people, poses):
-    """Interval tables of 2D boxes {frame: [track]} and a pose file."""
-    boxes = {
-        "labels": {f"{f:06d}.jpg": [person(t, (100, 60, 50, 200)) for t in tracks] for f, tracks in people.items()}
-    }
-    (folder / "2d.json").write_text(json.dumps(boxes))
-    (folder / f"{NAME}.json").write_text(json.dumps(poses))
-    readings = [
-        load(folder / f"{name}.json", Problems(name)).of(NAME) for name, load in (("2d", load_2d), (NAME, load_pose))
+def test_a_face_is_visible_where_head_or_an_eye_is(tmp_path):
+    """Of a person per key point and visibility. The last one has no pose, and frame 15 has none at all."""
+    cases = list(itertools.product(range(17), range(3)))
+    poses = [
+        pose(track, visibility=[code if i == point else 1 if i < 3 else 2 for i in range(17)])
+        for track, (point, code) in enumerate(cases)
     ]
-    frames = [
-        {"sequence": NAME, "layer": layer, "frame": frame, "records": n}
-        for reading in readings
-        for layer, known in reading.frames.items()
-        for frame, n in zip(*(column.tolist() for column in known), strict=True)
-    ]
-    tables = readings[0].tables | readings[1].tables
-    tables["frames"] = ANNOTATIONS["frames"].empty_table().from_pylist(frames, ANNOTATIONS["frames"])
-    return derive(NAME, tables, LoadRules())
-
-
-@pytest.mark.parametrize("code", [0, 1, 2])
-@pytest.mark.parametrize("point", range(17))
-def test_a_face_is_visible_where_head_or_an_eye_is(tmp_path, point, code):
-    visibility = [1 if i < 3 else 2 for i in range(17)]
-    visibility[point] = code
-    tables = derived(tmp_path, {0: [0, 1], 15: [0]}, coco_file({0: [pose(0, visibility=visibility)]}, "pose"))
-    seen = {(row["frame"], row["track"]): row["face_visible"] for row in tables["sightings"].to_pylist()}
-    # A person without a pose, and one in a frame without poses: unknown.
-    assert seen == {(0, 0): point < 3 and code == 2, (0, 1): None, (15, 0): None}
+    world = {0: [person(t, (70 * t, 60, 50, 200)) for t in range(52)], 15: [person(0, (0, 60, 50, 200))]}
+    store, _ = read_store(tmp_path, {"2d": world, "pose": coco_file({0: poses}, "pose")})
+    rows = store.interval("sightings", NAME).to_pylist()
+    seen = {(row["frame"], row["track"]): row["face_visible"] for row in rows}
+    visible = {(0, track): point < 3 and code == 2 for track, (point, code) in enumerate(cases)}
+    assert seen == visible | {(0, 51): None, (15, 0): None}
 
 
 def test_keypoints_are_read_with_their_sighting(tmp_path):

@@ -294,8 +294,3 @@ def test_a_value_that_the_declaration_excludes_is_refused(kind, name, value):
     with pytest.raises(InputError, match=r"^--[a-z-]+: ") as caught:
         kind(**{name: value})
     assert caught.value.field == name
-
-
-def test_a_cost_without_a_price_is_told():
-    with pytest.raises(InputError, match="--prices"):
-        EndpointOptions(max_cost=1.0)

@@ -245,6 +245,9 @@ def test_errors_are_one_line(store, tmp_path):
         ("report", "nobody", "--store", store.path),
         ("report", "--store", tmp_path / "none"),
         ("score", "--store", tmp_path / "empty"),
+        ("view", "--store", tmp_path / "none"),
+        ("view", "--answers", "--store", tmp_path / "none"),
+        ("play", "--store", tmp_path / "none"),
     ):
         code, out, err = run(*arguments)
         assert (code, out) == (1, ""), arguments

@@ -50,12 +50,6 @@ def test_a_person_may_end_a_session_at_any_time(small_demo, tmp_path):
         assert process.wait(30) == 130 and "Traceback" not in process.stderr.read()
 
 
-@pytest.mark.parametrize("command", ["view", "play"])
-def test_what_cannot_be_served_is_refused_in_a_line(command, tmp_path):
-    code, out, err = run(command, "--store", tmp_path / "none")
-    assert (code, out) == (1, "") and err.startswith("jrdb-avr: ") and err.count("\n") == 1
-
-
 def test_answers_are_shown_of_scored_runs_alone(sample_benchmark):
     code, out, err = run("view", "--answers", "--store", sample_benchmark.path)
     assert (code, out) == (1, "") and "has no runs yet" in err

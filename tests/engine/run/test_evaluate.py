@@ -135,13 +135,6 @@ def test_wrong_calls_are_one_line(store, options, message):
     assert "\n" not in str(result.exception)
 
 
-def test_a_run_is_not_overwritten(store):
-    evaluate(store, "--limit", "1")
-    result = evaluate(store, "--limit", "1", ok=False)
-    assert isinstance(result.exception, StoreError)
-    assert "--resume" in str(result.exception)
-
-
 def test_default_run_ids_are_names():
     assert default_run_id("react", "Qwen/Qwen3-VL-8B:latest") == "react-Qwen-Qwen3-VL-8B-latest"
     assert default_run_id("react", "../..") == "react"
