@@ -58,18 +58,6 @@ def test_a_clean_reply():
     assert "response_format" not in request
 
 
-def test_the_schema_travels_as_response_format():
-    schema = {"type": "object"}
-    with FakeServer(sequence_of("{}")) as server:
-        made, _ = client(server)
-        made.complete(ASK, schema)
-        plain, _ = client(server, response_format="none")
-        plain.complete(ASK, schema)
-    assert server.requests[0]["response_format"]["type"] == "json_schema"
-    assert server.requests[0]["response_format"]["json_schema"]["schema"] == schema
-    assert "response_format" not in server.requests[1]
-
-
 def test_pictures_travel_inline():
     picture = Picture("seq 000015 45", b"\xff\xd8jpeg")
     message = Message("user", ("look", picture))
@@ -797,14 +785,6 @@ def test_a_kept_call_that_is_no_finished_one_is_made_again(tmp_path, kept):
 def test_the_servers_version_if_it_tells_one(sent, version):
     with FakeServer(sequence_of("hi"), version=sent) as server:
         assert client(server)[0].server_version() == version
-
-
-def test_settings_are_plain_json():
-    made = Client("http://localhost:1/v1", "x", EndpointOptions(thinking="on"), convention=convention_of("gemma-4-e4b"))
-    settings = made.settings()
-    assert json.loads(json.dumps(settings)) == settings
-    assert settings["response_format"] == "json_schema"
-    assert settings["chat_template_kwargs"] == {"enable_thinking": True}
 
 
 # -- what a completion may be -----------------------------------------------------------------------------------------

@@ -47,13 +47,6 @@ def test_what_is_declared_of_a_model(model, declared):
     assert (convention.name, dict(convention.boxes), convention.thinks) == declared
 
 
-def test_the_six_backbones_are_declared():
-    for model in BACKBONES:
-        convention = convention_of(model)
-        assert convention is not CONTRACT
-        assert json.loads(json.dumps(convention.settings())) == convention.settings()
-
-
 @pytest.mark.parametrize(
     ("model", "thinking", "sent", "thinks"),
     [

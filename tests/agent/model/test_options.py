@@ -88,14 +88,6 @@ def test_the_name_of_the_limit_as_declared():
     assert len(server.requests) == 2, "a server that takes neither is not tried for ever"
 
 
-def test_an_extra_body_goes_along_and_is_recorded():
-    extra = {"reasoning_effort": "low", "top_p": 0.9}
-    body, _, _ = sent(EndpointOptions(extra_body=extra))
-    assert extra.items() <= body.items()
-    settings = EndpointOptions(extra_body=extra).settings(CONTRACT)
-    assert json.loads(json.dumps(settings)) == settings and settings["extra_body"] == extra
-
-
 @pytest.mark.parametrize("key", ["model", "messages", "stream", "n", "temperature", "max_tokens", "response_format"])
 def test_an_extra_body_overrides_nothing_that_has_an_option(key):
     with pytest.raises(InputError, match=repr(key)):

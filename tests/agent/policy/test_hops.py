@@ -50,10 +50,3 @@ def test_a_walk_goes_on_from_everybody_reached_and_never_back():
     there = plan(("a", FIRST_LEFT, "b"), ("b", FIRST_LEFT, "c"))
     assert target(there, people[0], people).mark.identity == 3
     assert target(plan(("a", FIRST_LEFT, "b"), ("b", FIRST_RIGHT, "c")), people[0], people) is None
-
-
-def test_a_fork_joins_at_the_one_who_fits_both():
-    people = [seen(1, 180.0), seen(2, 160.0), seen(3, 200.0), seen(4, 120.0), seen(5, 140.0), seen(6, 260.0)]
-    left, right = "within 90 degrees to the left of (robot view)", "within 60 degrees to the left of (robot view)"
-    fork = plan(("a", FIRST_LEFT, "b"), ("a", FIRST_RIGHT, "c"), ("b", left, "d"), ("c", right, "d"))
-    assert target(fork, people[0], people).mark.identity == 5

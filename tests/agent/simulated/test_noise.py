@@ -285,15 +285,6 @@ def test_every_field_is_misread_at_its_rate_and_apart_from_the_others():
     assert {mark.identity for mark in seen} == {7} and {mark.partner for mark in seen} == {9}
 
 
-def test_a_mark_is_misread_alike_in_one_picture_and_anew_in_the_next():
-    see = reader(Knobs(wrong_attribute=0.5))
-    again = reader(Knobs(wrong_attribute=0.5))
-    assert all(see(bytes([n]), FULL) == again(bytes([n]), FULL) for n in range(50))
-    assert len({see(bytes([n]), FULL) for n in range(50)}) > 20
-    other = reader(Knobs(wrong_attribute=0.5), "another question")
-    assert any(see(bytes([n]), FULL) != other(bytes([n]), FULL) for n in range(50))
-
-
 def test_the_log_names_the_knob_that_spoiled_an_answer(tmp_path):
     log = tmp_path / "log"
     with Server(log=log, knobs=Knobs(refusal=1.0)) as server:

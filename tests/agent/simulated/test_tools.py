@@ -1,14 +1,12 @@
 """Another harness drives the simulated model by function calling; what it does not do, it refuses in one line."""
 
 import json
-import urllib.error
-import urllib.request
 
 import pytest
 from painted import World, still
 
 from jrdb_avr.agent.model.messages import picture_of
-from jrdb_avr.agent.simulated.server import Server, marker_server
+from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box, from_crop, iou
 
@@ -134,10 +132,3 @@ def test_a_call_that_cannot_be_placed_is_refused(server, world):
     ]
     with pytest.raises(DecodeError, match="arguments of an earlier call"):
         asked(server, messages, tools=TOOLS)
-
-
-def test_a_refusal_is_status_400():
-    body = json.dumps({"messages": [{"role": "user", "content": "hello"}], "stream": True}).encode()
-    with marker_server() as url, pytest.raises(urllib.error.HTTPError) as caught:
-        urllib.request.urlopen(urllib.request.Request(f"{url}/chat/completions", body))
-    assert caught.value.code == 400 and "stream" in json.loads(caught.value.read())["error"]["message"]
