@@ -42,10 +42,10 @@ CONFIRMED: Final = (
 """Columns of the pool that a confirmation needs."""
 
 CONFIRMED_AT_ONCE: Final = 500
-"""Minimum number of candidates in a part of `split_chosen`, but for the last part."""
+"""Minimum number of candidates in each part of `split_chosen` except the last one."""
 
 _PERTURBED: Final = ("anchor", "hop.stop", "hop.skip", "time.shift", "time.drop")
-"""Kinds of proofs that perturbed programs give, but for the description's own match."""
+"""Kinds of proofs that come from perturbed programs. The proof `anchor match` is of the kind, but not perturbed."""
 
 _PROOFS: Final = msgspec.json.Decoder(tuple[Proof, ...])
 _NEEDED: Final = msgspec.json.Decoder(tuple[NeededBox, ...])
