@@ -12,7 +12,7 @@ NAMES = {
     *("start", "span", "change", "presence", "distance", "gap", "consequence"),
     *("two_hop", "three_hop", "fork_join", "action_search", "later_action"),
 }
-LEAST = 30
+LEAST = 15
 
 
 def run(*arguments):

@@ -58,6 +58,18 @@ def test_a_clean_reply():
     assert "response_format" not in request
 
 
+def test_the_schema_travels_as_response_format():
+    schema = {"type": "object"}
+    with FakeServer(sequence_of("{}")) as server:
+        made, _ = client(server)
+        made.complete(ASK, schema)
+        plain, _ = client(server, response_format="none")
+        plain.complete(ASK, schema)
+    assert server.requests[0]["response_format"]["type"] == "json_schema"
+    assert server.requests[0]["response_format"]["json_schema"]["schema"] == schema
+    assert "response_format" not in server.requests[1]
+
+
 def test_pictures_travel_inline():
     picture = Picture("seq 000015 45", b"\xff\xd8jpeg")
     message = Message("user", ("look", picture))
@@ -437,6 +449,17 @@ def test_a_finished_call_is_made_once(tmp_path):
     assert len(kept_in(tmp_path)) == 4
 
 
+def test_a_broken_cache_file_is_a_call(tmp_path):
+    with FakeServer(sequence_of("hi")) as server:
+        made, _ = client(server, cache=tmp_path / CALLS)
+        made.complete(ASK)
+        kept = tmp_path / CALLS
+        kept.write_bytes(kept.read_bytes()[:-5])
+        assert made.complete(ASK).content == "hi"
+        assert made.complete(ASK).content == "hi"
+    assert len(server.requests) == 2
+
+
 @pytest.mark.parametrize(
     ("reply", "kept"),
     [
@@ -633,6 +656,16 @@ def test_the_key_is_sent_and_goes_nowhere_else(tmp_path, monkeypatch, caplog):
     assert SECRET not in str(caught.value)
     assert SECRET not in caplog.text
     assert SECRET not in json.dumps(made.settings())
+    assert SECRET not in json.dumps(kept_in(tmp_path))
+
+
+def test_a_server_that_echoes_the_key_does_not_get_it_stored(monkeypatch, tmp_path):
+    monkeypatch.setenv("OPENAI_API_KEY", SECRET)
+    with FakeServer(lambda request, n: completion(f"key {SECRET}", model=SECRET, reasoning=SECRET)) as server:
+        made, _ = client(server, cache=tmp_path / CALLS)
+        reply = made.complete(ASK)
+    assert reply.content == "key [key]"
+    assert SECRET not in str(reply) + str(made.served)
     assert SECRET not in json.dumps(kept_in(tmp_path))
 
 

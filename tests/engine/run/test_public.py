@@ -166,7 +166,7 @@ def test_another_user_evaluates_on_a_public_store(full, small_demo, opaque):
                 [*user, *command, *map(str, arguments)], env=environment, cwd=folder, capture_output=True, text=True
             )
 
-        if other(command=[*program[:2], "import jrdb_avr"]).returncode:
+        if other(command=[*program[:2], "import jrdb_avr.engine.cli"]).returncode:
             pytest.skip("other users cannot read this package")
         assert other(full.path, command=["ls"]).returncode != 0
         chosen = [*method[:4], "--questions", ",".join(ids), "--no-scores"]
