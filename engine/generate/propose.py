@@ -21,7 +21,7 @@ from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
-from jrdb_avr.engine.generate.layer import Layer, Row
+from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
@@ -116,7 +116,7 @@ class Search:
         return [dict(zip(table.column_names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def propose(search: Search, template: Template) -> Iterable[Row]:
+def propose(search: Search, template: Template) -> Iterable[TableRow]:
     """Return the rows of the proposals of a form of a template.
 
     Args:
@@ -131,7 +131,7 @@ def propose(search: Search, template: Template) -> Iterable[Row]:
     return _counts(search) if template.query == "gap_count" else search.rows(template.query)
 
 
-def make_proposal(search: Search, template: Template, row: Row) -> Proposal:
+def make_proposal(search: Search, template: Template, row: TableRow) -> Proposal:
     """Make a proposal of a generator's row.
 
     Args:
@@ -178,7 +178,7 @@ def program_of(proposal: Proposal) -> tuple[Program, Answer]:
 # -- forms that need more than a statement ----------------------------------------------------------------------------
 
 
-def _fork_joins(search: Search, template: Template) -> Iterator[Row]:
+def _fork_joins(search: Search, template: Template) -> Iterator[TableRow]:
     """Yield the forks with the fourth person that both branches find together, but neither branch alone."""
     facts = search.layer.facts
     for row in search.rows(template.query):
@@ -216,7 +216,7 @@ _UNSEEN: Final = -1
 """First frame of a person who is first seen clearly in a frame without an image."""
 
 
-def _counts(search: Search) -> Iterator[Row]:
+def _counts(search: Search) -> Iterator[TableRow]:
     """Yield the people in a relation with a described person, from keyframe to keyframe until one is unknown.
 
     What lies between keyframes is left to the proof.
@@ -249,7 +249,7 @@ def _counts(search: Search) -> Iterator[Row]:
                     yield row | times | {"r1": relation, "value": float(len(met)), "counted": counted}
 
 
-def propose_presence(search: Search, template: Template) -> tuple[dict[int, list[Row]], dict[int, list[Row]]]:
+def propose_presence(search: Search, template: Template) -> tuple[dict[int, list[TableRow]], dict[int, list[TableRow]]]:
     """Find the descriptions of people, and the pairs of times at which a person is present or absent.
 
     Args:
@@ -260,8 +260,8 @@ def propose_presence(search: Search, template: Template) -> tuple[dict[int, list
         Rows of descriptions, and rows of pairs of times, by track. A row of one kind and a row of the other kind make a
         row for `make_proposal`. The key `away` says whether the person is absent at both times.
     """
-    described: dict[int, list[Row]] = defaultdict(list)
-    pairs: dict[int, list[Row]] = defaultdict(list)
+    described: dict[int, list[TableRow]] = defaultdict(list)
+    pairs: dict[int, list[TableRow]] = defaultdict(list)
     for row in search.rows("described"):
         described[row["a"]].append(row)
     for row in search.rows(template.query):
