@@ -7,7 +7,7 @@ relation leads (`follow`). Each answer has the people of whom the fact is possib
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, Final, NamedTuple
 
@@ -69,6 +69,7 @@ class Facts:
         keyframes: Frames at which facts are known, in order.
         people: Sightings by keyframe and track.
         lists: Written actions by track and keyframe, of each person with a box.
+        counts: Number of people in clear view who certainly do each action, by keyframe.
         uncovered: People with a box who are not covered, by keyframe. Only these people count.
         judges_views: Whether the rules judge who is in clear view.
     """
@@ -86,6 +87,7 @@ class Facts:
         self.judges_views = rules.visibility == "clear"
         self.people: dict[int, dict[int, Sighting]] = defaultdict(dict)
         self.lists: dict[int, dict[int, ListedActions]] = defaultdict(dict)
+        self.counts: dict[int, Counter[str]] = defaultdict(Counter)
         self._labels: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
         self._pairs: dict[int, dict[tuple[int, str], _Marks]] = defaultdict(lambda: defaultdict(dict))
         self._matches: dict[tuple[Condition, int], Fit] = {}
@@ -125,6 +127,8 @@ class Facts:
         for frame, people in self.people.items():
             for who, row in people.items():
                 self.lists[who][frame] = list_actions(written[who, frame], row["listed"])
+                if row["clear"]:
+                    self.counts[frame].update(self.lists[who][frame].certain)
         for row in rows["handles"]:
             if row["verb"] in VERBS:
                 category = row["value"] if row["value"] in OBJECTS else None

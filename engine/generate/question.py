@@ -7,26 +7,23 @@ again from the annotation tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import Layer, TableRow
-from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, find_tracks, match, prove, run
-from jrdb_avr.engine.generate.programs import Program, hops, make_program, shifts
+from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
-from jrdb_avr.engine.generate.stored_layer import LayerJob
+from jrdb_avr.engine.generate.stored_layer import Job
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.graph.handle import open_worker_graph
 from jrdb_avr.queries.store import Store
@@ -45,19 +42,8 @@ COLUMNS: Final = pa.schema([*dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS[
 """Columns of the tables `questions` and `answers`, and `Question.key`."""
 
 
-AT_FIRST: Final = "description's time"
-"""Name of a wrong choice that is true at the time of the description."""
-
-
-@dataclass(frozen=True)
-class QuestionJob(LayerJob):
-    """Selected questions of a sequence."""
-
-    questions: tuple[Question, ...]
-
-
 @without_collector()
-def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, str]]:
+def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     """Make the selected questions of a sequence.
 
     Args:
@@ -137,14 +123,11 @@ def _make_row(search: Search, proposal: Proposal, question: Question, proofs: li
     angles = {box.frame: layer.boxes[box.track, box.frame]["angle"] for box in needed if box.node == template.target}
     decisive = [angles[box.frame] for box in needed if box.node == template.target and box.decisive]
     public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
-    about, in_view = layer.action_step == KEYFRAME_STEP, layer.facts.judges_views
+    about, in_view = layer.head["action_step"] == KEYFRAME_STEP, layer.facts.judges_views
     public["question"] = render(template.name, plan, proposal.key, about, in_view)
-    answer, mistakes = proposal.answer, dict[str, str]()
-    labels = question.choices if question.wrong else ()
+    answer, labels = proposal.answer, question.choices if question.wrong else ()
     if labels:
         answer = encode_answer(Choice(labels.index(proposal.answer) + 1))
-        # The first name of an answer is the most telling one.
-        mistakes = dict(reversed(list(_mistakes(search, proposal)))) | {proposal.answer: ""}
     public |= {"choices": tuple(map(choice_text, labels)), "answer_mode": plan.answer.mode}
     record = QuestionRecord(
         question_id=question_id(**public),
@@ -153,10 +136,9 @@ def _make_row(search: Search, proposal: Proposal, question: Question, proofs: li
         target_track=proposal.target,
         plan=canonical(plan),
         proofs=_all_proofs(search, proposal, proofs, needed),
-        distractors=tuple(mistakes.get(label) or None for label in labels),
         rules=rules_hash(search.rules),
         hops=len(template.edges),
-        time_gap_s=(max(times.values()) - begin) / layer.fps,
+        time_gap_s=(max(times.values()) - begin) / layer.head["fps"],
         separation_deg=float(np.max(angle_error(np.array(decisive), angles[begin]))),
         people_in_scene=len(layer.facts.people[begin]),
         bindings={**proposal.people, **dict(sorted(times.items()))},
@@ -224,46 +206,3 @@ def _all_proofs(
         # The second program confirms each question that is chosen.
         Proof("rederive", "annotations", True, "same", own),
     )
-
-
-# -- mistakes ---------------------------------------------------------------------------------------------------------
-
-
-def _mistakes(search: Search, proposal: Proposal) -> Iterator[tuple[str, str]]:
-    """Yield the answers of changed programs, each with the name of the change, the most telling first."""
-    template, facts = proposal.template, search.layer.facts
-    program = make_program(proposal.sequence, proposal.plan, template)
-    if program.read == "next_action":
-        return
-    for kind in ("hop.stop", "hop.skip"):
-        # The people nearest to the target on the path come first.
-        for name, variant, hopped in reversed(list(hops(replace(program, held=proposal.people["a"])))):
-            if name == kind:
-                yield from _named(search, hopped, f"{kind}({variant})")
-    if program.read == "action" and program.times[0] != program.frame:
-        yield from _named(search, replace(program, times=(program.frame,)), AT_FIRST)
-    for variant, shifted in shifts(program, facts.keyframes, search.rules):
-        if shifted is not None:
-            yield from _named(search, shifted, f"time.shift {variant}")
-    if template.joins:
-        return
-    for condition in proposal.conditions:
-        left = replace(program, conditions=tuple(one for one in proposal.conditions if one is not condition))
-        for who in sorted(match(left, facts).could - {proposal.people["a"]}):
-            yield from _named(search, replace(program, held=who), f"look-alike without {condition.words}")
-
-
-def _named(search: Search, program: Program, name: str) -> Iterator[tuple[str, str]]:
-    """Yield the answers of a program with the name."""
-    facts = search.layer.facts
-    if not facts.keyframe_set.issuperset((program.frame, *program.times)):
-        return
-    try:
-        if program.read != "action":
-            yield str(run(program, facts, search.rules)), name
-            return
-        target = find_tracks(program, facts)[program.target]
-    except NoAnswerError:
-        return
-    labels = facts.labels(target, program.times[0])
-    yield from ((label, name) for label in sorted(labels.certain if labels else ()))
