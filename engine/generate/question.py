@@ -7,7 +7,7 @@ again from the annotation tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.layer import Layer, TableRow
+from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
@@ -67,11 +67,10 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     rows, faults = [], {}
     for question in job.questions:
         key, proposal, own = question.key, proposals[question.key], proofs[question.key]
-        row = _make_row(search, proposal, question, own)
-        difference = _refuted(own, proposal, job.rules) or _rederived(annotations, row, proposal, job.rules)
-        if difference:
-            faults[key] = f"{job.sequence} {row['plan']}: {difference}"
-        rows.append(row | {"key": key})
+        record = _make_record(search, proposal, question, own)
+        if fault := _refuted(own, proposal, job.rules) or _rederived(annotations, record, proposal, job.rules):
+            faults[key] = f"{job.sequence} {record.plan}: {fault}"
+        rows.append(record.columns() | {"key": key})
     return pa.Table.from_pylist(rows, schema=COLUMNS), faults
 
 
@@ -96,32 +95,25 @@ def _refuted(proofs: Sequence[Proof], proposal: Proposal, rules: Rules) -> str |
     return f"by statements, {', '.join(lacking)} do not hold" if lacking else None
 
 
-def _rederived(annotations: Annotations, row: TableRow, proposal: Proposal, rules: Rules) -> str | None:
+def _rederived(annotations: Annotations, record: QuestionRecord, proposal: Proposal, rules: Rules) -> str | None:
     """Return how the result of the second program differs."""
-    second = rederive(annotations, proposal.plan, proposal.template.name, rules, row["choices"])
-    if second.outcome != "defined" or second.answer != proposal.answer:
-        return f"answer {proposal.answer}, rederived {second.answer or second.outcome}"
-    if second.target != proposal.target:
-        return f"target {proposal.target}, rederived {second.target}"
-    if second.faults:
-        return second.faults[0]
-    needed = msgspec.json.decode(row["needed"], type=tuple[NeededBox, ...])
-    return None if _places(needed) == _places(second.needed) else "other boxes are needed"
-
-
-def _places(boxes: Iterable[NeededBox]) -> set[tuple[str, int, int, bool]]:
-    return {(box.node, box.track, box.frame, box.decisive) for box in boxes}
+    second = rederive(annotations, proposal.plan, record.template, rules, record.choices)
+    if second.outcome != "defined":
+        return f"answer {proposal.answer}, rederived {second.outcome}"
+    if (second.answer, second.target) != (proposal.answer, proposal.target):
+        return f"answer {proposal.answer} about {proposal.target}, rederived {second.answer} about {second.target}"
+    faults = second.faults if set(second.needed) == set(record.needed) else ("other boxes are needed",)
+    return next(iter(faults), None)
 
 
 # -- rows -------------------------------------------------------------------------------------------------------------
 
 
-def _make_row(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> TableRow:
-    """Return the columns of a question in the tables `questions` and `answers`."""
+def _make_record(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> QuestionRecord:
     layer, template, plan = search.layer, proposal.template, proposal.plan
-    needed, times, begin = needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
-    angles = {box.frame: layer.boxes[box.track, box.frame]["angle"] for box in needed if box.node == template.target}
-    decisive = [angles[box.frame] for box in needed if box.node == template.target and box.decisive]
+    needed, times, begin = _needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
+    angle = layer.boxes[proposal.target, begin]["angle"]
+    turns = [angle_error(layer.boxes[box.track, box.frame]["angle"], angle) for box in needed if box.decisive]
     public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
     about, in_view = layer.head["action_step"] == KEYFRAME_STEP, layer.facts.judges_views
     public["question"] = render(template.name, plan, proposal.key, about, in_view)
@@ -129,7 +121,7 @@ def _make_row(search: Search, proposal: Proposal, question: Question, proofs: li
     if labels:
         answer = encode_answer(Choice(labels.index(proposal.answer) + 1))
     public |= {"choices": tuple(map(choice_text, labels)), "answer_mode": plan.answer.mode}
-    record = QuestionRecord(
+    return QuestionRecord(
         question_id=question_id(**public),
         **public,
         answer=answer,
@@ -139,13 +131,12 @@ def _make_row(search: Search, proposal: Proposal, question: Question, proofs: li
         rules=rules_hash(search.rules),
         hops=len(template.edges),
         time_gap_s=(max(times.values()) - begin) / layer.head["fps"],
-        separation_deg=float(np.max(angle_error(np.array(decisive), angles[begin]))),
+        separation_deg=max(turns),
         people_in_scene=len(layer.facts.people[begin]),
         bindings={**proposal.people, **dict(sorted(times.items()))},
         needed=needed,
         twin_id=None if question.twin is None else f"{hash_of(question.twin):016x}",
     )
-    return record.columns()
 
 
 def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:
@@ -159,16 +150,10 @@ def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:
     return times
 
 
-def needed_boxes(layer: Layer, proposal: Proposal) -> tuple[NeededBox, ...]:
-    """Return the boxes that a question needs.
+def _needed_boxes(layer: Layer, proposal: Proposal) -> tuple[NeededBox, ...]:
+    """Return the boxes of all people at t0, and of the target as the answer is read, by node and frame.
 
-    Args:
-        layer: Layer of the sequence.
-        proposal: Proposal.
-
-    Returns:
-        Everybody's box at t0, then the boxes of the target in which the answer is read, by node and frame. Each counted
-        person has one box, as nodes b1, b2, ... by track, and the target has one in the same frame.
+    Each counted person has one box, as nodes b1, b2, ... by track, and the target has one in the same frame.
     """
     template, frames = proposal.template, proposal.frames
     boxes = []
@@ -178,14 +163,12 @@ def needed_boxes(layer: Layer, proposal: Proposal) -> tuple[NeededBox, ...]:
             there = {frames[name] for name in template.decisive if (track, frames[name]) in layer.boxes}
             decisive = there or {frames["t0"]}
             shown |= decisive | {frame for _, frame in proposal.counted}
-        boxes += [_needed(layer, node, track, frame, frame in decisive) for frame in sorted(shown)]
-    counted = enumerate(proposal.counted, start=1)
-    return (*boxes, *(_needed(layer, f"b{number}", track, frame, False) for number, (track, frame) in counted))
-
-
-def _needed(layer: Layer, node: str, track: int, frame: int, decisive: bool) -> NeededBox:
-    sides = {side: layer.boxes[track, frame][side] for side in "xywh"}
-    return NeededBox(node, track, frame, **sides, decisive=decisive)
+        boxes += [(node, track, frame, frame in decisive) for frame in sorted(shown)]
+    boxes += [(f"b{number}", track, frame, False) for number, (track, frame) in enumerate(proposal.counted, start=1)]
+    return tuple(
+        NeededBox(node, track, frame, **{side: layer.boxes[track, frame][side] for side in "xywh"}, decisive=decisive)
+        for node, track, frame, decisive in boxes
+    )
 
 
 def _all_proofs(
