@@ -152,6 +152,9 @@ def test_twins_share_four_choices_and_differ_in_one_time_and_their_answers():
     assert not may_be_twins(first, second._replace(asked=(90,)), rules)
     assert not may_be_twins(first, second._replace(wrong=frozenset({"standing", "skating"})), rules)
     assert not may_be_twins(first, second._replace(truth="walking"), rules)
+    first, second = (one._replace(template="presence") for one in (first, second))
+    for asked, twins in (((60, 276), True), ((136, 200), True), ((60, 275), False), ((136, 276), False)):
+        assert may_be_twins(first._replace(asked=(60, 200)), second._replace(asked=asked), rules) == twins
 
 
 def test_twins_stay_in_the_selection_with_equal_choices():
@@ -187,7 +190,7 @@ def presence(number):
     key = hashlib.sha256(str(number).encode()).hexdigest()
     contexts = answer_contexts(sequence, 900, 0, asked, [pick(("tall", "male"), number)])
     wrong = frozenset(PRESENCE_ANSWERS) - {truth}
-    described = str(hash_of("d", number) % 40)
+    described = str(hash_of("d", number) % 9)
     return Candidate(key, "presence", sequence, hash_of(number) % 30, described, asked, truth, wrong, contexts)
 
 
@@ -270,11 +273,13 @@ def test_as_many_twins_stay_as_the_bound_allows(limit, monkeypatch):
     assert len(tried) <= 6
 
 
-def test_twins_never_exceed_the_size_of_a_template():
+@pytest.mark.parametrize(("quota", "cap", "paired"), [(10, 20, 10), (20, 7, 6)])
+def test_twins_exceed_neither_the_size_of_a_template_nor_a_cap(quota, cap, paired):
     pairs = [(twin(n, 60, "walking"), twin(100 + n, 150, "sitting")._replace(track=n)) for n in range(20, 29)]
-    questions = select_level([one for pair in pairs for one in pair], 10, COUNTS, Taken(Rules()), 20).questions
-    assert len(questions) == 10
-    assert sum(one.twin is not None for one in questions) == 10
+    pool = [one._replace(sequence="s0") for pair in pairs for one in pair]
+    questions = select_level(pool, quota, COUNTS, Taken(Rules()), cap).questions
+    assert len(questions) == min(quota, cap)
+    assert [*Counter(one.twin for one in questions if one.twin).values()] == [2] * (paired // 2)
 
 
 def test_the_quotas_are_the_numbers_of_the_paper():
