@@ -281,7 +281,8 @@ class Store(Displayed):
             what = (
                 "has no keyframe layer" if layer is None else "has a keyframe layer of other rules than the questions"
             )
-            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'")
+            options = " with the options that made the questions" if questions else ""
+            raise StoreError(f"{self.graph_path} {what}: run 'jrdb-avr generate --store {self.path}'{options}")
         if unknown := sorted(values.keys() - parameters(statement) - {"sequence"}):
             raise QueryError(f"the statement has no parameter {unknown[0]}")
         values = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules)) | values
