@@ -168,9 +168,9 @@ def replay(
     """
     with Graph.open(store.graph_path, read_only=True) as graph:
         source = CypherFacts(graph, rules.load)
-        again = {number: partial(_replay_one, stored, source, rules) for number, stored in enumerate(plans)}
+        again = {index: partial(_replay_one, stored, source, rules) for index, stored in enumerate(plans)}
         differences = source.complete_all(again, advance)
-    return [line for number in again for line in differences[number]]
+    return [line for index in again for line in differences[index]]
 
 
 def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[str]:

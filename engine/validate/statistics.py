@@ -152,7 +152,7 @@ def _measured(record: QuestionRecord, text: QuestionText) -> _Row:
         "asks": text.asks,
         "answer": text.bin if position is None else record.answer_text,
         "position": position,
-        "wrong": [name for number, name in enumerate(record.distractors, start=1) if position not in (None, number)],
+        "wrong": [name for index, name in enumerate(record.distractors, start=1) if position not in (None, index)],
         "apart_deg": float(angle_error(angles[:, None], angles).max()),
         "hops": forms_of(record.template)[0].hops,
         "words": len(record.question.split()),
