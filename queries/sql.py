@@ -199,6 +199,7 @@ def _lock_down(connection: Any) -> None:
     Statements can read no other files and no Python objects. They can load no extensions, and change no settings.
     """
     for setting in (
+        "enable_progress_bar = false",
         "python_enable_replacements = false",
         "autoinstall_known_extensions = false",
         "autoload_known_extensions = false",

@@ -96,7 +96,7 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A relation in space is unknown if the distance is within this many metres of `pair_max_m`: from 4.5 to 5.5 m."""
     pair_vertical_m: Metres = 1.35
     """Maximum difference in height in metres. Above it, the relation in space is unknown, as between two floors."""
-    neighbor_max_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 60.0
+    neighbor_max_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 90.0
     """Maximum angle in degrees from a person to the first person on the left or right, as the robot sees them."""
     neighbor_margin_deg: Annotated[float, msgspec.Meta(ge=0, le=180)] = 1.0
     """Minimum angle in degrees from a person to the first person at a side, and from the first person to the second.

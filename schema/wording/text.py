@@ -357,16 +357,16 @@ def actions_of(condition: Condition) -> tuple[str, ...]:
 
 def implied_choices(plan: Plan) -> frozenset[str]:
     """Return the actions that the words of a question state or imply. None of them is a choice of the question."""
-    words = {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
-    words.add(plan.answer.relation)
+    labels = {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
+    labels.add(plan.answer.relation)
     stated = [condition for node in plan.nodes for condition in node.conditions]
-    return implied_by(stated).union(*(implied_actions(word) for word in words if word is not None))
+    return implied_by(stated).union(*(implied_actions(word) for word in labels if word is not None))
 
 
 def implied_by(conditions: Iterable[Condition]) -> frozenset[str]:
     """Return the actions that the words of conditions state or imply."""
-    words = (condition.action or condition.interaction or condition.verb for condition in conditions)
-    return frozenset().union(*(implied_actions(word) for word in words if word is not None))
+    labels = (condition.action or condition.interaction or condition.verb for condition in conditions)
+    return frozenset().union(*(implied_actions(word) for word in labels if word is not None))
 
 
 def stated_frames(plan: Plan) -> tuple[int, ...]:

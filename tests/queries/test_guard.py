@@ -334,6 +334,16 @@ def test_views_hold_the_files(store):
     assert store.sql("SELECT run_id FROM scores ORDER BY ALL")["run_id"].to_pylist() == ["one", "two"]
 
 
+def test_no_progress_bar_is_written_among_the_output(store):
+    code = (
+        "import sys; from jrdb_avr.queries.sql import query_tables; from pathlib import Path\n"
+        "setting = \"SELECT current_setting('enable_progress_bar') AS shown\"\n"
+        "assert query_tables(Path(sys.argv[1]), setting)['shown'].to_pylist() == [False]"
+    )
+    # DuckDB shows it in programs that are no file.
+    assert run_program(code, str(store.path)).returncode == 0
+
+
 def test_hostile_sql_is_refused_in_one_line(store, surroundings):
     secret, target = surroundings["secret"], surroundings["target"]
     inside = str(store.question_path("questions"))

@@ -569,12 +569,12 @@ class Oracle:
         for other in others:
             there = self.angle(frame, other)
             turns[other] = (here - there) % 360 if side == "left" else (there - here) % 360
-        seen = [other for other in others if 1 <= turns[other] <= 60 and self.clear(frame, other)]
+        seen = [other for other in others if 1 <= turns[other] <= 90 and self.clear(frame, other)]
         if seen:
             nearest = min(turns[other] for other in seen)
             could = [other for other in others if turns[other] < nearest + 1]
         else:
-            could = [other for other in others if turns[other] <= 60]
+            could = [other for other in others if turns[other] <= 90]
         certain = bool(seen) and len(could) == 1
         label = f"first to the {side} of (robot view)"
         return [

@@ -124,7 +124,7 @@ def results(search, keys, path):
     if folder == "generators":
         form = TEMPLATES["presence" if name == "described" else name]
         pool = fill_pool(search, [form], make_prover(search))
-        return sorted((entry.candidate.key, repr(sorted(entry.row.items()))) for entry in pool)
+        return sorted((one.key, one.row) for one in pool)
     if folder == "search":
         found = Facts(search.graph, search.sequence, RULES.load, with_faces=True)
         return (

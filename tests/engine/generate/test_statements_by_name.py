@@ -68,5 +68,5 @@ def test_with_a_layer_of_other_rules_than_the_questions_one_line_says_what_to_ru
             store.cypher(query, sequence=min(store.manifest().sequences))
         assert str(refused.value) == (
             f"{store.graph_path} has a keyframe layer of other rules than the questions: "
-            f"run 'jrdb-avr generate --store {store.path}'"
+            f"run 'jrdb-avr generate --store {store.path}' with the options that made the questions"
         )
