@@ -98,7 +98,7 @@ LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Leaves": ("Person", "Absence", ()),
 }
 
-_ARROW_TYPES: Final[dict[str, pa.DataType]] = {
+_ARROW: Final[dict[str, pa.DataType]] = {
     "STRING[]": pa.list_(pa.string()),
     # As text, which the engine reads.
     "UUID": pa.string(),
@@ -157,6 +157,4 @@ def row_schema(table: str, nodes: Mapping[str, str], rels: Mapping[str, tuple[st
         source, target, columns = rels[table]
         keys = (next(iter(column_types(nodes[name]).values())) for name in (source, target))
         types = dict(zip(("from", "to"), keys, strict=True)) | column_types(columns)
-    return pa.schema(
-        [(name, _ARROW_TYPES.get(kind) or pa.type_for_alias(kind.lower())) for name, kind in types.items()]
-    )
+    return pa.schema([(name, _ARROW.get(kind) or pa.type_for_alias(kind.lower())) for name, kind in types.items()])
