@@ -25,7 +25,7 @@ from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, find_tracks, match, prove, run
 from jrdb_avr.engine.generate.programs import Program, hops, make_program, shifts
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
+from jrdb_avr.engine.generate.propose import Proposal, Search, program_of
 from jrdb_avr.engine.generate.stored_layer import LayerJob
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.graph.handle import open_worker_graph
@@ -91,7 +91,7 @@ def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, str]]:
 
 def _propose_again(search: Search, question: Question) -> Proposal:
     candidate = question.candidate
-    return make_proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
+    return Proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
 
 
 def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:
