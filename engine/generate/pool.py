@@ -73,6 +73,7 @@ class Prover:
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
         self._search, self._cypher, self._held_out = search, cypher, held_out
+        self._setting = Setting(self, search.layer.facts.keyframes, search.rules)
         self.counts: Counter[str] = Counter()
         self.examples: dict[str, list[tuple[Proposal, str | None]]] = defaultdict(list)
 
@@ -129,8 +130,7 @@ class Prover:
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
         rules, proofs, missing = self._search.rules, [], False
-        setting = Setting(self, self._search.layer.facts.keyframes, rules)
-        for proof in iterate_proofs(program, answer, setting):
+        for proof in iterate_proofs(program, answer, self._setting):
             if proof is None:
                 missing = True
                 continue
