@@ -206,12 +206,12 @@ def _checks(client: Client) -> Iterator[Check]:
 
 
 def _text(reply: Reply) -> Check:
-    cut, words = reply.finish_reason == "length", reply.content.strip()
+    cut, content = reply.finish_reason == "length", reply.content.strip()
     remedy = "use a chat model that follows instructions"
     if cut or reply.reasoning:
         remedy = _LONGER_REMEDY if cut else f"switch thinking off at the server, or {_LONGER_REMEDY}"
-    seen = f"replied {words[:40]!a}" + (" after its reasoning" if reply.reasoning else "")
-    return Check("text", bool(words) and not cut and not reply.refusal, seen, remedy)
+    result = f"replied {content[:40]!a}" + (" after its reasoning" if reply.reasoning else "")
+    return Check("text", bool(content) and not cut and not reply.refusal, result, remedy)
 
 
 def _schema(client: Client, shaped: _Probe) -> Check:
@@ -235,8 +235,8 @@ def _picture(send: Callable[..., _Probe]) -> Check:
         if probe.remedy or probe.reply is None:
             return Check("picture", False, f"a picture is {probe.fault}", probe.remedy or remedy)
         right += probe.value.get("corner") == corner
-    seen = f"{right} of {len(CORNERS)} drawn pictures were seen right"
-    return Check("picture", right >= _SEEN_CORNERS, seen, remedy)
+    result = f"{right} of {len(CORNERS)} drawn pictures were seen right"
+    return Check("picture", right >= _SEEN_CORNERS, result, remedy)
 
 
 def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
@@ -272,8 +272,8 @@ def _largest_request(name: str, content: str, probe: _Probe, right: bool, needed
     if probe.reply is None:
         remedy = "let the server take such requests (vLLM: --limit-mm-per-prompt), or declare --response-format none"
     remedy = probe.remedy or f"{remedy}; else do without {', '.join(SENDERS[name])}"
-    seen = f"{content}: {probe.fault or ('taken' if right else 'taken, but the reply is wrong')}"
-    return Check(name, right, seen, remedy, needed, SENDERS[name])
+    result = f"{content}: {probe.fault or ('taken' if right else 'taken, but the reply is wrong')}"
+    return Check(name, right, result, remedy, needed, SENDERS[name])
 
 
 def _thinking(client: Client, text: Reply, shaped: Reply | None) -> Check:
@@ -283,11 +283,11 @@ def _thinking(client: Client, text: Reply, shaped: Reply | None) -> Check:
     thinks = free if shaped is None else bool(thinking_text(shaped, client.convention))
     if declared is None:
         return Check("thinking", True, "nothing is declared", "")
-    seen = "declared " + ("on" if declared else "off")
-    seen += ", and there" if thinks else ", there in free text alone" if free else ", none there"
+    result = "declared " + ("on" if declared else "off")
+    result += ", and there" if thinks else ", there in free text alone" if free else ", none there"
     remedy = "declare --thinking off, or give the server a reasoning parser and a template that thinks"
     if not declared:
         remedy = "switch it off at the server, or declare --thinking on"
     elif free:
         remedy = "the response format keeps the model from thinking: declare --thinking off, or --response-format none"
-    return Check("thinking", thinks == declared, seen, remedy)
+    return Check("thinking", thinks == declared, result, remedy)

@@ -128,7 +128,7 @@ class LocalServer(ThreadingHTTPServer):
     def answer(self, method: str, target: str, headers: Any, body: bytes) -> Response:
         """Return the response to a request. Return a refusal if the request is not allowed."""
         host, origin = headers.get_all("Host", []), headers.get_all("Origin", [])
-        if len(host) != 1 or host[0] not in self.hosts or any(own != f"http://{host[0]}" for own in origin):
+        if len(host) != 1 or host[0] not in self.hosts or any(page != f"http://{host[0]}" for page in origin):
             return _refused("this server accepts only requests from its own pages")
         try:
             address = urllib.parse.urlsplit(target)

@@ -143,8 +143,8 @@ def _max_length(split: Any, name: str, cells: _Cells) -> int:
 
 
 def _is_numeric(values: Iterable[object]) -> bool:
-    known = [value for value in values if value is not None]
-    return bool(known) and all(isinstance(value, int | float) for value in known)
+    present = [value for value in values if value is not None]
+    return bool(present) and all(isinstance(value, int | float) for value in present)
 
 
 def _make_table(names: Sequence[str], cells: _Cells, numbers: set[str], width: int) -> Table:

@@ -156,10 +156,9 @@ def copy_staged(graph: Graph, stage: Path, sources: Iterable[str], sequences: Se
                 graph.copy_files(table, stage / source, files, (*start, RELS[table][1]) if start else ())
             copied[table] += rows
     graph.execute("CHECKPOINT")
+    counts = graph.count_rows()
     for table, expected in copied.items():
-        pattern = f"(n:{table})" if table in NODES else f"()-[r:{table}]->()"
-        rows = graph.query(f"MATCH {pattern} RETURN count(*) AS n")["n"][0].as_py()
-        if rows != expected:
+        if (rows := counts[table]) != expected:
             raise StoreError(f"the graph holds {rows} rows of {table} instead of {expected}: run the command again")
     return copied
 

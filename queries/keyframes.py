@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import Final
 
 import msgspec
 
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import strip_literals
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.graph import LAYER_NODES
 from jrdb_avr.schema.rules import FPS, Rules, frames
 
@@ -43,10 +43,9 @@ def queries_layer(statement: str) -> bool:
     return bool(_NODE.search(strip_literals(statement)))
 
 
-STAMP: Final = (
-    "MATCH (k:Keyframes) RETURN k.sequence AS sequence, k.rules_hash AS rules_hash, k.rules AS rules ORDER BY sequence"
-)
-"""Statement that returns a row per sequence of the layer: its name, and the rules of the layer."""
+def stamp_statement() -> str:
+    """Return the statement that reads, for each sequence of the layer, its name and the rules of the layer."""
+    return read_statement("reads/keyframes.cypher")
 
 
 def layer_stamp(graph: Graph) -> tuple[list[str], Rules | None]:
@@ -61,5 +60,5 @@ def layer_stamp(graph: Graph) -> tuple[list[str], Rules | None]:
     """
     if not LAYER_NODES.keys() <= graph.tables():
         return [], None
-    rows = graph.query(STAMP).to_pylist()
+    rows = graph.query(stamp_statement()).to_pylist()
     return [row["sequence"] for row in rows], msgspec.json.decode(rows[0]["rules"], type=Rules) if rows else None

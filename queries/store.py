@@ -33,7 +33,7 @@ from jrdb_avr.queries.files import file_hash, write_atomic, write_bytes
 from jrdb_avr.queries.graph.file import STORE_GRAPH
 from jrdb_avr.queries.graph.guard import query_graph
 from jrdb_avr.queries.graph.parameters import parameters
-from jrdb_avr.queries.keyframes import STAMP, keyframe_values, queries_layer
+from jrdb_avr.queries.keyframes import keyframe_values, queries_layer, stamp_statement
 from jrdb_avr.queries.manifest import MANIFEST_NAME, Manifest, read_manifest, refuse_public
 from jrdb_avr.queries.named import find_query
 from jrdb_avr.queries.sql import query_tables
@@ -269,7 +269,7 @@ class Store(Displayed):
         Raises StoreError if the graph lacks the keyframe layer, or if the layer and the questions have different rules.
         """
         try:
-            rows = query_graph(self.graph_path, STAMP).to_pylist()
+            rows = query_graph(self.graph_path, stamp_statement()).to_pylist()
         except QueryError as error:
             if "Keyframes" not in str(error):
                 raise

@@ -37,7 +37,7 @@ _ALSO_AS_CHOICES: Final = {
 """For choices and proofs only: further actions whose words fit a person with the label."""
 
 CALLED: Final[dict[str, frozenset[str]]] = {
-    label: frozenset(other for other in ACTIONS if (label, other) in ALSO or other in _ALSO_AS_CHOICES.get(label, ()))
+    label: frozenset(name for name in ACTIONS if (label, name) in ALSO or name in _ALSO_AS_CHOICES.get(label, ()))
     for label in ACTIONS
 }
 """For choices and proofs: the other actions whose words fit a person with the label, too."""
@@ -92,13 +92,13 @@ def list_actions(labels: Mapping[str, bool], complete: bool) -> ListedActions:
     return ListedActions(certain, frozenset(labels) - certain, complete)
 
 
-def may_be_same(label: str, other: str) -> bool:
+def may_be_same(label: str, second: str) -> bool:
     """Tell whether two actions may be called the same, in either direction. Then they are no choices of one question.
 
     >>> may_be_same("typing", "sitting"), may_be_same("walking", "standing")
     (True, False)
     """
-    return label == other or other in CALLED.get(label, ()) or label in CALLED.get(other, ())
+    return label == second or second in CALLED.get(label, ()) or label in CALLED.get(second, ())
 
 
 @cache

@@ -1,6 +1,7 @@
 """The layout that `docs/architecture.md` draws: which room imports which, size of modules, one meaning per name."""
 
 import ast
+import re
 from collections import defaultdict
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -52,6 +53,11 @@ MAY_IMPORT = {
 }
 LARGEST = 450
 """Maximum number of lines of a module."""
+FLOORS = 6
+"""Maximum number of floors of `engine/generate`."""
+SEARCH, CYPHER = ("search", "generators", "necessity"), 220
+"""Folders of the statements that find and prove questions, and the maximum number of their lines."""
+READS = re.compile(r"\b(MATCH|UNWIND) ")
 REPEATED = {"command", "main", "serve", "load", "generate", "validate", "evaluate", "score", "report", "diff"}
 """Public names that may repeat: click commands, which are named like their functions, and entry points of processes."""
 
@@ -120,6 +126,33 @@ def test_every_room_keeps_to_its_budget():
     assert {room: count for room, count in lines.items() if count > house.BUDGETS.get(room, 0)} == {}
     assert lines.total() <= house.TOTAL
     assert house.lines_of_tests() <= house.TESTS
+
+
+def test_generation_has_few_floors():
+    """A floor is a place in the longest chain of imports inside `engine/generate`."""
+    inside = {name: path for name, path in modules().items() if name.startswith("engine.generate.")}
+    below = {name: (imported(path) & inside.keys()) - {name} for name, path in inside.items()}
+    floors = {}
+    for name in TopologicalSorter(below).static_order():
+        floors[name] = 1 + max((floors[other] for other in below[name]), default=0)
+    assert floors["engine.generate.run"] > 3
+    assert {name: floor for name, floor in floors.items() if floor > FLOORS} == {}
+
+
+def test_cypher_of_the_search_is_short_and_in_files():
+    texts = [path.read_text("utf-8") for folder in SEARCH for path in (ROOT / "queries" / folder).glob("*.cypher")]
+    assert len(texts) > 30 and sum(len(text.splitlines()) for text in texts) <= CYPHER
+    writers = {name for name, path in modules().items() if any(READS.search(text) for text in texts_in(path))}
+    # The compiler makes statements of plans; `queries.graph` reads and counts the rows of any graph.
+    assert {name.rpartition(".")[0] for name in writers} == {"queries.compiler", "queries.graph"}
+
+
+def texts_in(path):
+    """The texts of a module but its docstrings."""
+    nodes = [*ast.walk(parsed(path))]
+    docs = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    found = (node for node in nodes if isinstance(node, ast.Constant) and id(node) not in docs)
+    return [node.value for node in found if isinstance(node.value, str)]
 
 
 def test_docstrings_and_comments_are_standard_english():

@@ -257,9 +257,9 @@ class Attempt:
         Returns:
             The reason of the refusal, or "" if the look repeats no earlier look.
         """
-        for earlier, seen in self.made:
-            if earlier == frame and float(angle_error(seen, angle)) <= DUPLICATE_DEG + TIE:
-                reason = f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {seen:g}"
+        for earlier, earlier_angle in self.made:
+            if earlier == frame and float(angle_error(earlier_angle, angle)) <= DUPLICATE_DEG + TIE:
+                reason = f"within {DUPLICATE_DEG:g} degree of the earlier look at angle {earlier_angle:g}"
                 request = self._request(frame_index=frame, angle_deg=angle)
                 self.record("observe", request, {"refused": reason}, time.perf_counter())
                 return reason
@@ -301,10 +301,10 @@ class Attempt:
 
     def _observe(self, observe: Callable[..., Seen], **view: float) -> Seen:
         started, request = time.perf_counter(), self._request(**view)
-        seen = observe(**request)
+        shown = observe(**request)
         self.looks += 1
-        self.record("observe", request, metadata_of(seen), started)
-        return seen
+        self.record("observe", request, metadata_of(shown), started)
+        return shown
 
     def _request(self, **view: float) -> dict[str, Any]:
         return {"sequence": self.task.question.sequence, **view}
@@ -389,9 +389,9 @@ class Attempt:
 
     def _read_box(self, value: object, image: ImageFrame) -> tuple[Evidence, dict[str, Any]]:
         """Decode the evidence box of a reply. Return the evidence, and the record of the box for the transcript."""
-        seen = decode.read_evidence(value, image.frames, image.size, self.convention)
-        evidence = image.evidence(seen.frame, seen.box)
-        return evidence, {"image_box": seen.box, "stitched_box": evidence.box, "box_key": seen.key}
+        reading = decode.read_evidence(value, image.frames, image.size, self.convention)
+        evidence = image.evidence(reading.frame, reading.box)
+        return evidence, {"image_box": reading.box, "stitched_box": evidence.box, "box_key": reading.key}
 
     # -- the end ------------------------------------------------------------------------------------------------------
 

@@ -50,7 +50,7 @@ class ChainOfThought(FixedContextMethod):
             facts = attempt.ask_stage(panorama_parts(panoramas), stage, _FACTS_SCHEMA, read_facts)
         except DecodeError:
             facts = ()
-        lines = [f"Fact {number}: {fact}" for number, fact in enumerate(facts, 1)]
+        lines = [f"Fact {position}: {fact}" for position, fact in enumerate(facts, 1)]
         return answer_from(attempt, panoramas, "chain_of_thought_answer", ("\n".join(lines or ["Facts: none"]),))
 
 

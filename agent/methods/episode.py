@@ -150,9 +150,9 @@ class Episode:
             ObserveError: If the picture is broken.
         """
         frame_id = f"{frame:06d}" if isinstance(frame, int) else frame
-        seen = self.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle})
-        assert seen is not None, "a look that is not refused returns what it shows"
-        return seen
+        observation = self.move({"action": "observe", "frame_id": frame_id, "angle_deg": angle})
+        assert observation is not None, "a look that is not refused returns what it shows"
+        return observation
 
     def submit(self, answer: object, evidence: object) -> None:
         """Submit the final answer.

@@ -76,8 +76,8 @@ class ReAct:
             reply = episode.attempt.ask([Message("system", (system,)), *user], schema)
             # The next turn states the reason of the refusal.
             with contextlib.suppress(RefusedError):
-                if (seen := episode.reply(reply)) is not None:
-                    looks.append((seen, picture_of(seen)))
+                if (observation := episode.reply(reply)) is not None:
+                    looks.append((observation, picture_of(observation)))
         return episode.finished()
 
 

@@ -181,7 +181,11 @@ def _written(reply: Reply, drawn: DrawnPicture, convention: Convention) -> _Writ
     entry: Any = boxes[0] if isinstance(boxes, list) and len(boxes) == 1 else None
     boxed = [(key, entry[key]) for key in KEYS if isinstance(entry, dict) and key in entry]
     key, numbers = boxed[0] if len(boxed) == 1 else ("", None)
-    if isinstance(numbers, list) and len(numbers) == 4 and all(finite(number) is not None for number in numbers):
+    if (
+        isinstance(numbers, list)
+        and len(numbers) == 4
+        and all(finite(coordinate) is not None for coordinate in numbers)
+    ):
         return _Written(key, numbers, drawn)
     return None
 
@@ -195,9 +199,9 @@ class _Tried(NamedTuple):
     boxes: tuple[Box | None, ...]
     score: Score
 
-    def is_same(self, other: _Tried) -> bool:
+    def is_same(self, tried: _Tried) -> bool:
         """Return whether this reading and another reading give nearly the same boxes."""
-        overlaps = [iou(a, b) if a and b else float(a is b) for a, b in zip(self.boxes, other.boxes, strict=True)]
+        overlaps = [iou(a, b) if a and b else float(a is b) for a, b in zip(self.boxes, tried.boxes, strict=True)]
         return statistics.median(overlaps) >= _SAME
 
 

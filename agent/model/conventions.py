@@ -68,8 +68,8 @@ class Convention:
         Returns:
             The order and the scale of the numbers.
         """
-        known = key if key in self.boxes else CONTRACT_KEY
-        return Reading(self.boxes[known], self.scales.get(known, "thousandths"))
+        listed_key = key if key in self.boxes else CONTRACT_KEY
+        return Reading(self.boxes[listed_key], self.scales.get(listed_key, "thousandths"))
 
     def resized(self, width: int, height: int) -> tuple[float, float]:
         """Return the sides of an image after the model's own resizing.

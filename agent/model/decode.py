@@ -90,10 +90,10 @@ def place_box(numbers: Sequence[float], size: Size, reading: Reading, convention
     across, down = units[reading.scale]
     order = (0, 1, 2, 3) if reading.order == "xyxy" else (1, 0, 3, 2)
     pairs = [(numbers[index], side) for index, side in zip(order, (across, down) * 2, strict=True)]
-    if any(not -TOLERANCE * side <= number <= (1 + TOLERANCE) * side for number, side in pairs):
-        other = f" or 0..{down:g}" if down != across else ""
-        raise DecodeError(f"{what} has a coordinate outside 0..{across:g}{other}")
-    left, top, right, bottom = (min(max(number, 0), side) for number, side in pairs)
+    if any(not -TOLERANCE * side <= coordinate <= (1 + TOLERANCE) * side for coordinate, side in pairs):
+        second_range = f" or 0..{down:g}" if down != across else ""
+        raise DecodeError(f"{what} has a coordinate outside 0..{across:g}{second_range}")
+    left, top, right, bottom = (min(max(coordinate, 0), side) for coordinate, side in pairs)
     if left >= right or top >= bottom:
         raise DecodeError(f"{what} has no area or reversed corners: the first corner is the upper left one")
     return Box(
@@ -106,10 +106,10 @@ def _numbers(value: object, reading: Reading, what: str) -> list[float]:
     whole = reading.scale != "unit"
     kinds = (int,) if whole else (int, float)
     numbers: list[Any] = value if isinstance(value, list) and len(value) == 4 else [None]
-    if any(type(number) not in kinds for number in numbers):
+    if any(type(item) not in kinds for item in numbers):
         raise DecodeError(f"{what} must be a list of four {'integers' if whole else 'numbers'}")
     # An integer that is too large for a float counts as finite here. It is refused later, as it is outside the image.
-    if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
+    if any(isinstance(item, float) and not math.isfinite(item) for item in numbers):
         raise DecodeError(f"{what} must be a list of four finite numbers")
     return numbers
 
@@ -177,10 +177,10 @@ def _instead(reply: Reply) -> str:
 
 def _object(text: str) -> dict[str, Any]:
     def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(items)
-        if len(found) != len(items):
+        fields = dict(items)
+        if len(fields) != len(items):
             raise DecodeError("the reply names a key twice")
-        return found
+        return fields
 
     def constant(name: str) -> Any:
         raise DecodeError(f"{name} is not JSON")
@@ -263,10 +263,10 @@ def finite(value: object) -> float | None:
         The number. None if the value is not a number, is not finite, or is too large.
     """
     try:
-        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+        converted = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
     except OverflowError:
-        number = math.inf
-    return number if math.isfinite(number) else None
+        converted = math.inf
+    return converted if math.isfinite(converted) else None
 
 
 def frame_id(value: object, what: str = "frame_id") -> int:

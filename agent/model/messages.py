@@ -50,18 +50,18 @@ class Message:
         return "\n".join(part if isinstance(part, str) else f"[image {part.name}]" for part in self.parts)
 
 
-def picture_of(seen: Observation | Panorama) -> Picture:
+def picture_of(view: Observation | Panorama) -> Picture:
     """Return an observation as a picture.
 
     Args:
-        seen: A crop or a panorama. A crop is encoded as JPEG of quality 95. A panorama keeps the bytes of its file.
+        view: A crop or a panorama. A crop is encoded as JPEG of quality 95. A panorama keeps the bytes of its file.
 
     Returns:
         The picture.
     """
-    if isinstance(seen, Panorama):
-        return Picture(f"{seen.sequence} {seen.frame_id} panorama", seen.jpeg)
-    return jpeg_picture(f"{seen.sequence} {seen.frame_id} {seen.angle_deg:.12g}", seen.image)
+    if isinstance(view, Panorama):
+        return Picture(f"{view.sequence} {view.frame_id} panorama", view.jpeg)
+    return jpeg_picture(f"{view.sequence} {view.frame_id} {view.angle_deg:.12g}", view.image)
 
 
 def jpeg_picture(name: str, image: Image) -> Picture:
@@ -108,32 +108,32 @@ def with_last_pictures(messages: Sequence[Message], most: int | None) -> list[Me
     ]
 
 
-def metadata_of(seen: Observation | Panorama) -> dict[str, Any]:
+def metadata_of(view: Observation | Panorama) -> dict[str, Any]:
     """Return the metadata of a picture that a model gets.
 
     Args:
-        seen: A crop or a panorama.
+        view: A crop or a panorama.
 
     Returns:
         The frame id and the time in seconds. For a crop also the angle and the width in degrees, and the left column in
             stitched pixels.
     """
-    metadata = {"frame_id": seen.frame_id, "timestamp": round(seen.timestamp, 3)}
-    if isinstance(seen, Panorama):
+    metadata = {"frame_id": view.frame_id, "timestamp": round(view.timestamp, 3)}
+    if isinstance(view, Panorama):
         return metadata
-    return metadata | {"angle_deg": seen.angle_deg, "fov_deg": round(seen.fov_deg, 2), "left": seen.left}
+    return metadata | {"angle_deg": view.angle_deg, "fov_deg": round(view.fov_deg, 2), "left": view.left}
 
 
-def metadata_line(seen: Observation | Panorama) -> str:
+def metadata_line(view: Observation | Panorama) -> str:
     """Return the metadata of a picture as one line of JSON.
 
     Args:
-        seen: A crop or a panorama.
+        view: A crop or a panorama.
 
     Returns:
         The line.
     """
-    return msgspec.json.encode(metadata_of(seen)).decode()
+    return msgspec.json.encode(metadata_of(view)).decode()
 
 
 def wire(messages: Sequence[Message]) -> list[dict[str, Any]]:

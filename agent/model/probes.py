@@ -97,17 +97,17 @@ def drawn_rectangles(n: int, seed: int) -> list[DrawnPicture]:
         The pictures.
     """
     rng = random.Random(seed)  # noqa: S311
-    return [_drawn(rng, number, *(PANORAMA_SIZE if number % 2 else CROP_SIZE)) for number in range(n)]
+    return [_drawn(rng, index, *(PANORAMA_SIZE if index % 2 else CROP_SIZE)) for index in range(n)]
 
 
-def _drawn(rng: random.Random, number: int, width: int, height: int) -> DrawnPicture:
+def _drawn(rng: random.Random, index: int, width: int, height: int) -> DrawnPicture:
     image = _plain(width, height)
     color, *others = rng.sample(sorted(_COLORS), len(_COLORS))
     marked, *plain = _free_boxes(rng, width, height, 1 + _DISTRACTORS * (1 if width == height else 3))
     for box in plain:
         _shape(image, box, rng.choice(others), rng.random() < 0.5)
     _marked(image, marked, color, rng.randrange(4096))
-    return DrawnPicture(jpeg_picture(f"drawn {number:03d} {width}x{height}", image), (width, height), marked, color)
+    return DrawnPicture(jpeg_picture(f"drawn {index:03d} {width}x{height}", image), (width, height), marked, color)
 
 
 def _free_boxes(rng: random.Random, width: int, height: int, n: int) -> list[Box]:

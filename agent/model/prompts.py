@@ -64,7 +64,7 @@ def choice_lines(choices: Sequence[str]) -> str:
     Returns:
         A line per choice, numbered from 1.
     """
-    return "\n".join(f"{number}. {choice}" for number, choice in enumerate(choices, 1))
+    return "\n".join(f"{position}. {choice}" for position, choice in enumerate(choices, 1))
 
 
 def frame_ranges(frames: Sequence[int]) -> str:

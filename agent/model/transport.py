@@ -155,10 +155,10 @@ class Credentials:
         if key and "authorization" not in map(str.lower, values):
             self.headers["Authorization"] = f"Bearer {key}"
         self.headers |= values
-        words = [word for value in values.values() for word in (value, *value.split()) if len(word) >= _SECRET // 2]
+        parts = [word for value in values.values() for word in (value, *value.split()) if len(word) >= _SECRET // 2]
         # The longest secret is replaced first. If a word of a header's value were replaced first, the whole value would
         # not be found any more.
-        self._secrets = sorted(filter(None, [key, *words]), key=len, reverse=True)
+        self._secrets = sorted(filter(None, [key, *parts]), key=len, reverse=True)
         long = ["".join(map(_forms, secret)) for secret in self._secrets if len(secret) >= _SECRET]
         # The last pattern matches an escaped backslash, so that the second of its two characters is not taken for the
         # start of an escaped secret.

@@ -21,14 +21,14 @@ def next_steps(folder: Path) -> list[str]:
         Lines for the terminal.
     """
     named = os.environ.get(STORE_VARIABLE)
-    places = [Path(named)] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
-    stores = [place for place in places if (place / "store.json").exists()]
+    paths = [Path(named)] if named else [folder, *sorted(path.parent for path in folder.glob("*/store.json"))]
+    stores = [path for path in paths if (path / "store.json").exists()]
     if not stores:
         where = f"{named}, which {STORE_VARIABLE} names, is no store yet." if named else "There is no store here yet."
         load = f"jrdb-avr load ROOT --store {shlex.quote(named or 'store')}"
         steps = (("jrdb-avr demo", "every step on synthetic data, in twenty seconds"), (load, "your copy of JRDB"))
         return [where, *(f"  {command:<{len(load)}}  {what}" for command, what in steps)]
-    return [line for place in stores for line in _of_store(place, folder, named)]
+    return [line for path in stores for line in _of_store(path, folder, named)]
 
 
 def scoring_steps(store: Path, *runs: str) -> str:
@@ -55,5 +55,5 @@ def _of_store(store: Path, folder: Path, named: str | None) -> list[str]:
     else:
         state = f"has {len(runs)} run{'s' if len(runs) > 1 else ''}"
         steps = [f"score{option}", f"report{option}", f"evaluate{option} {model}"]
-    place = named or store.relative_to(folder.parent)
-    return [f"{place} {state}.", *(f"  jrdb-avr {step}" for step in steps)]
+    title = named or store.relative_to(folder.parent)
+    return [f"{title} {state}.", *(f"  jrdb-avr {step}" for step in steps)]

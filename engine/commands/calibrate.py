@@ -47,12 +47,12 @@ def command(store: Store, model: str, endpoint: Any, form: RowFormat) -> None:
         for check in preflight(client):
             if not check.passed:
                 note(f"warning: {check.line}")
-        found = calibrate(client, advance=step_counter(progress, f"calibrate {model}", PICTURES))
-    rows = [msgspec.structs.asdict(score) for score in found.scores]
-    title = f"Readings of {found.readable} boxes by {model} (overlap with {found.asked} drawn rectangles)"
+        calibration = calibrate(client, advance=step_counter(progress, f"calibrate {model}", PICTURES))
+    rows = [msgspec.structs.asdict(score) for score in calibration.scores]
+    title = f"Readings of {calibration.readable} boxes by {model} (overlap with {calibration.asked} drawn rectangles)"
     columns = ("key", "order", "scale", "n", "median_iou", "share", "chosen")
     print_rows(rows, title=title, columns=columns, form=form)
-    if found.reason:
-        note(f"jrdb-avr: nothing is stored: {found.reason}")
+    if calibration.reason:
+        note(f"jrdb-avr: nothing is stored: {calibration.reason}")
         sys.exit(1)
-    note(f"stored in {write_calibration(store, found)}")
+    note(f"stored in {write_calibration(store, calibration)}")

@@ -57,13 +57,13 @@ def command(
     from jrdb_avr.queries.runs import questions_hash
 
     chosen = choose_questions(store, questions, sample, seed)
-    found = inspect_questions(store, chosen)
+    inspected = inspect_questions(store, chosen)
     with progress_bar() as progress:
-        advance = step_counter(progress, "inspect", len(found))
-        write_page(out, inspect_page(found, Observer.of(store), questions_hash(store), advance))
+        advance = step_counter(progress, "inspect", len(inspected))
+        write_page(out, inspect_page(inspected, Observer.of(store), questions_hash(store), advance))
     if form:
         print_data([{"question_id": name} for name in chosen], form)
-    note(f"wrote {out}: {len(found)} questions")
+    note(f"wrote {out}: {len(inspected)} questions")
 
 
 def _import(store: Store, decisions: Path, reviewer: str, form: RowFormat) -> None:

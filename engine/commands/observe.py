@@ -51,11 +51,11 @@ def command(
         image, left = observer.panorama(sequence, frame), 0
         note(f"{sequence} frame {frame:06d}: whole panorama -> {out}")
     else:
-        seen = observer(sequence, frame, angle)
-        image, left = seen.image, seen.left
+        observation = observer(sequence, frame, angle)
+        image, left = observation.image, observation.left
         note(
-            f"{sequence} frame {seen.frame_id}, {seen.timestamp:.2f} s, angle {seen.angle_deg:g}, "
-            f"left column {seen.left}, {seen.fov_deg} degrees wide -> {out}"
+            f"{sequence} frame {observation.frame_id}, {observation.timestamp:.2f} s, angle {observation.angle_deg:g}, "
+            f"left column {observation.left}, {observation.fov_deg} degrees wide -> {out}"
         )
     if boxes:
         image = draw_people(image, *_annotated(store, sequence, frame), left)

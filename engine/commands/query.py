@@ -153,8 +153,8 @@ def _unique_names(table: Any) -> Any:
     """Append numbers to repeated column names, because a row is a dictionary and holds each name once."""
     names: list[str] = []
     for name in table.column_names:
-        numbered = (f"{name}_{number}" for number in itertools.count(2))
-        names.append(next(own for own in itertools.chain([name], numbered) if own not in names))
+        numbered = (f"{name}_{count}" for count in itertools.count(2))
+        names.append(next(candidate for candidate in itertools.chain([name], numbered) if candidate not in names))
     return table.rename_columns(names)
 
 

@@ -75,7 +75,7 @@ def score(
     "tables",
     multiple=True,
     metavar="NAME",
-    help="main and twins (default), ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost, all, or a "
+    help="main and twins (default), ablation, pairs, people, epochs, evidence_failures, cost, all, or a "
     "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence. May be repeated.",
 )
 @click.option("--paper", is_flag=True, help="Add the paper's scores as rows with the label 'paper'.")
@@ -127,21 +127,21 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
     if form == "csv" and len(names) > 1:
         raise click.UsageError("--csv prints one table: give one --table")
     with warnings_as_notes():
-        found = comparison.report(store, options["runs"], iou=iou, paper=paper)
+        result = comparison.report(store, options["runs"], iou=iou, paper=paper)
     if html is not None:
         from jrdb_avr.engine.pages.page import write_page
         from jrdb_avr.engine.pages.report import report_page
 
-        write_page(html, report_page(found))
+        write_page(html, report_page(result))
         note(f"wrote {html}")
         return
-    rows_of = found.tables(names)
+    rows_of = result.tables(names)
     names = tuple(name for name in names if name != "twins" or rows_of[name])
     if form == "csv":
         print_data(rows_of[names[0]], form)
         return
     if form:
-        settings = {run.manifest.run_id: {"settings": run.manifest.settings} for run in found.runs}
+        settings = {run.manifest.run_id: {"settings": run.manifest.settings} for run in result.runs}
         rows = [{"table": name, **row} for name in names for row in rows_of[name]]
         print_data(({**row, **(settings.get(row["run"], {}) if row["table"] == "main" else {})} for row in rows), form)
         return
@@ -163,7 +163,7 @@ def report(store: Store, tables: tuple[str, ...], iou: float, paper: bool, html:
 
         for line in direction_lines(rows_of["ablation"]):
             note(line)
-    if found.synthetic:
+    if result.synthetic:
         note("synthetic: the simulated model or the sample world, no result about JRDB")
 
 
@@ -191,9 +191,9 @@ def _print_table(name: str, rows: list[dict[str, Any]], title: str) -> None:
 
     cells = with_intervals(rows)
     # The id of a run already names its method and model. Rows of the paper have no id, so they need both columns.
-    known = () if any(row.get("run") == "" for row in cells) else ("method", "model")
-    empty = (own for own in ("label", "setting") if not any(row.get(own) for row in cells))
-    left_out = {"iou", *known, *empty}
+    repeated = () if any(row.get("run") == "" for row in cells) else ("method", "model")
+    empty = (column for column in ("label", "setting") if not any(row.get(column) for row in cells))
+    left_out = {"iou", *repeated, *empty}
     plain = [{k: v for k, v in row.items() if _MACRO not in k and k not in left_out} for row in cells]
     print_rows(filled(plain), title=title)
     if name == "main":

@@ -32,14 +32,14 @@ def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: 
 
     with progress_bar() as progress:
         rules = override(Rules(), dict(overrides))
-        found = validate(store, rules, replay_proofs=replay, progress=progress)
+        result = validate(store, rules, replay_proofs=replay, progress=progress)
     # A table lacks the first faults, because all faults follow, one per line.
     left_out = () if form else ("first fault",)
-    print_rows([{name: row[name] for name in row if name not in left_out} for row in found.rows()], form=form)
-    for name, faults in found.faults.items():
+    print_rows([{name: row[name] for name in row if name not in left_out} for row in result.rows()], form=form)
+    for name, faults in result.faults.items():
         for fault in faults[:20]:
             note(f"{name}: {fault}")
         if len(faults) > 20:
             note(f"{name}: {len(faults) - 20} more")
-    if not found.sound:
+    if not result.sound:
         sys.exit(1)

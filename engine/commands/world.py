@@ -75,11 +75,11 @@ def drop(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
         rows = [_row(graph, run_id) for run_id in dict.fromkeys(run_ids)]
         if absent := [row["run"] for row in rows if not row["episodes"]]:
             raise StoreError(f"{store.graph_path} holds nothing of run {absent[0]!r}: see 'cypher world_runs'")
-        for number, row in enumerate(rows, 1):
+        for count, row in enumerate(rows, 1):
             # If the process is killed, each run has either its complete world model or none.
             with graph.transaction():
                 drop_world(graph, row["run"])
-            progress("dropping", number, len(rows))
+            progress("dropping", count, len(rows))
     print_rows(rows, form=form)
     if not form:
         note("dropped; 'jrdb-avr load --rebuild' frees the space")
@@ -92,8 +92,8 @@ def _record(store: Store, run_id: str) -> pa.Table:
     from jrdb_avr.queries.runs import read_run_manifest
     from jrdb_avr.schema.errors import StoreError
 
-    there = (store.run_path(run_id) / "world.parquet").exists()
-    record = read_record(store, run_id) if there else None
+    finished = (store.run_path(run_id) / "world.parquet").exists()
+    record = read_record(store, run_id) if finished else None
     if record is not None and record.num_rows:
         return record
     if not store.run_path(run_id).exists():

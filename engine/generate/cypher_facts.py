@@ -13,7 +13,6 @@ from typing import Any, Final, TypeVar
 
 from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
-from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
@@ -49,7 +48,7 @@ class CypherFacts:
             graph: Graph with the scenes.
             rules: Thresholds of sectors and of directions between people.
         """
-        self._reader = SceneReader(graph, SCENE, rules)
+        self._reader = SceneReader(graph, rules)
         self.asked: set[Key] = set()
         self._known: dict[Key, Any] = {}
         self._noted: set[Key] = set()

@@ -199,11 +199,12 @@ def _beliefs(offer: Offer, guesser: str, true: Mapping[_Key, int], offered: Mapp
     """Return the belief in each choice by the questions of other sequences."""
     beliefs = {}
     for choice in offer.choices:
-        belief = Fraction(1, 4)
+        # A belief is (right + prior * belief before) / (offered + prior). One fraction at the end is faster.
+        above, below = 1, 4
         for key in _keys(guesser, choice, offer.choices):
             right, all_of = (tally["", *key] - tally[offer.sequence, *key] for tally in (true, offered))
-            belief = (right + _PRIOR * belief) / (all_of + _PRIOR)
-        beliefs[choice] = belief
+            above, below = right * below + _PRIOR * above, (all_of + _PRIOR) * below
+        beliefs[choice] = Fraction(above, below)
     return beliefs
 
 

@@ -7,14 +7,12 @@ person and ignores the time cannot answer both.
 from __future__ import annotations
 
 import itertools
-from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, moment_hash, offer_of
 from jrdb_avr.engine.generate.choices import wrong_sets
@@ -26,7 +24,7 @@ from jrdb_avr.engine.generate.guessers import (
     above_bound,
     commonest_answer,
 )
-from jrdb_avr.engine.generate.hashes import hash_of, permute
+from jrdb_avr.engine.generate.hashes import Hashes, hash_of, permute
 from jrdb_avr.engine.generate.levels import Level
 from jrdb_avr.engine.generate.near_duplicates import Taken, near_frames
 from jrdb_avr.schema.rules import Rules
@@ -57,21 +55,23 @@ class Selector:
 
     Attributes:
         moments: Candidates of each moment, one per right choice, by the moment's hash.
+        by_sequence: The hashes of the moments of each sequence.
         level: The state of the cost.
         counts: How common actions are.
         taken: Account of near-duplicates and caps of all templates.
         cap: Maximum number of questions from one sequence.
         chosen: The selected question of each moment, by the moment's hash.
-        twins: Hashes of the moments of twins, which stay selected.
+        pairs: The moments of each two twins, which stay selected.
     """
 
     moments: dict[int, list[Candidate]]
+    by_sequence: dict[str, list[int]]
     level: Level
     counts: LabelCounts
     taken: Taken
     cap: int
     chosen: dict[int, Question] = field(default_factory=dict)
-    twins: set[int] = field(default_factory=set)
+    pairs: list[tuple[int, int]] = field(default_factory=list)
 
     def put(self, question: Question) -> None:
         """Select a question."""
@@ -91,6 +91,14 @@ class Selector:
         below = self.level.of_sequence[candidate.sequence] < self.cap and self.level.allows(candidate)
         return below and self.taken.admits(candidate.subject)
 
+    def restart(self, questions: Iterable[Question] = ()) -> None:
+        """Select these questions and no others, without twins."""
+        self.pairs.clear()
+        for moment in list(self.chosen):
+            self.take_out(moment)
+        for question in questions:
+            self.put(question)
+
     def put_twins(self, partners: dict[int, dict[int, Twins]], most: int) -> None:
         """Select time twins, the moment with the fewest possible twins first.
 
@@ -100,11 +108,18 @@ class Selector:
         """
         for moment in sorted(partners, key=lambda moment: (len(partners[moment]), moment)):
             for other in sorted(partners[moment], key=lambda one: (len(partners[one]), one)):
-                if len(self.twins) == 2 * most:
+                if len(self.pairs) == most:
                     return
                 if self.chosen.keys().isdisjoint((moment, other)) and self._put_pair(partners[moment][other]):
-                    self.twins |= {moment, other}
+                    self.pairs.append((moment, other))
                     break
+
+    def part_twins(self) -> None:
+        """Let the last two twins be ordinary questions, and look for better ones."""
+        pair = self.pairs.pop()
+        for moment in pair:
+            self.put(self.take_out(moment)._replace(twin=None))
+        self.improve(pair)
 
     def _put_pair(self, pair: Twins) -> bool:
         """Select two twins with the wrong choices that are cheapest for both. Return whether caps allow it."""
@@ -130,41 +145,51 @@ class Selector:
 
     def fill(self, size: int) -> None:
         """Select greedily up to a size."""
-        alive = np.array([moment for moment in sorted(self.moments) if moment not in self.chosen], np.uint64)
+        free = (moment for moment in sorted(self.moments.keys() - self.chosen.keys()))
+        alive = np.array([moment for moment in free if self.admits(self.moments[moment][0])], np.uint64)
         while len(self.chosen) < size and len(alive):
-            drawn, refused = self._draw(alive, len(self.chosen), _DRAWN)
-            alive = alive[~np.isin(alive, refused)]
-            if drawn:
-                _, question = self.level.cheapest([one for moment in drawn for one in self.moments[moment]])
-                self.put(question)
-                alive = alive[alive != moment_hash(question.candidate)]
+            drawn = _draw(alive, len(self.chosen), _DRAWN)
+            _, question = self.level.cheapest([one for moment in drawn for one in self.moments[moment]])
+            self.put(question)
+            alive = alive[~np.isin(alive, np.array(self._refused_by(question.candidate), np.uint64))]
 
-    def improve(self) -> None:
-        """Look for better choices of each question, and then for better moments."""
+    def _refused_by(self, selected: Candidate) -> list[int]:
+        """Return the moments of the same person, or of the whole sequence, that a selected question forbids."""
+        full = self.level.of_sequence[selected.sequence] >= self.cap
+        same = [(moment, self.moments[moment][0]) for moment in self.by_sequence[selected.sequence]]
+        return [moment for moment, one in same if (full or one.track == selected.track) and not self.admits(one)]
+
+    def improve(self, moments: Sequence[int]) -> None:
+        """Look for better choices of the questions of some moments, and then for better moments, in their order."""
         if self.level.fixed:
             # Other moments lower the cost too little for their time.
             self._drop_frequent()
             return
-        self.improve_choices(self._loose())
+        self.improve_choices(moments)
         for turn in range(_SWAP_PASSES):
-            for moment in self._loose():
-                free = np.array([one for one in self.moments if one not in self.chosen], np.uint64)
-                question = self.take_out(moment)
-                drawn, _ = self._draw(free, hash_of(turn, moment), _DRAWN_FOR_SWAP)
-                self.put(question)
-                self._replace(moment, drawn)
+            moments = [self._swap(moment, turn) for moment in moments]
 
     def improve_choices(self, moments: Sequence[int]) -> None:
         """Look for better choices of the questions of some moments, in the order of the moments."""
         for _ in range(_PASSES):
-            if not sum(self._replace(moment, [moment]) for moment in moments):
+            before = [self.chosen[moment] for moment in moments]
+            if before == [self._replace(moment, [moment]) for moment in moments]:
                 break
+
+    def _swap(self, moment: int, turn: int) -> int:
+        """Replace a question by that of a better moment, if there is one. Return the selected moment."""
+        free = np.array([one for one in self.moments if one not in self.chosen], np.uint64)
+        question = self.take_out(moment)
+        drawn = _draw(free, hash_of(turn, moment), _DRAWN_FOR_SWAP)
+        drawn = [one for one in drawn if self.admits(self.moments[one][0])]
+        self.put(question)
+        return moment_hash(self._replace(moment, drawn).candidate)
 
     def _drop_frequent(self) -> None:
         """Drop the costliest questions with the most frequent answer until its share is within bounds. Twins stay."""
         while len(self.chosen) >= JUDGED:
             answer, share = commonest_answer(self.offers())
-            loose = [moment for moment in self._loose() if self.chosen[moment].candidate.truth == answer]
+            loose = [moment for moment in self.loose() if self.chosen[moment].candidate.truth == answer]
             if share <= MAX_ANSWER_SHARE or not loose:
                 return
             self.take_out(max(loose, key=lambda moment: (self.level.cost_of(self.chosen[moment]), moment)))
@@ -177,28 +202,23 @@ class Selector:
         """Return what guessers see of the selected questions."""
         return [offer_of(question, self.counts) for question in self.questions()]
 
-    def _loose(self) -> list[int]:
-        return sorted(self.chosen.keys() - self.twins)
+    def loose(self) -> list[int]:
+        """Return the hashes of the moments of all questions but twins, in order."""
+        return sorted(self.chosen.keys() - set(itertools.chain.from_iterable(self.pairs)))
 
-    def _replace(self, moment: int, others: Sequence[int]) -> bool:
-        """Replace a question by the cheapest one of some moments if that lowers the cost. Return whether it did."""
+    def _replace(self, moment: int, others: Sequence[int]) -> Question:
+        """Replace a question by the cheapest one of some moments if that lowers the cost. Return the selected one."""
         question = best = self.take_out(moment)
         if others:
             cost, better = self.level.cheapest([one for other in others for one in self.moments[other]])
             best = better if cost < self.level.cost_of(question) else question
         self.put(best)
-        return best is not question
+        return best
 
-    def _draw(self, moments: npt.NDArray[np.uint64], salt: int, count: int) -> tuple[list[int], list[int]]:
-        """Draw admitted moments in the order of their hash; return them and the refused ones."""
-        drawn: list[int] = []
-        refused: list[int] = []
-        for index in np.argsort(permute(moments, salt)):
-            moment = int(moments[index])
-            (drawn if self.admits(self.moments[moment][0]) else refused).append(moment)
-            if len(drawn) == count:
-                break
-        return drawn, refused
+
+def _draw(moments: Hashes, salt: int, count: int) -> list[int]:
+    """Draw some of the moments, in the order of a hash."""
+    return cast(list[int], moments[np.argsort(permute(moments, salt))[:count]].tolist())
 
 
 def make_selector(candidates: Sequence[Candidate], counts: LabelCounts, taken: Taken, cap: int) -> Selector:
@@ -218,7 +238,10 @@ def make_selector(candidates: Sequence[Candidate], counts: LabelCounts, taken: T
         if wrong_sets(candidate.wrong):
             moments[moment_hash(candidate)].setdefault(candidate.truth, candidate)
     ordered = {moment: list(moments[moment].values()) for moment in sorted(moments)}
-    return Selector(ordered, Level(candidates, counts), counts, taken.copy(), cap)
+    by_sequence = defaultdict(list)
+    for moment, (candidate, *_) in ordered.items():
+        by_sequence[candidate.sequence].append(moment)
+    return Selector(ordered, by_sequence, Level(candidates, counts), counts, taken.copy(), cap)
 
 
 def level_choices(candidates: Sequence[Candidate], counts: LabelCounts, rules: Rules) -> list[Question]:
@@ -256,42 +279,29 @@ def select_level(candidates: Sequence[Candidate], quota: int, counts: LabelCount
     Returns:
         The selected questions.
     """
-
-    def attempt(pairs: int, order: Sequence[Question] = ()) -> Selector:
-        selector = make_selector(candidates, counts, taken, cap)
-        selector.put_twins(partners, pairs)
-        for question in order:
-            selector.put(question)
-        return selector
-
-    most = MAX_TWINS.get(candidates[0].template, 0)
-    partners = find_twins(candidates, taken.rules) if most else {}
-    whole = attempt(0)
-    whole.fill(quota)
-    order, total = list(whole.chosen.values()), len(whole.moments)
+    selector = make_selector(candidates, counts, taken, cap)
+    selector.fill(quota)
+    order, total = list(selector.chosen.values()), len(selector.moments)
     shortage = None if len(order) == quota else f"caps and near-duplicates leave {len(order)} of {total} moments"
     # Smaller sizes are not judged.
     sizes = [size for step in range(_STEPS, 0, -1) if JUDGED <= (size := quota * step // _STEPS) < len(order)]
     for size in (len(order), *sizes, min(JUDGED - 1, len(order))):
-        best = attempt(0, order[:size])
-        best.improve()
-        guesser = above_bound(best.offers())
+        selector.restart(order[:size])
+        selector.improve(selector.loose())
+        guesser = above_bound(selector.offers())
         if guesser is None:
             break
         shortage = f"of {size} questions a guesser would have too many right: {guesser}"
-    size, paired = len(best.chosen), {0: best}
-
-    def breaks(pairs: int) -> bool:
-        selector = paired[pairs] = attempt(pairs)
-        selector.fill(size)
-        selector.improve()
-        return above_bound(selector.offers()) is not None
-
-    most = min(most, size // 2) if partners else 0
-    if most and breaks(most):
-        # The bisection tries the middle first.
-        most = bisect_left(range(1, len(paired[most].twins) // 2), True, key=breaks)
-    questions = paired[most].questions()
+    most = MAX_TWINS.get(candidates[0].template, 0)
+    questions = selector.questions()
+    if partners := find_twins(candidates, taken.rules) if most else {}:
+        selector.restart()
+        selector.put_twins(partners, min(most, len(questions) // 2))
+        selector.fill(len(questions))
+        selector.improve(selector.loose())
+        while selector.pairs and above_bound(selector.offers()):
+            selector.part_twins()
+        questions = selector.questions() if selector.pairs else questions
     for question in questions:
         taken.add(question.candidate.subject)
     return Selected(questions, shortage)

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, offer_of
 from jrdb_avr.engine.generate.choices import wrong_sets
@@ -48,8 +47,12 @@ _SHARES: Final = np.array([-3, 1, 1, 1])
 _LABELS: Final = (*CHOICE_LABELS, *PRESENCE_ANSWERS, *DISTANCE_ANSWERS)
 _CODE: Final = {label: number for number, label in enumerate(_LABELS)}
 
-_BASE: Final = np.array([1, 64, 64 * 64], np.uint64)
+_CODES: Final = len(_LABELS)
+_BASE: Final = np.array([_CODES * _CODES, _CODES, 1])
 """Factors that make one number of three codes of choices."""
+
+_RANK_BASE: Final = np.array([16, 4, 1])
+"""Factors that make one number of three ranks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,19 +60,28 @@ class _Options:
     """The possible choices of a candidate, in the order of a hash.
 
     Attributes:
-        labels: Codes of the true choice and of three wrong choices (options, 4).
-        ranks: Ranks of the true choice (options, 3).
+        true: Code of the true choice.
+        wrong: Codes of three wrong choices (options, 3).
+        triple: The three codes as one number, the index of a cost of their pairs (options).
+        rank: The three ranks of the true choice as one number, the index of a cost of ranks (options).
         base: What each option costs whatever is selected (options).
         contexts: Number of each context; 0 is none (contexts).
         weights: Weight of each context (contexts).
     """
 
     candidate: Candidate
-    labels: npt.NDArray[np.int8]
-    ranks: npt.NDArray[np.int8]
+    true: int
+    wrong: Ints
+    triple: Ints
+    rank: Ints
     base: Ints
     contexts: Ints
     weights: Ints
+
+    def at(self, index: int) -> _Options:
+        """Return one option alone."""
+        parts = {name: getattr(self, name)[[index]] for name in ("wrong", "triple", "rank", "base")}
+        return replace(self, **parts)
 
 
 class Level:
@@ -98,6 +110,7 @@ class Level:
         self._people: Counter[object] = Counter()
         self._described: Counter[object] = Counter()
         self.of_sequence: Counter[str] = Counter()
+        self._shared: tuple[Ints, Ints, Ints] | None = None
 
     def add(self, question: Question, sign: int = 1) -> None:
         """Add a question to the state, or remove it by the sign -1."""
@@ -111,6 +124,7 @@ class Level:
         self._people[one.moment[:2]] += sign
         self._described[one.sequence, one.described] += sign
         self.of_sequence[one.sequence] += sign
+        self._shared = None
 
     def allows(self, candidate: Candidate) -> bool:
         """Return whether a further question may have the candidate's description."""
@@ -132,15 +146,15 @@ class Level:
         while index >= len(rows[row].base):
             index -= len(rows[row].base)
             row += 1
-        wrong = sorted(_LABELS[code] for code in rows[row].labels[index, 1:].tolist())
+        wrong = sorted(_LABELS[code] for code in rows[row].wrong[index].tolist())
         return increase, Question(candidates[row], tuple(wrong))
 
     def cost_of(self, question: Question) -> int:
         """Return by how much a question raises the cost."""
         options = self._options_of(question.candidate)
-        codes = {_CODE[label] for label in question.wrong}
-        (index,) = (row for row, labels in enumerate(options.labels[:, 1:].tolist()) if set(labels) == codes)
-        return int(self._costs([options])[index])
+        codes = sorted(_CODE[label] for label in question.wrong)
+        (index,) = np.flatnonzero((options.wrong == codes).all(axis=1))
+        return int(self._costs([options.at(int(index))])[0])
 
     def _options_of(self, candidate: Candidate) -> _Options:
         """Return the possible choices of a candidate, from memory if they were asked for before."""
@@ -152,46 +166,54 @@ class Level:
     def _make_options(self, candidate: Candidate) -> _Options:
         sequence, frame = candidate.sequence, candidate.asked[-1]
         wrong = _coded_triples(candidate.wrong)
-        labels = np.hstack([np.full((len(wrong), 1), _CODE[candidate.truth], np.int8), wrong])
-        labels = labels[np.argsort(permute(labels[:, 1:].astype(np.uint64) @ _BASE, hash_of(candidate.key)))]
-        doing = np.isin(labels[:, 1:], [_CODE[x] for x in self._counts.doing(sequence, frame) if x in _CODE])
+        wrong = wrong[np.argsort(permute((wrong @ _BASE).astype(np.uint64), hash_of(candidate.key)))]
+        doing = np.isin(wrong, [_CODE[x] for x in self._counts.doing(sequence, frame) if x in _CODE])
         orders = self._counts.orders(sequence, frame)
-        places = np.array([[order.get(label, 0) for label in _LABELS] for order in orders])[:, labels]
-        ranks = (places[..., 1:] < places[..., :1]).sum(axis=2).T.astype(np.int8)
+        places, true = (
+            np.array([[order.get(label, 0) for label in _LABELS] for order in orders]),
+            _CODE[candidate.truth],
+        )
+        ranks = (places[:, wrong] < places[:, true, None, None]).sum(axis=2)
         numbers, weights = np.zeros((2, self._most), np.int64)
         for index, (name, weight) in enumerate(candidate.contexts):
             numbers[index], weights[index] = self._contexts[name], weight
         # What one question costs by itself: squares of its own shares, and of its own ranks.
         own = int(_SHARES @ _SHARES) * (int(weights.sum()) + 3 * self._weights.pair) + 12 * sum(self._weights.ranks)
-        return _Options(candidate, labels, ranks, own - self._weights.doing * doing.sum(axis=1), numbers, weights)
+        base = own - self._weights.doing * doing.sum(axis=1)
+        return _Options(candidate, true, wrong, wrong @ _BASE, _RANK_BASE @ ranks, base, numbers, weights)
 
     def _costs(self, rows: Sequence[_Options]) -> Ints:
         """Return by how much each option of some candidates raises the cost (sum of their options)."""
         own, candidates = self._weights, [row.candidate for row in rows]
-        others = np.array([own.person * self._people[one.moment[:2]] for one in candidates])
-        others += [own.described * self._described[one.sequence, one.described] for one in candidates]
-        others += [own.sequence * self.of_sequence[one.sequence] for one in candidates]
-        which = np.repeat(np.arange(len(rows)), [len(row.base) for row in rows])
-        labels, ranks, costs = (
-            np.concatenate([getattr(row, name) for row in rows]) for name in ("labels", "ranks", "base")
-        )
-        costs += others[which]
+        true = np.array([row.true for row in rows])
         weights = np.stack([row.weights for row in rows])
         levels = (self._levels[np.stack([row.contexts for row in rows])] * weights[..., None]).sum(axis=1)
         # (X + share)^2 - X^2 = 2 * X * share + share^2, and the last term is in `base`; likewise for P.
-        true, first, second, third = labels.T
-        costs += 2 * (levels[which[:, None], labels] @ _SHARES)
-        beside = self._pairs.T - 3 * self._pairs
-        both = self._pairs + self._pairs.T
-        pairs = beside[true, first] + beside[true, second] + beside[true, third]
-        pairs += both[first, second] + both[first, third] + both[second, third]
-        costs += 2 * own.pair * pairs
+        fixed = -6 * levels[np.arange(len(rows)), true]
+        fixed += [own.person * self._people[one.moment[:2]] for one in candidates]
+        fixed += [own.described * self._described[one.sequence, one.described] for one in candidates]
+        fixed += [own.sequence * self.of_sequence[one.sequence] for one in candidates]
+        pairs, triples, ranked = self._shared = self._shared or self._share_costs()
+        single = 2 * levels + pairs[true]
+        sizes = [len(row.base) for row in rows]
+        shift = np.repeat(np.arange(len(rows)) * _CODES, sizes)
+        wrong, triple, rank, base = (
+            np.concatenate([getattr(row, name) for row in rows]) for name in ("wrong", "triple", "rank", "base")
+        )
+        costs = base + np.repeat(fixed, sizes) + triples[triple] + ranked[rank]
+        return cast(Ints, costs + single.ravel()[wrong + shift[:, None]].sum(axis=1))
+
+    def _share_costs(self) -> tuple[Ints, Ints, Ints]:
+        """Return the costs of a wrong choice beside a true one, of the pairs of three wrong ones, and of ranks."""
+        own = self._weights
+        both = 2 * own.pair * (self._pairs + self._pairs.T)
+        triples = (both[:, :, None] + both[:, None] + both).ravel()
         uneven = 8 * (4 * self._ranks - self.of_sequence.total()) * np.array(own.ranks)[:, None]
-        costs += uneven[np.arange(3), ranks].sum(axis=1)
-        return costs
+        ranked = (uneven[0][:, None, None] + uneven[1][:, None] + uneven[2]).ravel()
+        return 2 * own.pair * (self._pairs.T - 3 * self._pairs), triples, ranked
 
 
 @lru_cache(maxsize=4096)
-def _coded_triples(wrong: frozenset[str]) -> npt.NDArray[np.int8]:
-    """Return codes of the sets of three wrong choices (sets, 3)."""
-    return np.array([[_CODE[x] for x in triple] for triple in wrong_sets(wrong)], np.int8).reshape(-1, 3)
+def _coded_triples(wrong: frozenset[str]) -> Ints:
+    """Return codes of the sets of three wrong choices, each in ascending order (sets, 3)."""
+    return np.sort(np.array([[_CODE[x] for x in triple] for triple in wrong_sets(wrong)], np.int64).reshape(-1, 3))

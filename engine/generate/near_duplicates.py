@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import sub
 from typing import NamedTuple
 
 from jrdb_avr.schema.rules import Rules, frames
@@ -43,6 +44,8 @@ class Taken:
             return False
         if one.event is not None and (one.person, one.event) in self.events:
             return False
+        if not others:
+            return True
         near = near_frames(one.template, self.rules)
         return not any(are_near(one.read, other, near) for other in others)
 
@@ -67,4 +70,4 @@ class Taken:
 
 def are_near(one: Sequence[int], other: Sequence[int], near: int) -> bool:
     """Return whether all frames of two questions are near each other. Forms that read at more frames are not alike."""
-    return len(one) == len(other) and all(abs(a - b) <= near for a, b in zip(one, other, strict=True))
+    return len(one) == len(other) and max(map(abs, map(sub, one, other))) <= near

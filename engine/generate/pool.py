@@ -281,7 +281,7 @@ def make_candidate(proposal: Proposal) -> Candidate | None:
     elif template.answer is None:
         asked = tuple(proposal.frames[name] for name in template.decisive)
         wrong = frozenset(PRESENCE_ANSWERS if answer in PRESENCE_ANSWERS else DISTANCE_ANSWERS) - {answer}
-        contexts = answer_contexts(proposal.sequence, layer.length, begin, asked, words)
+        contexts = answer_contexts(proposal.sequence, layer.head["frame_count"], begin, asked, words)
     else:
         times = [proposal.frames[name] for name in template.stated]
         number = answer_bin(template.spec.mode, answer, times, template.spec.read)

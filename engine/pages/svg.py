@@ -69,7 +69,7 @@ class PlanNode(NamedTuple):
 
 
 class PlanEdge(NamedTuple):
-    """A drawn relation of a plan: the two ends of its line, and its words as lines of text.
+    """A drawn relation of a plan: the two ends of its line, and its text in lines.
 
     The line begins at the right side of one node and ends at the left side of another node.
     """
@@ -78,7 +78,7 @@ class PlanEdge(NamedTuple):
     y1: float
     x2: float
     y2: float
-    words: tuple[str, ...]
+    lines: tuple[str, ...]
 
 
 class PlanGraph:
@@ -121,7 +121,7 @@ class PlanGraph:
             (x1, y1), (x2, y2) = corners[edge.source], corners[edge.target]
             lines_of_edge = wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)
             self.edges.append(PlanEdge(x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2, lines_of_edge))
-        self.top = max([0.0, *(_NODE_LINE * len(edge.words) + 10 - tall / 2 for edge in self.edges)])
+        self.top = max([0.0, *(_NODE_LINE * len(edge.lines) + 10 - tall / 2 for edge in self.edges)])
         self.width = max(columns) * stride + NODE_WIDTH + 3
         self.height = lanes * lane_height - _LANE_GAP
 

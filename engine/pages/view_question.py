@@ -129,8 +129,8 @@ def question_page(
 
 def _asked(question: QuestionRow, true: str | None, twin: QuestionRow | None, run: Any | None) -> Asked:
     given = None if run is None else _answer(run, question)
-    right, own = (read_answer(question.answer_mode, answer) for answer in (true, given))
-    numbers = (answer.choice if isinstance(answer, Choice) else None for answer in (right, own))
+    right, answered = (read_answer(question.answer_mode, answer) for answer in (true, given))
+    numbers = (answer.choice if isinstance(answer, Choice) else None for answer in (right, answered))
     return Asked(
         question, [question.question] if twin is None else split_times(question.question, twin.question), *numbers
     )

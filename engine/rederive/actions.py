@@ -121,8 +121,8 @@ class ActionFacts(PersonBoxes):
 
     def pose(self, track: int, frame: int) -> str | None:
         """Return the only, certain pose of the person. None if it is unknown, as for covered people."""
-        known = self._is_complete(track, frame) and not self.covered(track, frame)
-        return self._list(track, frame).pose if known else None
+        certain = self._is_complete(track, frame) and not self.covered(track, frame)
+        return self._list(track, frame).pose if certain else None
 
     def written(self, track: int, frame: int) -> frozenset[str]:
         """Return the actions with a label of any difficulty. Empty without a box."""

@@ -62,6 +62,6 @@ def is_false_around(annotations: Annotations, track: int, action: str, frame: in
 def _implied_actions(plan: Plan) -> frozenset[str]:
     """Return the actions that the words of a question state or imply."""
     conditions = [condition for node in plan.nodes for condition in node.conditions]
-    words = {word for stated in conditions for word in (stated.action, stated.interaction, stated.verb)}
-    words |= {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
-    return frozenset().union(*(implied_actions(word) for word in words if word is not None))
+    labels = {word for stated in conditions for word in (stated.action, stated.interaction, stated.verb)}
+    labels |= {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
+    return frozenset().union(*(implied_actions(word) for word in labels if word is not None))

@@ -135,7 +135,7 @@ class PersonBoxes:
         outline = outline_of(box)
         if outline.area <= 0:
             return "uncertain"
-        rivals = (outline_of(rival.box) for number, rival in self._people[frame].items() if number != track)
+        rivals = (outline_of(rival.box) for rival_track, rival in self._people[frame].items() if rival_track != track)
         thousandths = 1000 * covered_area(outline, rivals)
         if thousandths >= round(1000 * load.min_covered) * outline.area:
             return "covered"
@@ -146,8 +146,8 @@ class PersonBoxes:
         """Return whether the nearest frame with group labels, at most a second away, has an easy one of the person."""
         labelled = self._grouped_frames
         index = bisect_left(labelled, frame)
-        near = [number for number in labelled[max(index - 1, 0) : index + 1] if abs(number - frame) <= KEYFRAME_STEP]
-        nearest = min(near, key=lambda number: abs(number - frame), default=-1)
+        near = [at for at in labelled[max(index - 1, 0) : index + 1] if abs(at - frame) <= KEYFRAME_STEP]
+        nearest = min(near, key=lambda at: abs(at - frame), default=-1)
         return not labelled or self._groups.get((nearest, track), (0, False))[1]
 
     def absent(self, track: int, frame: int) -> bool:

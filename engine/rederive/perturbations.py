@@ -83,13 +83,13 @@ class _Perturbed:
         edges, target = self.resolved.plan.edges, self.resolved.plan.target
         if not edges:
             return
-        for number, node in enumerate(list(self.resolved.people)[:-1]):
-            yield self._prove("hop.stop", str(number), partial(_stopped, self.resolved, node))
+        for index, node in enumerate(list(self.resolved.people)[:-1]):
+            yield self._prove("hop.stop", str(index), partial(_stopped, self.resolved, node))
         # Because a path without its last hop is the path stopped one person early. A fork has two last hops.
         joins = sum(edge.target == target for edge in edges) > 1
-        for number, edge in enumerate(edges, start=1):
+        for index, edge in enumerate(edges, start=1):
             if joins or edge.target != target:
-                yield self._prove("hop.skip", str(number), partial(_skipped, self.resolved, edge))
+                yield self._prove("hop.skip", str(index), partial(_skipped, self.resolved, edge))
 
     def times(self) -> Iterator[Proof]:
         """Yield the proofs at other times: shifted both ways, and at every keyframe.
@@ -115,8 +115,8 @@ class _Perturbed:
         begin = resolved.t0 + frames(resolved.rules.min_wait_s) if later else keyframes[0]
         moves = [frame - min(moved) for frame in keyframes if frame >= begin]
         proofs = [self._prove("time.drop", "", partial(_moved, resolved, by)) for by in moves]
-        known = [(proof.outcome, proof.answer) for proof in proofs if proof.outcome in ("same", "different")]
-        outcome = "different" if len(set(known)) > 1 else "same" if len(known) > 1 else "empty"
+        outcomes = [(proof.outcome, proof.answer) for proof in proofs if proof.outcome in ("same", "different")]
+        outcome = "different" if len(set(outcomes)) > 1 else "same" if len(outcomes) > 1 else "empty"
         yield Proof("time.drop", "all keyframes", outcome in _PROVING, outcome)
 
     def views(self) -> Iterator[Proof]:
@@ -222,5 +222,5 @@ def _shows(box: NeededBox, share: float) -> Bools:
     """Return, for each column of the panorama, whether the crop from it shows at least this share of a box's width."""
     begin = (box.x - np.arange(WIDTH)) % WIDTH
     # Because the box may begin in the crop, or before the crop and reach across its left edge.
-    seen = np.clip(CROP - begin, 0, box.w) + np.clip(begin - WIDTH + box.w, 0, CROP)
-    return np.asarray(seen >= share * box.w - SLACK)
+    shown = np.clip(CROP - begin, 0, box.w) + np.clip(begin - WIDTH + box.w, 0, CROP)
+    return np.asarray(shown >= share * box.w - SLACK)

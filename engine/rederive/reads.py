@@ -107,7 +107,7 @@ def read_presence(resolved: ResolvedPlan) -> Reading:
     resolved.wait(resolved.t0, first, resolved.rules.min_wait_s)
     resolved.wait(first, second, resolved.rules.min_wait_s)
     present = [_present(resolved, frame) for frame in (first, second)]
-    decisive = [frame for frame, seen in zip((first, second), present, strict=True) if seen]
+    decisive = [frame for frame, in_view in zip((first, second), present, strict=True) if in_view]
     return Reading(PRESENCE_ANSWERS[3 - 2 * present[0] - present[1]], {}, decisive)
 
 
@@ -184,18 +184,18 @@ def _counted(resolved: ResolvedPlan, does: dict[int, list[int]]) -> tuple[Needed
     annotations, target = resolved.annotations, resolved.target
     needed: list[NeededBox] = []
     looks: set[int] = set()
-    for number, track in enumerate(sorted(does), start=1):
-        seen = (
+    for index, track in enumerate(sorted(does), start=1):
+        clear_frames = (
             frame
             for frame in does[track]
             if frame in annotations.keyframes and annotations.clear(track, frame) and annotations.clear(target, frame)
         )
-        frame = next(seen, None)
+        frame = next(clear_frames, None)
         box = None if frame is None else annotations.box(track, frame)
         if frame is None or box is None:
             resolved.faults.append(f"person {track}, who is counted, is never in clear view together with the target")
             continue
-        needed.append(NeededBox(f"b{number}", track, frame, *box, False))
+        needed.append(NeededBox(f"b{index}", track, frame, *box, False))
         looks.add(frame)
     for frame in sorted(looks - {resolved.t0}):
         box = annotations.box(target, frame)

@@ -70,7 +70,7 @@ class SocialFacts(ActionFacts):
                 _add_label(self._handled[track, verb][category, thing], frame, difficulty)
                 for wider in also_said(verb):
                     _add_label(self._handled[track, wider][category, thing], frame, None)
-        self._categories = {number: name for number, name in names.items() if name in OBJECTS}
+        self._categories = {category: name for category, name in names.items() if name in OBJECTS}
         numbers = sorted(self.layers.get("2d", []))
         self._unread = self._find_unread(numbers) if numbers else frozenset()
         layers = ("groups", "interactions", "handles")
@@ -208,8 +208,8 @@ class SocialFacts(ActionFacts):
         if verb in POSES or category in PERSON_CATEGORIES:
             return UNKNOWN
         possible = False
-        for (number, _), labels in self._handled.get((track, verb), {}).items():
-            handled = self._categories.get(number)
+        for (category_id, _), labels in self._handled.get((track, verb), {}).items():
+            handled = self._categories.get(category_id)
             certain = self._certainty(labels, frame, "handles") if handled in (category, None) else None
             if certain and handled == category:
                 return TRUE
@@ -234,8 +234,8 @@ def _agreed_values(table: pa.Table) -> dict[tuple[int, str], str]:
 def _visible_faces(table: pa.Table) -> dict[tuple[int, int], bool]:
     """Return (frame, track) -> whether one of the first three keypoints (head, both eyes) is marked visible (2)."""
     points = table["keypoints"].combine_chunks().flatten().to_numpy(zero_copy_only=False).reshape(-1, 51)
-    seen = (points[:, [2, 5, 8]] == 2).any(axis=1).tolist()
-    return {(frame, track): face for (frame, track), face in zip(rows(table, "frame", "track"), seen, strict=True)}
+    visible = (points[:, [2, 5, 8]] == 2).any(axis=1).tolist()
+    return {(frame, track): face for (frame, track), face in zip(rows(table, "frame", "track"), visible, strict=True)}
 
 
 AXES: Final = {"ahead": 180.0, "left": 90.0, "behind": 0.0, "right": 270.0}
@@ -285,8 +285,8 @@ class RelationFacts(SocialFacts):
         columns = ("frame", "track", "cx", "cy", "cz", "rot_z", "distance", "num_points")
         for frame, track, x, y, z, turned, metres, points in rows(tables["boxes_3d"], *columns):
             if points:
-                away = math.hypot(x, y) if metres is None else metres
-                self._solids[frame, track] = _Solid(x, y, z, math.pi - turned, away)
+                distance = math.hypot(x, y) if metres is None else metres
+                self._solids[frame, track] = _Solid(x, y, z, math.pi - turned, distance)
         self._firsts: dict[tuple[int, int, int], dict[int, int]] = {}
 
     # -- from the robot -----------------------------------------------------------------------------------------

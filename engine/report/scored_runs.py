@@ -33,7 +33,7 @@ DIMENSIONS: Final = ("family", "group", "template", "answer_mode", "hops", "time
 _TEXTS: Final = ("family", "template", "answer_mode", "sequence")
 """Names of the dimensions that are a column of the table `questions`."""
 
-_GROUP_OF: Final = {family: group for group, own in GROUPS.items() for family in own.families}
+_GROUP_OF: Final = {family: group for group, counts in GROUPS.items() for family in counts.families}
 
 
 class Labels(NamedTuple):

@@ -63,7 +63,7 @@ def _guessers(index: QuestionIndex) -> list[Line]:
     """Return the row of each guesser over all pairs of the store."""
     pairs, template = _pairs(index, np.arange(len(index.twins))), index.labels["template"]
     n = len(pairs)
-    different = sum(_DIFFERENT.get(template.names[number], 1 / 12) for number in template.numbers[pairs[:, 0]].tolist())
+    different = sum(_DIFFERENT.get(template.names[code], 1 / 12) for code in template.numbers[pairs[:, 0]].tolist())
     # The names have spaces, so that no run id is equal to one of them.
     shares = {"uniform answers": (n / 16, 25.0), "two answers": (different, 25.0), "time ignored": (0, 50.0)}
     return [

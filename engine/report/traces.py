@@ -103,17 +103,10 @@ class Transcript:
         self.steps = read_rows(path / "steps.parquet", "question_id", question_id).sort_by("step").to_pylist()
         self.looks = [look for step in self.steps if (look := look_of(step)) is not None]
         world = path / "world.parquet"
-        written = read_rows(world, "question_id", question_id).sort_by("number").to_pylist() if world.exists() else []
-        facts = [_fact(row["fact"], world) for row in written]
-        until = {
-            write_number: row["step"]
-            for row, fact in zip(written, facts, strict=True)
-            for write_number in fact.replaced
-        }
-        self.writes = [
-            Written(row, row["step"], until.get(row["number"], ALWAYS), fact)
-            for row, fact in zip(written, facts, strict=True)
-        ]
+        rows = read_rows(world, "question_id", question_id).sort_by("number").to_pylist() if world.exists() else []
+        facts = [(row, _fact(row["fact"], world)) for row in rows]
+        until = {replaced: row["step"] for row, fact in facts for replaced in fact.replaced}
+        self.writes = [Written(row, row["step"], until.get(row["number"], ALWAYS), fact) for row, fact in facts]
         self.refused = [write for write in self.writes if not write.row["accepted"]]
 
 

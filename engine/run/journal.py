@@ -280,11 +280,11 @@ class Journal(contextlib.ExitStack):
             whole = 0
             # Read line by line, because the file may be larger than memory.
             with path.open("rb") as lines:
-                for number, line in enumerate(lines, 1):
+                for line_number, line in enumerate(lines, 1):
                     if not line.endswith(b"\n"):
                         os.truncate(path, whole)
                         break
-                    positions[_read_line(path, number, line)] = LinePosition(path.stem, whole, len(line))
+                    positions[_read_line(path, line_number, line)] = LinePosition(path.stem, whole, len(line))
                     whole += len(line)
         return KeptEntries(self._folder, positions)
 
@@ -315,7 +315,7 @@ class Journal(contextlib.ExitStack):
         self.finished.add(entry.question_id, LinePosition(sequence, end, size))
 
 
-def _read_line(path: Path, number: int, line: bytes) -> str:
+def _read_line(path: Path, line_number: int, line: bytes) -> str:
     """Return the question id of a line of the journal.
 
     Raise StoreError if the line is damaged, or if its entry does not fit the tables of the run.
@@ -325,7 +325,7 @@ def _read_line(path: Path, number: int, line: bytes) -> str:
         for name in _TABLES:
             run_table("", name, [entry])
     except _DAMAGE:
-        raise StoreError(f"{path}, line {number}, is damaged: evaluate under another --run-id") from None
+        raise StoreError(f"{path}, line {line_number}, is damaged: evaluate under another --run-id") from None
     return entry.question_id
 
 

@@ -85,7 +85,7 @@ def _check_shards(store: Store, manifests: Sequence[RunManifest]) -> dict[str, A
         if what := find_difference(first, manifest) or sizes:
             hint = ": copy opaque.key of one store to each store before the shards run" if what == "opaque.key" else ""
             raise StoreError(f"runs {first.run_id!r} and {manifest.run_id!r} differ in the {what}{hint}")
-    numbers = sorted(number for _, (number, _) in shards)
+    numbers = sorted(shard for _, (shard, _) in shards)
     if len(numbers) != count or numbers != list(range(1, count + 1)):
         raise StoreError(f"the runs are the shards {', '.join(map(str, numbers))} of {count}: give each shard once")
     ids = sorted(name for manifest in manifests for name in manifest.question_ids)

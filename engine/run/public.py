@@ -110,14 +110,14 @@ def strip_metadata(data: bytes, path: Path) -> bytes:
         StoreError: If the file is not a JPEG, if its end is missing, or if it has an unusual segment.
     """
     kept, at = [data[:2]], 2 if data.startswith(b"\xff\xd8") else len(data)
-    while found := _MARKER.match(data, at):
-        marker, start = found[1][0], found.end()
+    while match := _MARKER.match(data, at):
+        marker, start = match[1][0], match.end()
         if marker == _END:
             return b"".join([*kept, bytes([0xFF, _END])])
         at = start + int.from_bytes(data[start : start + 2], "big")
         name, size = data[start + 2 : start + 7], at - start
         if marker == _SCAN:
-            at = next((found.start() for found in _NEXT_MARKER.finditer(data, at)), len(data))
+            at = next((match.start() for match in _NEXT_MARKER.finditer(data, at)), len(data))
         if marker in _KEPT:
             kept.append(bytes([0xFF, marker]) + data[start:at])
         elif marker == 0xE0 and name == b"JFIF\0" and size >= len(_JFIF) - 2:

@@ -26,7 +26,6 @@ from jrdb_avr.engine.generate.perturb import (
 )
 from jrdb_avr.engine.generate.programs import Answer, Program, make_program
 from jrdb_avr.queries.compiler.find import compile_find
-from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
@@ -127,7 +126,7 @@ def read_plans(records: Iterable[QuestionRecord]) -> tuple[list[StoredPlan], lis
     for record in records:
         try:
             plan = parse_plan(record.plan)
-            compile_find(plan, SCENE)
+            compile_find(plan)
             plans.append(StoredPlan(record, plan, _find_form(record.template, plan)))
         except AvrError as error:
             unreadable.append(f"{record.question_id}: plan: {error}")
@@ -169,9 +168,9 @@ def replay(
     """
     with Graph.open(store.graph_path, read_only=True) as graph:
         source = CypherFacts(graph, rules.load)
-        again = {number: partial(_replay_one, stored, source, rules) for number, stored in enumerate(plans)}
+        again = {index: partial(_replay_one, stored, source, rules) for index, stored in enumerate(plans)}
         differences = source.complete_all(again, advance)
-    return [line for number in again for line in differences[number]]
+    return [line for index in again for line in differences[index]]
 
 
 def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[str]:
@@ -258,7 +257,7 @@ def run_compiled(
     """
     with Graph.open(store.graph_path, read_only=True) as graph:
         queries = [PlanQuery(stored.plan, stored.record.sequence, stored.record.choices) for stored in plans]
-        solutions = solve(SceneReader(graph, SCENE, rules.load), queries, rules, advance)
+        solutions = solve(SceneReader(graph, rules.load), queries, rules, advance)
     differences = []
     for (record, plan, _), solution in zip(plans, solutions, strict=True):
         if solution.outcome != "defined":

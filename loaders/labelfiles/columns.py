@@ -256,12 +256,12 @@ def group_rows(*columns: Ints) -> tuple[Ints, Ints]:
     return group, order[first]
 
 
-def rows_of(keys: Ints, wanted: Ints) -> Ints:
-    """Return for each element of `wanted` its index in the ascending `keys`, or -1 if `keys` lacks it."""
+def rows_of(keys: Ints, values: Ints) -> Ints:
+    """Return for each element of `values` its index in the ascending `keys`, or -1 if `keys` lacks it."""
     if not len(keys):
-        return np.full(len(wanted), -1, np.int64)
-    row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[row] == wanted, row, -1)
+        return np.full(len(values), -1, np.int64)
+    row = np.minimum(np.searchsorted(keys, values), len(keys) - 1)
+    return np.where(keys[row] == values, row, -1)
 
 
 def distinct_of(ascending: Ints) -> Ints:
@@ -303,13 +303,13 @@ def pairs_of_equal(frame: Ints, rows: Ints) -> Iterator[tuple[Ints, Ints]]:
     size = np.repeat(counts, counts)
     start = np.repeat(first, counts)
     block = (np.cumsum(size) - size) // _BLOCK
-    for number in np.unique(block):
-        of = np.flatnonzero((block == number) & (size > 1))
-        group, place = ragged(size[of])
-        a, b = rows[of[group]], rows[start[of][group] + place]
-        other = a != b
-        if other.any():
-            yield a[other], b[other]
+    for index in np.unique(block):
+        of = np.flatnonzero((block == index) & (size > 1))
+        group, member = ragged(size[of])
+        a, b = rows[of[group]], rows[start[of][group] + member]
+        different = a != b
+        if different.any():
+            yield a[different], b[different]
 
 
 def known_frames(frames: Ints, rows: Ints) -> tuple[Ints, Ints]:

@@ -14,9 +14,10 @@ from typing import Any, Final, Literal
 
 from jrdb_avr.queries.compiler.clauses import Clause, Variables
 from jrdb_avr.queries.compiler.mapping import (
+    PEOPLE,
+    THINGS,
+    NodeMapping,
     PersonId,
-    SchemaMapping,
-    ThingMapping,
     condition_values,
     edge_kind,
     edge_values,
@@ -42,28 +43,26 @@ class Find:
     row: dict[str, Any]
 
 
-def compile_find(plan: Plan, mapping: SchemaMapping) -> Find:
+def compile_find(plan: Plan) -> Find:
     """Compile the conditions and edges of a plan.
 
     Args:
         plan: Plan.
-        mapping: Namespace to search.
 
     Raises:
         PlanError: If the plan is invalid, has conditions or edges at an event, or names an attribute without labels.
     """
     validate(plan)
-    if plan.answer.attribute not in (None, *mapping.conditions):
+    if plan.answer.attribute not in (None, *PEOPLE.conditions):
         raise PlanError("answer.attribute", f"{plan.answer.attribute!r} is not labelled; {_LABELLED}")
-    return _Pattern(plan, mapping).compiled()
+    return _Pattern(plan).compiled()
 
 
 class _Pattern:
     """Builder of the statement. It adds one person after the other, in the order of `search_order`."""
 
-    def __init__(self, plan: Plan, mapping: SchemaMapping) -> None:
+    def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self.mapping = mapping
         self.nodes: list[str] = []
         self.row: dict[str, Any] = {}
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
@@ -108,22 +107,20 @@ class _Pattern:
         match = ", ".join(space.pattern.format(**at) for at in bound)
         return match, " AND ".join(where), [] if node in self.things else [at["s"] for at in bound], holds
 
-    def _space(self, node: str) -> SchemaMapping | ThingMapping:
-        """Return the mapping of people, or the mapping of things."""
-        return self.mapping.things if node in self.things else self.mapping
+    def _space(self, node: str) -> NodeMapping:
+        return THINGS if node in self.things else PEOPLE
 
     def _clauses(self, node: str, edges: Edges) -> Iterator[tuple[str, Clause, Variables]]:
         """Yield name, clause and variables of the conditions of a node, and of its edges to earlier nodes."""
         for i, condition in enumerate(conditions_of(self.plan, node)):
             name = f"c{self.nodes.index(node)}_{i}"
-            if condition.kind not in self.mapping.conditions:
+            if condition.kind not in PEOPLE.conditions:
                 raise PlanError(f"conditions of {node}", f"{condition.attribute!r} is not labelled; {_LABELLED}")
             at = self._at(node, condition.at or times_of(self.plan, node)[0])
-            yield name, self.mapping.conditions[condition.kind], at | self._values(name, condition_values(condition))
-        space = self._space(node)
-        if isinstance(space, ThingMapping):
+            yield name, PEOPLE.conditions[condition.kind], at | self._values(name, condition_values(condition))
+        if node in self.things:
             name, at = f"k{self.nodes.index(node)}", self._at(node, times_of(self.plan, node)[0])
-            yield name, space.kind, at | self._values(name, {"v": self.things[node]})
+            yield name, THINGS.conditions["kind"], at | self._values(name, {"v": self.things[node]})
         for i, edge in edges:
             to, at = self._at(edge.target, edge.at), self._at(edge.source, edge.at)
             at |= {"m": to["n"], "z": to["s"]} | self._values(f"e{i}", edge_values(edge.relation))

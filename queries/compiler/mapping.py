@@ -1,7 +1,7 @@
-"""Mapping from plans to the graph's schema: patterns, clauses of conditions and edges, and their values.
+"""Mapping from plans to the scene in a graph: patterns, clauses of conditions and edges, and their values.
 
-A further namespace of facts with three values is a further `SchemaMapping`. The compiler does not change. Beliefs of an
-agent are never false, so `believed` compiles them differently.
+Facts of a scene are true, false or unknown. Beliefs of an agent are never false, so `believed` compiles them
+differently.
 """
 
 from __future__ import annotations
@@ -34,45 +34,22 @@ PersonId = int | str
 
 
 @dataclass(frozen=True)
-class SchemaMapping:
-    """Namespace of the graph. The property `id` identifies a person in it.
+class NodeMapping:
+    """Cypher that finds people, or things, in the scene of a graph.
 
     Attributes:
-        pattern: Pattern of a person `n` with a sighting `s`.
-        boxed: Condition that the sighting is at frame `t` of `scope`.
-        there: Condition that the sighting is at frame `t` of `scope`, and that the person counts. A covered person does
-            not count.
-        who: Number or name of the person in the scope.
-        conditions: Clauses of conditions by kind, as in `Condition.kind`.
-        edges: Clauses of edges by kind, as in `edge_kind`.
-        things: Things of the namespace.
+        pattern: Pattern of a node `n`. A person has the sighting `s`.
+        there: Condition that the sighting is at frame `t` of `scope` and that the person is not covered. A covered
+            person does not count. For things, the condition that the thing is in `scope`.
+        who: Track of the person, or key of the thing.
+        conditions: Clauses of conditions by kind, as in `Condition.kind`. A thing has only the condition "kind".
+        edges: Clauses of edges from a person to the node by kind, as in `edge_kind` and `thing_edge_kind`.
     """
 
     pattern: str
-    boxed: str
     there: str
     who: str
     conditions: Mapping[str, Clause]
-    edges: Mapping[str, Clause]
-    things: ThingMapping
-
-
-@dataclass(frozen=True)
-class ThingMapping:
-    """Things of a namespace.
-
-    Attributes:
-        pattern: Pattern of a thing `n`.
-        there: Condition that the thing is in `scope`.
-        who: Name of the thing.
-        kind: Clause of the kind `v` of a thing.
-        edges: Clauses of edges from a person to a thing, by kind.
-    """
-
-    pattern: str
-    there: str
-    who: str
-    kind: Clause
     edges: Mapping[str, Clause]
 
 
@@ -144,7 +121,8 @@ def edge_values(relation: str) -> dict[str, str | float]:
 
 
 _PATTERN: Final = "({n}:Person)-[{s}:SeenIn]->(:Frame)"
-_BOXED: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
+BOXED: Final = "{s}.sequence = {scope} AND {s}.frame = {t}"
+"""Condition that a sighting is at frame `t` of `scope`."""
 
 _LABELLED: Final = "({n})-[r:Performs]->(x:Action)"
 _PERFORMS: Final = in_rows(_LABELLED, {"x.name": "v"}, may="MayPerform")
@@ -158,15 +136,14 @@ _GROUPED: Final = in_rows(
 _MEMBER: Final = (
     "EXISTS {{ MATCH ({n})-[r:MemberOf|MayBelong]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
 )
-_THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", _BOXED.replace("{s}", "{z}"))
+_THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", BOXED.replace("{s}", "{z}"))
 _SOCIAL: Final = unless_both_listed(
     in_rows("({n})-[r:Interacts]->({m})", {"r.label": "v"}, may="MayInteract"), "{s}.interactions_listed"
 )
 
-SCENE: Final = SchemaMapping(
+PEOPLE: Final = NodeMapping(
     pattern=_PATTERN,
-    boxed=_BOXED,
-    there=f"{_BOXED} AND NOT {{s}}.covered",
+    there=f"{BOXED} AND NOT {{s}}.covered",
     who="{n}.track",
     conditions={
         "gender": in_column("{n}.gender"),
@@ -175,7 +152,7 @@ SCENE: Final = SchemaMapping(
         "pose": in_column("{s}.pose", rows=_PERFORMS),
         "action": unless_labelled_near(unless_listed(_PERFORMS, "{s}.listed"), _LABELLED),
         "object": unless_listed(_HANDLES, "{s}.handles_listed"),
-        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {_BOXED}"),
+        "interaction": to_anybody(_SOCIAL, f"{_PATTERN} WHERE {BOXED}"),
         "group_size": in_range("{s}.group_size_min", "{s}.group_size_max"),
         "sector": towards("{s}.angle"),
         "distance": in_column("{s}.distance_word", "{s}.distance_word_other"),
@@ -188,18 +165,20 @@ SCENE: Final = SchemaMapping(
         "left": within("{s}.angle", "{z}.angle"),
         "right": within("{z}.angle", "{s}.angle"),
     },
-    things=ThingMapping(
-        pattern="({n}:Object)",
-        there="{n}.sequence = {scope}",
-        who="{n}.id",
-        kind=in_column("{n}.category"),
-        edges={
-            "handles": unless_listed(
-                in_rows("({n})-[r:Handles]->({m})", {"r.verb": "v"}, may="MayHandle"), "{s}.handles_listed"
-            ),
-            "left": seen_with(*_THING_SEEN, within("{s}.angle", "{z}.angle")),
-            "right": seen_with(*_THING_SEEN, within("{z}.angle", "{s}.angle")),
-        },
-    ),
 )
-"""Namespace of the annotations. `scope` is the sequence, and `who` is the track of a person or the key of a thing."""
+"""People of a sequence. `scope` is the name of the sequence."""
+
+THINGS: Final = NodeMapping(
+    pattern="({n}:Object)",
+    there="{n}.sequence = {scope}",
+    who="{n}.id",
+    conditions={"kind": in_column("{n}.category")},
+    edges={
+        "handles": unless_listed(
+            in_rows("({n})-[r:Handles]->({m})", {"r.verb": "v"}, may="MayHandle"), "{s}.handles_listed"
+        ),
+        "left": seen_with(*_THING_SEEN, within("{s}.angle", "{z}.angle")),
+        "right": seen_with(*_THING_SEEN, within("{z}.angle", "{s}.angle")),
+    },
+)
+"""Things of a sequence. `scope` is the name of the sequence."""

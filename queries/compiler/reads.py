@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, Protocol
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
-from jrdb_avr.queries.compiler.mapping import PersonId, SchemaMapping, edge_kind, edge_values
+from jrdb_avr.queries.compiler.mapping import BOXED, PEOPLE, PersonId, edge_kind, edge_values
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
@@ -164,10 +164,8 @@ class Reader(Protocol):
 class SceneReader(Reader):
     """Reader of the annotations."""
 
-    def __init__(
-        self, graph: Queryable, mapping: SchemaMapping, rules: LoadRules, timeout_s: float = _TIMEOUT_S
-    ) -> None:
-        self.graph, self.mapping, self.timeout_s = graph, mapping, timeout_s
+    def __init__(self, graph: Queryable, rules: LoadRules, timeout_s: float = _TIMEOUT_S) -> None:
+        self.graph, self.timeout_s = graph, timeout_s
         self.values = {
             "margin": rules.neighbor_margin_deg,
             "sector_true": rules.sector_true_deg + SLACK,
@@ -181,7 +179,7 @@ class SceneReader(Reader):
 
     def find(self, plan: Plan) -> Find:
         """See `Reader.find`."""
-        return compile_find(plan, self.mapping)
+        return compile_find(plan)
 
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         """See `Reader.agreed`."""
@@ -224,8 +222,7 @@ class SceneReader(Reader):
         """See `Reader.seen`."""
         found = {}
         for row in self._read("seen", [person.row(t=frame) for person, frame in queries]):
-            absent = row["annotated"] == len(_NEIGHBOURS) and not row["boxes"]
-            present = True if row["clear"] else False if absent else None
+            present = True if row["clear"] else False if row["absent"] else None
             found[row["id"], row["t"]] = Seen(present, row["distance"])
         return found
 
@@ -259,7 +256,7 @@ class SceneReader(Reader):
         for person, relation, first, last in queries:
             if person.id in known:
                 row = person.row(t1=first, t2=last, **edge_values(relation))
-                by_text[compile_count(relation, self.mapping)].append(row)
+                by_text[compile_count(relation)].append(row)
         could: dict[int, set[int]] = {i: set() for i in known}
         does: dict[int, set[int]] = {i: set() for i in known}
         for text, members in by_text.items():
@@ -304,18 +301,14 @@ def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same
     return "unknown" if called or unsure or not labels.complete else "different"
 
 
-_NEIGHBOURS: Final = (-KEYFRAME_STEP, 0, KEYFRAME_STEP)
-
-
-def compile_count(relation: str, mapping: SchemaMapping) -> str:
+def compile_count(relation: str) -> str:
     """Compile the statement that counts the people in a relation with a person at any frame from t1 to t2.
 
     Args:
         relation: Relation.
-        mapping: Namespace to search.
     """
     values = edge_values(relation)
-    clause = mapping.edges[edge_kind(relation)]
+    clause = PEOPLE.edges[edge_kind(relation)]
     carried = ", ".join(["id", "scope", *values])
     at = {"n": "n", "s": "s", "m": "m", "z": "z", "t": "t", "scope": "scope"} | {name: name for name in values}
     other = at | {"n": "m", "s": "z"}
@@ -324,15 +317,15 @@ def compile_count(relation: str, mapping: SchemaMapping) -> str:
             "UNWIND $plans AS q",
             f"WITH {', '.join(f'q.{name} AS {name}' for name in ('id', 'scope', 'who', 't1', 't2', *values))}",
             "UNWIND range(t1, t2) AS t",
-            f"MATCH {mapping.pattern.format(**at)}",
-            f"WHERE {mapping.boxed.format(**at)} AND {mapping.who.format(**at)} = who",
+            f"MATCH {PEOPLE.pattern.format(**at)}",
+            f"WHERE {BOXED.format(**at)} AND {PEOPLE.who.format(**at)} = who",
             f"WITH {carried}, t, n, s",
-            f"MATCH {mapping.pattern.format(**other)}",
-            f"WHERE {mapping.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
+            f"MATCH {PEOPLE.pattern.format(**other)}",
+            f"WHERE {PEOPLE.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
             f"WITH {carried}, t, n, s, m, z, s.clear AND z.clear OR NOT $in_view AS clear",
             # The engine cannot evaluate EXISTS together with columns.
             f"WITH id, m, clear, {clause.sure.format(**at)} AS holds",
-            f"RETURN DISTINCT id, {mapping.who.format(n='m')} AS other, clear, holds",
+            f"RETURN DISTINCT id, {PEOPLE.who.format(n='m')} AS other, clear, holds",
             "ORDER BY id, other, clear, holds",
         ]
     )
@@ -346,9 +339,7 @@ def events_of(plan: Plan) -> list[str]:
     """
     placed = [name for name, time in plan.times.items() if time.event is None]
     waiting = [name for name in plan.times if name not in placed]
-    order: list[str] = []
     while waiting:
-        ready = [name for name in waiting if plan.times[name].after in (*placed, *order)]
-        order += ready
-        waiting = [name for name in waiting if name not in ready]
-    return order
+        placed += [name for name in waiting if plan.times[name].after in placed]
+        waiting = [name for name in waiting if name not in placed]
+    return [name for name in placed if plan.times[name].event is not None]

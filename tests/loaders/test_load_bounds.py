@@ -18,7 +18,6 @@ from jrdb_avr.engine.validate.checks import validate
 from jrdb_avr.loaders.intervals import neighbors
 from jrdb_avr.loaders.labelfiles import columns, facts, frames
 from jrdb_avr.loaders.load import rebuild
-from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
@@ -75,7 +74,7 @@ def test_no_question_uses_facts_that_are_left_out(monkeypatch, small_demo, tmp_p
         rebuild(store, LoadRules(), 1)
     assert len(warned) == 2
     with Graph.open(store.graph_path) as graph:
-        solved = solve(SceneReader(graph, SCENE, LoadRules()), plans, Rules())
+        solved = solve(SceneReader(graph, LoadRules()), plans, Rules())
     assert {solution.outcome for solution in solved} == {"unknown"}
     generate(store, workers=1)
     assert plans_of(store, TOGETHER) and not plans_of(store, [*FIRST, *PLACES])

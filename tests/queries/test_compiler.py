@@ -17,7 +17,6 @@ from random_worlds import form, in_other_words, lively_world, random_world, soci
 from jrdb_avr.engine.rederive import rederive
 from jrdb_avr.loaders.graph import build_scene, stage_scene
 from jrdb_avr.queries.compiler.find import compile_find, outcome_of_people
-from jrdb_avr.queries.compiler.mapping import SCENE
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
@@ -44,7 +43,7 @@ class Site:
     def solve(self, plans, choices=()):
         plans = [plan if isinstance(plan, Plan) else parse_plan(plan) for plan in plans]
         asked = [PlanQuery(p, NAME, offered) for p, offered in itertools.zip_longest(plans, choices, fillvalue=())]
-        return solve(SceneReader(self.graph, SCENE, self.rules), asked, Rules())
+        return solve(SceneReader(self.graph, self.rules), asked, Rules())
 
     def moments(self, step=1):
         """Frames with somebody, and who."""
@@ -231,7 +230,7 @@ def test_a_relation_to_a_thing_without_labels_is_refused_with_what_to_use():
     edges = [{"source": "a", "relation": "next to", "target": "t", "at": "t0"}]
     edges += [{"source": "b", "relation": "holding", "target": "t", "at": "t0"}]
     with pytest.raises(PlanError, match=r"edges\[0\]\.relation: 'next to' to a thing is not labelled; use a verb"):
-        compile_find(two_nodes(nodes=nodes, edges=edges), SCENE)
+        compile_find(two_nodes(nodes=nodes, edges=edges))
 
 
 # -- moments ------------------------------------------------------------------------------------------------------
@@ -401,10 +400,10 @@ VALUES = {
 def test_what_has_no_labels_is_refused_with_what_to_use():
     free = {"attribute": "shirt", "value": "red", "at": "t0"}
     with pytest.raises(PlanError, match=r"conditions of b: 'shirt' is not labelled; use one of gender, age"):
-        compile_find(two_nodes(nodes=[{"id": "a", "conditions": []}, {"id": "b", "conditions": [free]}]), SCENE)
+        compile_find(two_nodes(nodes=[{"id": "a", "conditions": []}, {"id": "b", "conditions": [free]}]))
     answer = {"mode": "multiple_choice", "read": "attribute", "attribute": "shirt", "of": "b", "at": "t0"}
     with pytest.raises(PlanError, match=r"answer.attribute: 'shirt' is not labelled; use one of gender, age"):
-        compile_find(two_nodes(answer=answer), SCENE)
+        compile_find(two_nodes(answer=answer))
 
 
 def change_of_distance(world, track, t0, t1):
@@ -479,7 +478,7 @@ def test_people_out_of_clear_view_are_read_as_the_second_program_reads_them(tmp_
         with Graph.memory() as graph:
             build_scene(graph, store, [people.SEQUENCE])
             asked = [PlanQuery(plan, people.SEQUENCE) for _, plan in plans]
-            solved = [solution.answer for solution in solve(SceneReader(graph, SCENE, load), asked, Rules(load=load))]
+            solved = [solution.answer for solution in solve(SceneReader(graph, load), asked, Rules(load=load))]
         assert solved == ['{"frame":83}', count and f'{{"value":{count}}}']
         assert solved == [rederive(annotations, plan, form, Rules(load=load)).answer for form, plan in plans]
 
@@ -542,7 +541,7 @@ def two_nodes(**changes):
 
 
 def test_nothing_of_a_plan_stands_in_the_statement(sites):
-    plain = compile_find(two_nodes(), SCENE)
+    plain = compile_find(two_nodes())
     text = json.dumps(
         {
             "root": "match",
@@ -556,7 +555,7 @@ def test_nothing_of_a_plan_stands_in_the_statement(sites):
             "answer": {"mode": "multiple_choice", "read": "action", "of": "scope", "at": "where"},
         }
     )
-    strange = compile_find(parse_plan(text), SCENE)
+    strange = compile_find(parse_plan(text))
     assert strange.cypher == plain.cypher
     assert set(strange.row.values()) == {30, "x' OR true //", "hugging"}
     assert sites[0].solve([text])[0].outcome in ("empty", "unknown")
@@ -576,7 +575,7 @@ def test_nothing_of_a_plan_stands_in_the_statement(sites):
 def test_one_binding_must_be_certain_while_no_other_is_possible(bindings, outcome):
     rows = [{"who0": i, "who1": 9, "sure0": first, "sure1": second} for i, (first, second) in enumerate(bindings)]
     people = {"a": 0, "b": 9} if outcome == "defined" else {}
-    assert outcome_of_people(compile_find(two_nodes(), SCENE), rows) == (outcome, people)
+    assert outcome_of_people(compile_find(two_nodes()), rows) == (outcome, people)
 
 
 def test_all_nodes_are_different_people(sites):
@@ -584,7 +583,7 @@ def test_all_nodes_are_different_people(sites):
     edges = [{"source": a, "relation": FIRST[0], "target": b, "at": "t0"} for a, b in ("ab", "bc")]
     nodes = [{"id": node, "conditions": []} for node in "abc"]
     answer = {"mode": "multiple_choice", "read": "action", "of": "c", "at": "t0"}
-    find = compile_find(two_nodes(nodes=nodes, edges=edges, target="c", answer=answer), SCENE)
+    find = compile_find(two_nodes(nodes=nodes, edges=edges, target="c", answer=answer))
     site = sites[0]
     rows = site.graph.query(find.cypher, {"plans": [{"id": 0, "scope": NAME, **find.row}]}).to_pylist()
     assert rows and all(len({row["who0"], row["who1"], row["who2"]}) == 3 for row in rows)
@@ -594,7 +593,7 @@ def test_a_condition_at_an_event_is_refused_by_name():
     event = {"event": "start", "of": "b", "action": "walking", "after": "t0"}
     edges = [{"source": "a", "relation": "conversation", "target": "b", "at": "t1"}]
     with pytest.raises(PlanError, match=r"times.t1"):
-        compile_find(two_nodes(times={"t0": {"frame": 15}, "t1": event}, edges=edges), SCENE)
+        compile_find(two_nodes(times={"t0": {"frame": 15}, "t1": event}, edges=edges))
 
 
 def test_statements_stop_in_time(sites):
@@ -606,7 +605,7 @@ def test_statements_stop_in_time(sites):
         plan = two_nodes(
             root="n0", target="n7", nodes=nodes, edges=edges, answer=answer, times={"t0": {"frame": frame}}
         )
-        reader = SceneReader(sites[0].graph, SCENE, LoadRules(), timeout_s=0.05)
+        reader = SceneReader(sites[0].graph, LoadRules(), timeout_s=0.05)
         solve(reader, [PlanQuery(plan, NAME)] * 400, Rules())
 
 

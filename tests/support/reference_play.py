@@ -10,7 +10,6 @@ from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.queries.compiler.find import compile_find
-from jrdb_avr.queries.compiler.mapping import SCENE
 
 CHOICES = ("walking", "standing", "sitting", "lying")
 
@@ -105,7 +104,7 @@ class StubSolver:
     box: object = None
 
     def check(self, plan):
-        compile_find(plan, SCENE)
+        compile_find(plan)
 
     def weigh(self, plan, rows):
         return self.belief

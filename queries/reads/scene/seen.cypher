@@ -1,6 +1,6 @@
-// For the reads presence and distance_change: how a person is seen at frame t. `annotated` and `boxes` count the
-// annotated frames, and the person's boxes, among t and the keyframes before and after it. The person is absent if
-// `annotated` is 3 and `boxes` is 0. `clear` is 1 if the person is in clear view at t. `distance` is in metres.
+// For the reads presence and distance_change: how a person is seen at frame t. `clear` is 1 if the person is in clear
+// view at t. `absent` is true if t and the keyframes before and after it are annotated, and the person has no box at any
+// of the three. `distance` is in metres.
 UNWIND $plans AS q
 WITH q.id AS id, q.scope AS scope, q.who AS who, q.t AS t
 UNWIND [t - 15, t, t + 15] AS near
@@ -12,5 +12,5 @@ WHERE s.sequence = scope AND s.frame = near AND p.track = who
 WITH id, t, near, annotated, count(s) AS boxes,
      max(CASE WHEN near = t AND s.clear = true THEN 1 ELSE 0 END) AS clear,
      max(CASE WHEN near = t AND s.located = true THEN s.distance END) AS distance
-RETURN id, t, sum(annotated) AS annotated, sum(boxes) AS boxes, max(clear) AS clear, max(distance) AS distance
+RETURN id, t, sum(annotated) = 3 AND sum(boxes) = 0 AS absent, max(clear) AS clear, max(distance) AS distance
 ORDER BY id, t

@@ -65,9 +65,9 @@ def judge(store, claimed):
         facts = search.layer.facts
         for frame, people in facts.people.items():
             for who in people:
-                for one in describe(facts, SEQUENCE, who, frame, RULES):
-                    if one.general:
-                        words = (c.action or c.interaction or c.value for c in one.conditions)
+                for conditions, general in describe(facts, SEQUENCE, who, frame, RULES).items():
+                    if general:
+                        words = (c.action or c.interaction or c.value for c in conditions)
                         described[who, frame // 15] = ", ".join(map(str, words))
     return found, described
 

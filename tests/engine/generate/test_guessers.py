@@ -2,6 +2,8 @@
 
 from fractions import Fraction
 
+import pytest
+
 from jrdb_avr.engine.generate.blind import QuestionText, offers_of
 from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, above_bound, guesser_shares
 from jrdb_avr.schema.answers import Choice
@@ -55,6 +57,14 @@ def test_the_bound_judges_templates_of_sixty_questions():
     assert above_bound(offers[:59]) is None
     assert above_bound(offers) == "set 100.0 %"
     assert guesser_shares([]) == {}
+
+
+@pytest.mark.parametrize(("often", "fault"), [(31, None), (32, "the answer 'a' is true in 32.0 %")])
+def test_a_fixed_answer_is_true_in_at_most_31_percent(often, fault):
+    rest = zip((23, 23, 100 - 46 - often), "bcd", strict=True)
+    truths = ["a"] * often + [label for number, label in rest for _ in range(number)]
+    offers = [Offer(str(n), truth, tuple({*"abcd"} - {truth})) for n, truth in enumerate(truths)]
+    assert above_bound(offers) == fault
 
 
 def test_a_published_question_is_the_offer_of_its_selection():

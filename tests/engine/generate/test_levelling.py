@@ -2,6 +2,7 @@
 
 import hashlib
 from collections import Counter
+from fractions import Fraction
 from itertools import permutations
 
 import pytest
@@ -18,7 +19,7 @@ from jrdb_avr.engine.generate.asked import (
     sequence_cap,
 )
 from jrdb_avr.engine.generate.choices import wrong_sets
-from jrdb_avr.engine.generate.guessers import LabelCounts, above_bound
+from jrdb_avr.engine.generate.guessers import LabelCounts, guesser_shares
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.levelling import find_twins, level_choices, make_selector, may_be_twins, select_level
 from jrdb_avr.engine.generate.levels import Level
@@ -47,17 +48,12 @@ def candidate(number, template="change", asked=None, truth=None, described=None)
     return Candidate(key, template, sequence, track, described or str(number), asked, truth, wrong, contexts)
 
 
-def counts_of():
-    return LabelCounts(
-        {
-            (sequence, frame): {x: hash_of(sequence, frame, x) % 4 for x in LABELS}
-            for sequence in SEQUENCES
-            for frame in range(60, 500, 45)
-        }
-    )
-
-
-COUNTS = counts_of()
+NUMBERS = {
+    (sequence, frame): {x: hash_of(sequence, frame, x) % 4 for x in LABELS}
+    for sequence in SEQUENCES
+    for frame in range(60, 500, 45)
+}
+COUNTS = LabelCounts(NUMBERS)
 
 
 def cost_from_scratch(questions):
@@ -124,18 +120,58 @@ def test_selection_depends_on_the_candidates_and_not_on_their_order():
     assert level_choices(pool, COUNTS, Rules()) == level_choices(pool[::-1], COUNTS, Rules())
 
 
+def shares_from_scratch(questions):
+    """The right answers of the five guessers that bound the size of a template, read word by word."""
+    data, within = Counter(), {sequence: Counter() for sequence in SEQUENCES}
+    for (sequence, _), numbers in NUMBERS.items():
+        data.update(numbers)
+        within[sequence].update(numbers)
+
+    def common(label, *counts):
+        return *(some[label] for some in counts), [-ord(letter) for letter in label]
+
+    def true_elsewhere(one, label, *beside):
+        """How often a choice is true in other sequences, with ever more of the other choices beside it."""
+        belief = Fraction(1, 4)
+        for others in (set(), *beside):
+            alike = [q for q in questions if q.candidate.sequence != one.candidate.sequence]
+            alike = [q for q in alike if {label, *others} <= set(q.choices)]
+            belief = (sum(q.candidate.truth == label for q in alike) + 4 * belief) / (len(alike) + 4)
+        return belief
+
+    guessers = {
+        "data": lambda one, x: common(x, data),
+        "sequence": lambda one, x: common(x, within[one.candidate.sequence], data),
+        "label": true_elsewhere,
+        "set": lambda one, x: true_elsewhere(one, x, set(one.choices)),
+        "pair": lambda one, x: true_elsewhere(one, x, *({y} for y in sorted(one.choices) if y != x)),
+    }
+    right = dict.fromkeys(guessers, Fraction())
+    for name, value in guessers.items():
+        for one in questions:
+            values = {x: value(one, x) for x in one.choices}
+            best = [x for x in values if values[x] == max(values.values())]
+            right[name] += Fraction(one.candidate.truth in best, len(best) * len(questions))
+    return right
+
+
 def test_selection_levels_choices_under_its_caps():
     pool = [candidate(number) for number in range(400)]
     questions = selected(pool, quota=60)
-    assert len(questions) >= 59
-    assert above_bound([offer_of(one, COUNTS) for one in questions]) is None
+    assert len(questions) == 60
+    arbitrary = [Question(x, wrong_sets(x.wrong)[0]) for x in pool[:60] if wrong_sets(x.wrong)]
+    for some, most in ((questions, Fraction(34, 100)), (arbitrary, 1)):
+        shares = shares_from_scratch(some)
+        assert shares == {name: guesser_shares([offer_of(one, COUNTS) for one in some])[name] for name in shares}
+        assert max(shares.values()) <= most
+    # Without levelling most of the guessers would be above the bound.
+    assert sum(share > Fraction(34, 100) for share in shares.values()) >= 3
     assert len({one.candidate.moment for one in questions}) == len(questions)
     of_sequence = Counter(one.candidate.sequence for one in questions)
     assert max(of_sequence.values()) <= sequence_cap(60, 3) == 30
     for one in questions:
         assert one.candidate.truth in one.choices
         assert set(one.choices) - {one.candidate.truth} == set(one.wrong) <= one.candidate.wrong
-    arbitrary = [Question(x, wrong_sets(x.wrong)[0]) for x in pool[:60] if wrong_sets(x.wrong)]
     assert cost_from_scratch(questions) < cost_from_scratch(arbitrary) // 4
 
 
@@ -152,6 +188,9 @@ def test_twins_share_four_choices_and_differ_in_one_time_and_their_answers():
     assert not may_be_twins(first, second._replace(asked=(90,)), rules)
     assert not may_be_twins(first, second._replace(wrong=frozenset({"standing", "skating"})), rules)
     assert not may_be_twins(first, second._replace(truth="walking"), rules)
+    first, second = (one._replace(template="presence") for one in (first, second))
+    for asked, twins in (((60, 276), True), ((136, 200), True), ((60, 275), False), ((136, 276), False)):
+        assert may_be_twins(first._replace(asked=(60, 200)), second._replace(asked=asked), rules) == twins
 
 
 def test_twins_stay_in_the_selection_with_equal_choices():
@@ -187,7 +226,7 @@ def presence(number):
     key = hashlib.sha256(str(number).encode()).hexdigest()
     contexts = answer_contexts(sequence, 900, 0, asked, [pick(("tall", "male"), number)])
     wrong = frozenset(PRESENCE_ANSWERS) - {truth}
-    described = str(hash_of("d", number) % 40)
+    described = str(hash_of("d", number) % 9)
     return Candidate(key, "presence", sequence, hash_of(number) % 30, described, asked, truth, wrong, contexts)
 
 
@@ -255,26 +294,27 @@ def test_a_profile_without_quotas_keeps_near_duplicates_apart_and_lets_templates
 def test_as_many_twins_stay_as_the_bound_allows(limit, monkeypatch):
     pool = [one for n in range(20, 30) for one in (twin(n, 60, "walking"), twin(100 + n, 150, "sitting"))]
     pool = [one._replace(track=one.track % 100) for one in pool]
-    tried = []
+    selectors, made = [], make_selector
 
     def above_bound(offers):
-        pairs = sum(len(selector.twins) for selector in selectors[-1:]) // 2
-        tried.append(pairs)
-        return "a guesser" if pairs > limit else None
+        return "a guesser" if len(selectors[-1].pairs) > limit else None
 
-    selectors, made = [], make_selector
     monkeypatch.setattr(levelling, "make_selector", lambda *rest: selectors.append(made(*rest)) or selectors[-1])
     monkeypatch.setattr(levelling, "above_bound", above_bound)
     questions = select_level(pool, 20, COUNTS, Taken(Rules()), 20).questions
     assert sum(one.twin is not None for one in questions) == 2 * min(limit, 10)
-    assert len(tried) <= 6
 
 
-def test_twins_never_exceed_the_size_of_a_template():
+@pytest.mark.parametrize(("quota", "cap", "paired"), [(10, 20, 10), (20, 7, 6)])
+def test_twins_exceed_neither_the_size_of_a_template_nor_a_cap(quota, cap, paired):
     pairs = [(twin(n, 60, "walking"), twin(100 + n, 150, "sitting")._replace(track=n)) for n in range(20, 29)]
-    questions = select_level([one for pair in pairs for one in pair], 10, COUNTS, Taken(Rules()), 20).questions
-    assert len(questions) == 10
-    assert sum(one.twin is not None for one in questions) == 10
+    pool = [one._replace(sequence="s0") for pair in pairs for one in pair]
+    selector = make_selector(pool, COUNTS, Taken(Rules()), cap)
+    selector.put_twins(find_twins(pool, Rules()), paired // 2 + quota // 20)
+    assert len(selector.chosen) == len(selector.twins) == paired
+    questions = select_level(pool, quota, COUNTS, Taken(Rules()), cap).questions
+    assert len(questions) == min(quota, cap)
+    assert [*Counter(one.twin for one in questions if one.twin).values()] == [2] * (paired // 2)
 
 
 def test_the_quotas_are_the_numbers_of_the_paper():
