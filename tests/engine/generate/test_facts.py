@@ -97,9 +97,8 @@ def check_descriptions(oracle, facts):
             for quiet in (True, False):
                 if (conditions := oracle.description(frame, who, quiet)) is not None:
                     expected[frozenset(condition_of(*one) for one in conditions)] = not quiet
-            found = {
-                frozenset(one.conditions): one.general for one in describe(facts, oracle.sequence, who, frame, Rules())
-            }
+            described = describe(facts, oracle.sequence, who, frame, Rules())
+            found = {frozenset(conditions): general for conditions, general in described.items()}
             assert found == expected, (oracle.sequence, frame, who)
             leads = {label: oracle.step(frame, who, label) for label in RELATIONS}
             leads = {label: other for label, other in leads.items() if other not in NOWHERE}
