@@ -1,6 +1,6 @@
 """Checks of a benchmark: of the question files, of each question, and of all questions together.
 
-A question is compared with the annotation tables, and the second program derives its answer and proofs again. On
+The second program (`rederive`) derives the answer and the proofs of each question again from the annotation tables. On
 request, statements over the graph repeat the proofs too (`replay`).
 """
 
@@ -56,7 +56,7 @@ def validate(
     Args:
         store: Store, or its folder.
         rules: Rules of the generation, or None for the default rules.
-        replay_proofs: Whether statements over the graph repeat all proofs, and each plan runs as Cypher too.
+        replay_proofs: Whether statements over the graph also repeat all proofs, and each plan runs as Cypher.
         progress: Function that receives the progress.
 
     Returns:
@@ -311,7 +311,7 @@ class _QuestionCheck:
         self.check("proofs", bound, f"bindings {record.bindings} do not fit the plan")
 
     def _distractors_fit(self) -> bool:
-        """Return whether each wrong choice with a name is the answer of its proof, and the true choice has no name."""
+        """Return whether each distractor name fits its choice. The true choice must have no name."""
         record = self.record
         proofs = {f"{proof.kind}({proof.variant})": proof for proof in record.proofs}
         proofs |= {f"{proof.kind} {proof.variant}": proof for proof in record.proofs}
@@ -319,11 +319,11 @@ class _QuestionCheck:
             label = answer_of_choice(choice)
             if name is not None and label == record.answer_text:
                 return False
-            # No proof has the actions at the time of the description or the answers of look-alikes.
+            # These two kinds of distractors come from no proof.
             if name is None or name == AT_FIRST or name.startswith("look-alike "):
                 continue
             proof = proofs.get(name)
-            # A person may perform the wrong choice beside the answer, so that the proof may have any outcome.
+            # The proof of an action may have any outcome, because a person may perform several actions.
             actions = forms_of(record.template)[0].asks_action
             if proof is None or not (actions or (proof.outcome, proof.answer) == ("different", label)):
                 return False
@@ -352,7 +352,7 @@ def _check_selection(report: Validation, records: Sequence[QuestionRecord], rule
 
 
 def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:
-    """Check that no two questions are about one start of a person, or have one template and read at near times."""
+    """Check for near-duplicates: questions about the same start, and questions of one template with near times."""
     starts: dict[tuple[str, int, str | None, int], list[str]] = defaultdict(list)
     reads: dict[tuple[str, int, str], list[tuple[str, tuple[int, ...]]]] = defaultdict(list)
     for record in records:
