@@ -17,8 +17,11 @@ the column `gap` of these tables.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Final
+
+import pyarrow as pa
 
 from jrdb_avr.schema.tables import INTERVALS
 
@@ -95,6 +98,18 @@ LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Leaves": ("Person", "Absence", ()),
 }
 
+_TYPES: Final[dict[str, pa.DataType]] = {
+    "STRING": pa.string(),
+    "STRING[]": pa.list_(pa.string()),
+    "INT64": pa.int64(),
+    "DOUBLE": pa.float64(),
+    "BOOLEAN": pa.bool_(),
+    # As text, which the engine reads.
+    "UUID": pa.string(),
+    "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)": pa.struct([(name, pa.float64()) for name in "xywh"]),
+}
+_KEY: Final = re.compile(r"(\w+) PRIMARY KEY")
+
 STORAGE_VERSION: Final = 11
 """Version of the tables of the graph. A graph with another version must be built again."""
 
@@ -119,3 +134,23 @@ def table_ddl(nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple
         ends = [f"FROM {start} TO {target}" for start in source.split(":")]
         statements.append(f"CREATE REL TABLE `{name}`({', '.join([*ends, *columns])})")
     return statements
+
+
+def row_schema(table: str, nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple[str, ...]]]) -> pa.Schema:
+    """Return the columns of the rows that are copied into a table of the graph.
+
+    Args:
+        table: Name of the table.
+        nodes: Columns of node tables, in the form of `SCENE_NODES`.
+        rels: Ends and columns of relationship tables, in the form of `SCENE_RELS`, each between two tables of `nodes`.
+
+    Returns:
+        The names and types. Rows of edges begin with the keys of both ends.
+    """
+    if table in rels:
+        source, target, more = rels[table]
+        first, last = (_KEY.findall(nodes[name])[0] for name in (source, target))
+        columns = [f"from {first}", f"to {last}", *more]
+    else:
+        columns = nodes[table].replace("`", "").replace(" PRIMARY KEY", "").split(", ")
+    return pa.schema([(name, _TYPES[kind]) for name, kind in (column.split(" ", 1) for column in columns)])

@@ -80,7 +80,6 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
     target_track: int
     plan: str
     proofs: tuple[Proof, ...]
-    distractors: tuple[str | None, ...]
     rules: str
     hops: int
     time_gap_s: float
@@ -132,4 +131,4 @@ class QuestionRecord(msgspec.Struct, frozen=True, kw_only=True):
         return answer_of_choice(self.choices[answer.choice - 1]) if answer.choice <= len(self.choices) else ""
 
 
-_JSON_COLUMNS: Final = ("proofs", "distractors", "bindings", "needed")
+_JSON_COLUMNS: Final = ("proofs", "bindings", "needed")

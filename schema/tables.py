@@ -143,7 +143,6 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "plan": (_S, "plan of the question, as JSON (docs/plans.md)"),
     "proofs": (_S, "proofs with their results, as JSON; `holds` is null if the proof was not run"),
     "twin_id": (_S, "common key of two time twins, questions that differ in one asked time; null without a twin"),
-    "distractors": (_S, "for each choice, the change of the question that makes it right, as JSON; null for none"),
     "rules": (_S, "hash of the rules under which the question was generated"),
     "hops": (_I, "number of relations in the plan; a fork-join has 4 here, but 2 in `stats` and `report`"),
     "time_gap_s": (_F, "time from the description to the last needed frame, seconds"),
@@ -339,7 +338,7 @@ _QUESTIONS: Final = {
     "sequences": ("Sequences, with the frames that can be observed.", "sequence fps frame_count frames"),
     "answers": (
         "Answer, target, plan and proofs of each question.",
-        "question_id answer target_track plan proofs distractors rules hops time_gap_s separation_deg "
+        "question_id answer target_track plan proofs rules hops time_gap_s separation_deg "
         "people_in_scene bindings needed twin_id?",
     ),
     "evidence": (

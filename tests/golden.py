@@ -55,7 +55,7 @@ REAL = Path(os.environ.get("JRDB_REAL", HERE.parents[1] / "shared" / "jrdb-real"
 
 QUESTIONS = "question_id, sequence, family, template, question, choices, answer_mode"
 ANSWERS = (
-    "question_id, answer, target_track, plan, proofs, distractors, rules, hops, time_gap_s, separation_deg, "
+    "question_id, answer, target_track, plan, proofs, rules, hops, time_gap_s, separation_deg, "
     "people_in_scene, bindings, needed"
 )
 EVIDENCE = "sequence, track, frame, x, y, w, h"

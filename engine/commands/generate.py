@@ -50,8 +50,8 @@ def generate(
     """Find questions in all sequences of a store, prove these questions, and write them into the store.
 
     For each template, the command prints the number of candidates, the number of candidates that each rule refused, and
-    the number of questions. If a template has few questions, the command prints the reason. It also prints the scores
-    of guessers that see no image. With --profile paper, it prints the quota of each template.
+    the number of questions. If a template has few questions, the command prints the reason. For each template, it also
+    prints the quota, the number of time twins, and the shares of right answers of guessers that bound the number.
 
     The questions do not depend on the number of workers. A training set needs a store of its own. --profile train
     ignores the rules max_per_person and max_per_person_in_all.
@@ -68,14 +68,13 @@ def generate(
         print_data(made.rows(), form)
     else:
         # Templates are the columns, because there are more rules than columns that fit on a line.
-        names = [name for name in made.templates[0] if name not in ("family", "template")]
+        names = [name for name in made.templates[0] if name not in ("family", "template", "why")]
         crossed = [{"": name, **{row["template"]: row[name] for row in made.templates}} for name in names]
         print_rows(crossed, title="Candidates, refusals by rule, and questions")
-        _print_reasons(made.shortfalls)
+        _print_reasons(made.templates)
         _print_table(
             [_with_guessers(row) for row in made.selection], "Selection, and shares of right answers of guessers"
         )
-        _print_table(made.blind, "Answering without looking: shares of right answers")
     for fault in made.faults[:10]:
         note(f"fault: another program gives another result: {fault}")
     if made.faults:
@@ -138,7 +137,7 @@ def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[di
     return [row for rule, row in crossed.items() if rule in refusing]
 
 
-_REASONS: Final = ("why", "skipped", "reason")
+_REASONS: Final = ("why", "reason")
 """Columns with explanations. Explanations are too long for cells, so they are printed as lines below the table."""
 
 

@@ -75,7 +75,7 @@ def score(
     "tables",
     multiple=True,
     metavar="NAME",
-    help="main and twins (default), ablation, pairs, people, epochs, wrong_choices, evidence_failures, cost, all, or a "
+    help="main and twins (default), ablation, pairs, people, epochs, evidence_failures, cost, all, or a "
     "breakdown by family, group, template, answer_mode, hops, time_gap_s, separation_deg or sequence. May be repeated.",
 )
 @click.option("--paper", is_flag=True, help="Add the paper's scores as rows with the label 'paper'.")

@@ -38,6 +38,9 @@ GUESSERS: Final = (
 )
 """Guessers of answers, in the order of their columns."""
 
+BOXES: Final = ("largest", "best_box")
+"""Guessers of evidence boxes."""
+
 _TRIED: Final = 500
 """Maximum number of answers that are tried as a constant. A benchmark has fewer in a template, a training set more."""
 
@@ -139,56 +142,48 @@ Guesser = Callable[[Sequence[QuestionText]], Mapping[str, Chances]]
 """Function from the questions of one form to the scores of those guessers that apply, by their names."""
 
 
-def blind_check(
-    questions: Iterable[QuestionText], guessers: Sequence[Guesser] | None = None, boxes: Guesser | None = None
-) -> list[dict[str, Any]]:
+def blind_check(questions: Iterable[QuestionText], guessers: Sequence[Guesser]) -> list[dict[str, Any]]:
     """Score blind guessers on each form of a template.
 
     Args:
         questions: The questions.
-        guessers: Guessers of answers beside the simple ones. None means the counting guessers.
-        boxes: Guesser of evidence boxes.
+        guessers: Guessers beside the simple ones.
 
     Returns:
-        One row per form: n, the share of right answers of each guesser of `GUESSERS`, the aim, and the guessers above
-        the aim as the reason, None without any. With `boxes` also the shares of right boxes, and `combined`, the share
-        of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser that does
-        not apply has None. Counts of people have no aim. If a form has time twins, a second row, "FORM, two twins",
-        has their number of pairs as n and the shares of pairs with both answers right.
+        One row per form: n, the share of right answers of each guesser of `GUESSERS` and of right boxes of each of
+        `BOXES`, the aim, and the guessers of answers above the aim as the reason, None without any. `combined` is the
+        share of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser
+        that does not apply has None. Counts of people have no aim. If a form has time twins, a second row, "FORM, two
+        twins", has their number of pairs as n and the shares of pairs with both right.
     """
     groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:
         groups[question.template, question.form, question.asks].append(question)
-    guessers, rows = (_simple, *([counting_guesser()] if guessers is None else guessers)), []
+    rows = []
     for (template, form, asks), group in sorted(groups.items()):
-        scores = {name: of for guesser in guessers for name, of in guesser(group).items()}
+        scores = {name: of for guesser in (_simple, *guessers) for name, of in guesser(group).items()}
         head = {"template": template, "form": form or template, "asks": asks}
         aim = None if group[0].read == "count" else MODES[group[0].mode].aim
-        rows.append(head | _shares(scores, aim) | ({} if boxes is None else _combined(scores, boxes(group))))
+        rows.append(head | _shares(scores, aim))
         numbers = [index for index, question in sorted(enumerate(group), key=lambda entry: entry[1].twin or "")]
         pairs = [pair for pair in pairwise(numbers) if group[pair[0]].twin == group[pair[1]].twin is not None]
         if pairs:
             both = {name: [of[first] * of[second] for first, second in pairs] for name, of in scores.items()}
-            head["form"] += ", two twins"
-            rows.append(dict.fromkeys(rows[-1]) | head | _shares(both, None))
+            rows.append(head | {"form": f"{head['form']}, two twins"} | _shares(both, None))
     return rows
 
 
 def _shares(scores: Mapping[str, Chances], aim: float | None) -> dict[str, Any]:
-    """Return n, the share of right answers of each guesser, the aim, and the guessers above the aim as the reason."""
+    """Return the columns of a row of `blind_check` for the scores of all guessers."""
     shares = {name: sum(of) / len(of) for name, of in scores.items()}
-    above = [name for name, share in shares.items() if aim is not None and share > aim and name not in INFORMATION]
-    reason = ", ".join(f"{name} {100 * shares[name]:.0f} %" for name in above)
     n = len(next(iter(scores.values())))
-    return {"n": n, **dict.fromkeys(GUESSERS), **shares, "aim": aim, "reason": reason or None}
-
-
-def _combined(scores: Mapping[str, Chances], boxes: Mapping[str, Chances]) -> dict[str, float]:
-    """Return the shares of right boxes, and the share of questions that the best guessers have right together."""
-    shares = {name: sum(of) / len(of) for name, of in boxes.items()}
-    answers = max((of for name, of in scores.items() if name not in INFORMATION), key=sum)
-    right = [answer * box for answer, box in zip(answers, max(boxes.values(), key=sum), strict=True)]
-    return {**shares, "combined": sum(right) / len(right)}
+    answers = [name for name in scores if name not in (*INFORMATION, *BOXES)]
+    if boxes := [name for name in scores if name in BOXES]:
+        best = (scores[max(names, key=shares.__getitem__)] for names in (answers, boxes))
+        shares["combined"] = sum(answer * box for answer, box in zip(*best, strict=True)) / n
+    above = [f"{name} {100 * shares[name]:.0f} %" for name in answers if aim is not None and shares[name] > aim]
+    columns = dict.fromkeys((*GUESSERS, *BOXES, "combined"))
+    return {"n": n, **columns, **shares, "aim": aim, "reason": ", ".join(above) or None}
 
 
 def _simple(group: Sequence[QuestionText]) -> dict[str, Chances]:

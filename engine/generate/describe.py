@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Set
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
@@ -20,26 +19,13 @@ from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording.people import in_order
-from jrdb_avr.schema.wording.text import implied_by
+from jrdb_avr.schema.wording.text import implied_choices
 
 _WEAK: Final = ("sector", "distance")
 """Kinds of conditions that do not describe a person by themselves, because they fit each person who comes by."""
 
 
-@dataclass(frozen=True)
-class Description:
-    """The conditions that describe a person at a keyframe.
-
-    Attributes:
-        conditions: Conditions in the order of kinds in the rules.
-        general: Whether the description is the best one of all. Otherwise its words imply fewer actions.
-    """
-
-    conditions: tuple[Condition, ...]
-    general: bool
-
-
-def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) -> list[Description]:
+def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) -> dict[tuple[Condition, ...], bool]:
     """Find the best descriptions of a person at a keyframe.
 
     Args:
@@ -50,7 +36,8 @@ def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) ->
         rules: Order of kinds, and the maximum number of conditions.
 
     Returns:
-        At most two descriptions: the best one, and one whose words imply the fewest actions. Often one is both.
+        At most two descriptions, each with whether it is the best one of all: the best one, and one whose words imply
+        the fewest actions. Often one is both.
     """
     order = rules.condition_order
     held = [condition for condition in facts.conditions_of(who, frame) if condition.kind in order]
@@ -62,13 +49,13 @@ def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) ->
         sets = [some for some in combinations(held, size) if not any(set(less) <= set(some) for less in minimal)]
         minimal += [some for some in sets if _describes(some, could)]
     if not minimal:
-        return []
+        return {}
     prefix = f"{sequence}\n{who}\n{frame}\n"
     general = _best_of([some for some in minimal if len(some) == len(minimal[0])], prefix, order)
-    least = min(len(implied_by(some)) for some in minimal)
-    quiet = [some for some in minimal if len(implied_by(some)) == least]
+    least = min(len(implied_choices(some)) for some in minimal)
+    quiet = [some for some in minimal if len(implied_choices(some)) == least]
     shortest = [some for some in quiet if len(some) == len(quiet[0])]
-    return [Description(some, some == general) for some in dict.fromkeys((general, _best_of(shortest, prefix, order)))]
+    return {some: some == general for some in (general, _best_of(shortest, prefix, order))}
 
 
 def _describes(conditions: tuple[Condition, ...], could: dict[Condition, Set[int]]) -> bool:

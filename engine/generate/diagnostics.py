@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import FEW
-from jrdb_avr.schema.templates import FAMILIES, forms_of
+from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
 RULES: Final = {
     "held_out": "a held-out question needs one of its people at the same time",
@@ -43,114 +43,84 @@ REFUSALS: Final = tuple(REASONS)
 _NAMED: Final = 2
 """Number of named rules per template. They are the rules that refused most candidates."""
 
-Example = tuple[int, str, str | None]
-"""Target, plan and detail of a refused candidate."""
 
-
-def refusal_rows(
-    sequence: str, template: str, rule: str, count: int, examples: Sequence[Example] = ()
-) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table `rejected` for one rule.
+def lacking_layers(layers: Mapping[str, Sequence[str]]) -> Counter[tuple[str, str]]:
+    """Count the sequences that lack a layer that a template needs.
 
     Args:
-        sequence: Name of the sequence.
-        template: Name of the template.
-        rule: Name of the rule.
-        count: Number of candidates that the rule refused.
-        examples: Refused candidates that become examples.
+        layers: Layers of each sequence.
 
-    Yields:
-        The row with the number, then the rows of examples.
+    Returns:
+        The number of sequences by template and missing layer.
     """
-    row = {"sequence": sequence, "family": FAMILIES[template], "template": template, "rule": rule}
-    yield row | {"kind": "count", "candidates": count}
-    for target, plan, detail in examples:
-        yield row | {"kind": "example", "candidates": 1, "target_track": target, "plan": plan, "detail": detail}
+    return Counter(
+        (name, layer)
+        for name, forms in FORMS.items()
+        # A template needs only the layers of its least demanding form.
+        for layer in min((form.layers for form in forms), key=len)
+        for present in layers.values()
+        if layer not in present
+    )
 
 
-def tallies(rejected: pa.Table, questions: pa.Table) -> list[dict[str, Any]]:
-    """Count the candidates of each template.
+def tallies(
+    rejected: pa.Table,
+    questions: pa.Table,
+    layers: Mapping[str, Sequence[str]],
+    selection: Sequence[Mapping[str, Any]] = (),
+) -> list[dict[str, Any]]:
+    """Count the candidates of each template, and explain a small number of questions.
 
     Args:
         rejected: Table `rejected`.
         questions: Questions with their templates.
+        layers: Layers of each sequence.
+        selection: Report of `select`, or nothing.
 
     Returns:
         A row per template: family, template, candidates, a column per rule of `RULES`, proven, a column per further
-        rule, and questions.
+        rule, questions and why. The column `why` is a reason if the questions are fewer than requested, or fewer than
+        `FEW`, or if sequences lack a layer. Otherwise it is None.
     """
-    counts = rejected.filter(pc.equal(rejected["kind"], "count")).select(["template", "rule", "candidates"])
-    refused: Counter[tuple[str, str]] = Counter()
-    for line in counts.to_pylist():
-        refused[line["template"], line["rule"]] += line["candidates"]
-    questions_of = Counter(questions["template"].to_pylist())
+    counts = rejected.filter(pc.equal(rejected["kind"], "count")).group_by(["template", "rule"])
+    sums = counts.aggregate([("candidates", "sum")]).to_pylist()
+    refused = Counter({(row["template"], row["rule"]): row["candidates_sum"] for row in sums})
+    questions_of, lacking = Counter(questions["template"].to_pylist()), lacking_layers(layers)
+    selected = {row["template"]: row for row in selection}
     rows = []
     for name, family in FAMILIES.items():
         before = {rule: refused[name, rule] for rule in RULES}
         after = {rule: refused[name, rule] for rule in REFUSALS if rule not in RULES}
         proven = sum(after.values()) + questions_of[name]
         row = {"family": family, "template": name, "candidates": proven + sum(before.values()), **before}
-        rows.append(row | {"proven": proven, **after, "questions": questions_of[name]})
+        row |= {"proven": proven, **after, "questions": questions_of[name]}
+        missing = {layer: count for (template, layer), count in sorted(lacking.items()) if template == name}
+        why = _reasons(row, missing, len(layers), selected.get(name, {}))
+        rows.append(row | {"why": "; ".join(why) or None})
     return rows
 
 
-def shortfalls(
-    rows: Sequence[Mapping[str, Any]],
-    lacking: Mapping[tuple[str, str], int],
-    sequences: int,
-    selection: Sequence[Mapping[str, Any]] = (),
-) -> list[dict[str, Any]]:
-    """Explain the number of questions of each template.
-
-    Args:
-        rows: Result of `tallies`.
-        lacking: Number of sequences without a layer, by template and layer.
-        sequences: Number of sequences.
-        selection: Report of `select`, or nothing.
-
-    Returns:
-        A row per template: family, template, candidates, proven, questions, the rules that refused most candidates, and
-        missing layers. The column `why` is a reason if the questions are fewer than requested, or fewer than `FEW`, or
-        if sequences lack a layer. Otherwise it is None.
-    """
-    found = []
-    selected = {row["template"]: row for row in selection}
-    for row in rows:
-        name = row["template"]
-        wanted, shortage = (selected.get(name, {}).get(column) for column in ("quota", "shortage"))
-        ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
-        # The selection is named, too, if it refused most of the proven candidates, or too many.
-        most = ranked[:_NAMED] + [
-            rule for rule in ranked[_NAMED:] if rule == "selection" and (shortage or row[rule] > row["questions"])
-        ]
-        shares = [f"{rule} {_percent(row[rule], row['candidates'])}" for rule in most]
-        missing = {layer: count for (template, layer), count in sorted(lacking.items()) if template == name}
-        skipped = [_without(layer, count, sequences) for layer, count in missing.items()]
-        why = [f"skipped, {text}" for text in skipped]
-        few = row["questions"] < (FEW if wanted is None else min(FEW, wanted))
-        if (few or shortage) and all(count < sequences for count in missing.values()):
-            why += _why_few(row, most, REASONS | ({"selection": shortage} if shortage else {}))
-        known = {column: row[column] for column in ("family", "template", "candidates", "proven", "questions")}
-        texts = {"refused_most": ", ".join(shares), "skipped": "; ".join(skipped), "why": "; ".join(why)}
-        found.append(known | {column: text or None for column, text in texts.items()})
-    return found
-
-
-def _why_few(row: Mapping[str, Any], most: Sequence[str], reasons: Mapping[str, str]) -> list[str]:
+def _reasons(
+    row: Mapping[str, Any], missing: Mapping[str, int], sequences: int, selected: Mapping[str, Any]
+) -> Iterator[str]:
+    """Yield why a template has few questions. `missing` has the number of sequences that lack a layer, by layer."""
+    for layer, count in missing.items():
+        where = "" if count == sequences else f" in {count} of {sequences} sequences"
+        yield f"skipped, the layer {layer} is missing{where}"
+    quota, shortage = selected.get("quota"), selected.get("shortage")
+    enough = row["questions"] >= (FEW if quota is None else min(FEW, quota)) and not shortage
+    if enough or sequences in missing.values():
+        return
     if not row["candidates"]:
-        return [f"no candidate, nowhere is it certain that {forms_of(row['template'])[0].seeks}"]
-    numbers = f"{_number(row['questions'], 'question')} of {_number(row['candidates'], 'candidate')}"
-    refused = [f"{rule} refused {_percent(row[rule], row['candidates'])}: {reasons[rule]}" for rule in most]
-    return [f"{numbers}, {row['proven']:,} proven", *refused]
-
-
-def _number(count: int, what: str) -> str:
-    return f"{count:,} {what}{'' if count == 1 else 's'}"
-
-
-def _without(layer: str, count: int, sequences: int) -> str:
-    where = "" if count == sequences else f" in {count} of {sequences} sequences"
-    return f"the layer {layer} is missing{where}"
+        yield f"no candidate, nowhere is it certain that {forms_of(row['template'])[0].seeks}"
+        return
+    yield ", ".join(f"{name}: {row[name]:,}" for name in ("candidates", "proven", "questions"))
+    ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
+    for place, rule in enumerate(ranked):
+        # The selection is named, too, if it refused most of the proven candidates, or too many.
+        if place < _NAMED or (rule == "selection" and (shortage or row[rule] > row["questions"])):
+            reason = shortage if shortage and rule == "selection" else REASONS[rule]
+            yield f"{rule} refused {_percent(row[rule], row['candidates'])}: {reason}"
 
 
 def _percent(part: int, whole: int) -> str:

@@ -7,9 +7,10 @@ relation leads (`follow`). Each answer has the people of whom the fact is possib
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set
-from typing import Any, Final, NamedTuple
+from itertools import permutations, product
+from typing import Any, Final, NamedTuple, cast
 
 from jrdb_avr.queries.compiler.reads import Seen
 from jrdb_avr.queries.graph.handle import Graph
@@ -46,9 +47,6 @@ class Fit(NamedTuple):
 Key = tuple[Any, ...]
 """Kind of a fact, sequence, and what the fact is about."""
 
-_LABELS: Final = ("performs", "handles", "pairs", "member")
-"""Names of the statements in `queries/search` that return the labels of people at keyframes."""
-
 WORDS: Final = {"gender": frozenset(GENDERS), "age": frozenset(AGES), "pose": frozenset(POSES)}
 """Values of columns of sightings that generation knows. Any other value counts as unknown."""
 
@@ -57,6 +55,13 @@ _COLUMNS: Final = {"distance": ("distance_word", "distance_other")}
 
 _LISTS: Final = {"social": "interactions_listed", "first": "robot_view_listed", "person": "person_view_listed"}
 """Columns of sightings that are true if the relations of a kind were read for the person."""
+
+_THINGS: Final = {
+    (verb, value): number
+    for number, (verb, value) in enumerate(product(VERBS, OBJECTS))
+    if verb not in POSES and value not in PERSON_CATEGORIES
+}
+"""Order of the things that may describe a person, by verb and category."""
 
 _Marks = dict[int, bool]
 """People with a label by track, each with whether the label is certain."""
@@ -69,6 +74,7 @@ class Facts:
         keyframes: Frames at which facts are known, in order.
         people: Sightings by keyframe and track.
         lists: Written actions by track and keyframe, of each person with a box.
+        counts: Number of people in clear view who certainly do each action, by keyframe.
         uncovered: People with a box who are not covered, by keyframe. Only these people count.
         judges_views: Whether the rules judge who is in clear view.
     """
@@ -86,69 +92,70 @@ class Facts:
         self.judges_views = rules.visibility == "clear"
         self.people: dict[int, dict[int, Sighting]] = defaultdict(dict)
         self.lists: dict[int, dict[int, ListedActions]] = defaultdict(dict)
+        self.counts: dict[int, Counter[str]] = defaultdict(Counter)
         self._labels: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
-        self._pairs: dict[int, dict[tuple[int, str], _Marks]] = defaultdict(lambda: defaultdict(dict))
+        self._pairs: dict[int, dict[int, dict[str, _Marks]]] = defaultdict(
+            lambda: defaultdict(lambda: defaultdict(dict))
+        )
+        self._grouped: dict[int, set[int]] = defaultdict(set)
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
 
         def rows(name: str) -> list[dict[str, Any]]:
-            found: list[dict[str, Any]] = graph.query(
-                read_statement(f"search/{name}.cypher"), {"sequence": sequence}
-            ).to_pylist()
-            return found
+            table = graph.query(read_statement(f"search/{name}.cypher"), {"sequence": sequence})
+            return cast(list[dict[str, Any]], table.to_pylist())
 
         frames = rows("frames")
         self.keyframes = [row["frame"] for row in frames if row["keyframe"]]
-        self.keyframe_set = frozenset(self.keyframes)
         self._annotated = {row["frame"] for row in frames if row["annotated"]}
-        self._boxes = set()
-        for row in rows("seen"):
+        seen = rows("seen")
+        self._boxes = {(row["who"], row["frame"]) for row in seen}
+        for row in seen:
             row |= {name: row[name] if row[name] in words else None for name, words in WORDS.items()}
             self.people[row["frame"]][row["who"]] = row
-            self._boxes.add((row["who"], row["frame"]))
         for frame in self.people.keys() - set(self.keyframes):
             del self.people[frame]
         self.uncovered: dict[int, frozenset[int]] = defaultdict(frozenset)
         for frame, people in self.people.items():
             self.uncovered[frame] = frozenset(who for who, row in people.items() if not row["covered"])
-        self._read_labels({name: rows(name) for name in _LABELS})
-        self._relations = {frame: _labels_of(pairs) for frame, pairs in self._pairs.items()}
+        # A label of a person without a box counts for nothing.
+        labels = {
+            name: [row for row in rows(name) if row["who"] in self.people[row["frame"]]]
+            for name in ("performs", "handles", "pairs", "member")
+        }
+        self._read_actions(labels["performs"])
+        for row in labels["handles"]:
+            if row["verb"] in VERBS:
+                category = row["value"] if row["value"] in OBJECTS else None
+                _mark(self._labels[row["frame"]][row["verb"], category], row["who"], row["certain"])
+        for row in labels["pairs"]:
+            if row["value"] in QUESTION_RELATIONS:
+                for other in self.people[row["frame"]].keys() & set(row["others"]):
+                    _mark(self._pairs[row["frame"]][row["who"]][row["value"]], other, row["certain"])
+        self._read_groups(labels["member"])
 
-    def _read_labels(self, rows: Mapping[str, Iterable[Mapping[str, Any]]]) -> None:
+    def _read_actions(self, rows: Iterable[Mapping[str, Any]]) -> None:
         written: dict[tuple[int, int], dict[str, bool]] = defaultdict(dict)
-        for row in rows["performs"]:
+        for row in rows:
             flickers = self.judges_views and row["value"] in FLICKERING
             if row["value"] in ACTIONS and (row["now"] or flickers):
-                self._mark(self._labels, row, ("action", row["value"]), row["who"])
+                _mark(self._labels[row["frame"]]["action", row["value"]], row["who"], row["certain"])
             if row["value"] in ACTIONS and row["written"]:
                 written[row["who"], row["frame"]][row["value"]] = row["easy"]
         for frame, people in self.people.items():
             for who, row in people.items():
                 self.lists[who][frame] = list_actions(written[who, frame], row["listed"])
-        for row in rows["handles"]:
-            if row["verb"] in VERBS:
-                category = row["value"] if row["value"] in OBJECTS else None
-                self._mark(self._labels, row, (row["verb"], category), row["who"])
-        for row in rows["pairs"]:
-            if row["value"] in QUESTION_RELATIONS:
-                for other in self.people[row["frame"]].keys() & set(row["others"]):
-                    self._mark(self._pairs, row, (row["who"], row["value"]), other)
-        groups: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
-        for row in rows["member"]:
-            self._mark(groups, row, ("group", row["value"]), row["who"])
-        self._grouped = {frame: {who for marks in found.values() for who in marks} for frame, found in groups.items()}
-        for frame, found in groups.items():
-            for marks in found.values():
-                for who, certain in marks.items():
-                    others = self._pairs[frame][who, SAME_GROUP] if len(marks) > 1 else {}
-                    for other in marks.keys() - {who}:
-                        others[other] = others.get(other, False) or (certain and marks[other])
+                if row["clear"]:
+                    self.counts[frame].update(self.lists[who][frame].certain)
 
-    def _mark(self, table: Any, row: Mapping[str, Any], topic: tuple[Any, Any], who: int) -> None:
-        """Mark that a person with a box has a label. A label is certain if one of its rows is."""
-        if row["who"] in self.people[row["frame"]]:
-            marks = table[row["frame"]][topic]
-            marks[who] = marks.get(who, False) or row["certain"]
+    def _read_groups(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        groups: dict[tuple[int, Any], _Marks] = defaultdict(dict)
+        for row in rows:
+            _mark(groups[row["frame"], row["value"]], row["who"], row["certain"])
+            self._grouped[row["frame"]].add(row["who"])
+        for (frame, _), marks in groups.items():
+            for (who, certain), (other, also) in permutations(marks.items(), 2):
+                _mark(self._pairs[frame][who][SAME_GROUP], other, certain and also)
 
     # -- conditions ---------------------------------------------------------------------------------------------------
 
@@ -183,10 +190,9 @@ class Facts:
 
     def _match_interaction(self, label: str, frame: int) -> Fit:
         people, marks = self.people[frame], {}
-        for (who, name), met in self._pairs[frame].items():
-            if name == label:
-                # A partner who is not in clear view may be out of sight.
-                marks[who] = any(met[other] and (people[other]["clear"] or not self.judges_views) for other in met)
+        for who, met in ((who, labels[label]) for who, labels in self._pairs[frame].items() if label in labels):
+            # A partner who is not in clear view may be out of sight.
+            marks[who] = any(met[other] and (people[other]["clear"] or not self.judges_views) for other in met)
         # A person without a list may interact with each other person.
         anybody = len(people) > 1 and self._without(frame, "interactions_listed")
         return _fit(marks, people.keys() if anybody else ())
@@ -237,10 +243,10 @@ class Facts:
     def _follow(self, relation: Relation, who: int, frame: int) -> Fit:
         if relation.kind == "window":
             return self._look_aside(relation, who, frame)
-        marks = self._pairs[frame].get((who, relation.label), {})
+        marks = self._pairs[frame][who].get(relation.label, {})
         others = self.people[frame].keys() - {who}
         if relation.kind == "group":
-            unread = self.people[frame].keys() - self._grouped.get(frame, set())
+            unread = self.people[frame].keys() - self._grouped[frame]
         else:
             unread = self._without(frame, _LISTS[relation.kind])
         return _fit(marks, others if who in unread else unread & others)
@@ -310,7 +316,8 @@ class Facts:
         Returns:
             Labels of relations that a question may name, in the order of `QUESTION_RELATIONS`.
         """
-        return self._relations.get(frame, {}).get(who, ())
+        held = self._pairs[frame][who]
+        return tuple(label for label in QUESTION_RELATIONS if label in held)
 
     def conditions_of(self, who: int, frame: int) -> list[Condition]:
         """Return the conditions that certainly hold of a person and may describe the person.
@@ -334,13 +341,16 @@ class Facts:
             conditions.append(Condition(action=row["pose"], at="t0"))
         held = {topic for topic, marks in labels.items() if who in marks}
         conditions += [Condition(action=name, at="t0") for name in OTHER_ACTIONS if ("action", name) in held]
-        things = [(verb, value) for verb, value in held if verb in VERBS and value is not None]
-        for verb, value in sorted(things, key=lambda thing: (VERBS.index(thing[0]), OBJECTS.index(thing[1]))):
-            if verb not in POSES and value not in PERSON_CATEGORIES:
-                conditions.append(Condition(object=value, verb=verb, at="t0"))
-        labels_met = [label for label in self.relations_of(who, frame) if label in INTERACTIONS]
-        conditions += [Condition(interaction=label, at="t0") for label in labels_met]
+        things = sorted(held & _THINGS.keys(), key=_THINGS.__getitem__)
+        conditions += [Condition(object=value, verb=verb, at="t0") for verb, value in things]
+        met = self.relations_of(who, frame)
+        conditions += [Condition(interaction=label, at="t0") for label in met if label in INTERACTIONS]
         return [condition for condition in conditions if who in self.match(condition, frame).certain]
+
+
+def _mark(marks: _Marks, who: int, certain: bool) -> None:
+    """Mark that a person has a label. A label is certain if one of its rows is."""
+    marks[who] = marks.get(who, False) or certain
 
 
 def _fit(marks: _Marks, possible: Iterable[int]) -> Fit:
@@ -352,11 +362,3 @@ def _possible_values(kind: str, row: Sighting) -> set[Any]:
     if kind == "group_size" and row["size_min"] is not None:
         return {*range(row["size_min"], row["size_max"] + 1)}
     return {row[column] for column in _COLUMNS.get(kind, (kind,))} - {None}
-
-
-def _labels_of(pairs: Iterable[tuple[int, str]]) -> dict[int, tuple[str, ...]]:
-    """Return the labels of each person, from pairs of a person and a label."""
-    labels: dict[int, set[str]] = defaultdict(set)
-    for who, label in pairs:
-        labels[who].add(label)
-    return {who: tuple(label for label in QUESTION_RELATIONS if label in held) for who, held in labels.items()}

@@ -10,11 +10,11 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any, Final
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise, product, takewhile
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -25,220 +25,150 @@ from jrdb_avr.engine.generate.describe import conditions_json, describe, find_le
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, row_schema
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
-
-_TYPES: Final = {
-    "STRING": pa.string(),
-    "STRING[]": pa.list_(pa.string()),
-    "INT64": pa.int64(),
-    "BOOLEAN": pa.bool_(),
-    "DOUBLE": pa.float64(),
-}
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
 TableRow = dict[str, Any]
 
 
-@dataclass
 class Layer:
     """The layer of one sequence.
 
     Attributes:
         facts: Facts of the sequence.
-        rows: Rows by table, in the columns of the table.
+        head: Row of the interval table `sequence`.
+        rows: Rows by table, with the columns of the table.
         names: Conditions of each name by id.
         segments: Rows of `Segment` by id, each with the column `track`.
-        boxes: Columns of sightings by track and frame.
-        images: Frames that have an image, or empty if the sequence has no images.
+        boxes: Columns of sightings by track and frame. `ahead` is whether the view straight ahead shows the box.
         present: Actions that a person in clear view certainly does at a keyframe.
         low: First id of a node.
-        length: Number of frames of the sequence.
-        fps: Frames per second.
-        action_step: Frames from one list of actions to the next.
     """
 
-    facts: Facts
-    rows: dict[str, list[TableRow]] = field(default_factory=lambda: defaultdict(list))
-    names: dict[int, tuple[Condition, ...]] = field(default_factory=dict)
-    segments: dict[int, TableRow] = field(default_factory=dict)
-    boxes: Mapping[tuple[int, int], TableRow] = field(default_factory=dict)
-    images: frozenset[int] = frozenset()
-    present: frozenset[str] = frozenset()
-    low: int = 0
-    length: int = 0
-    fps: float = FPS
-    action_step: int = KEYFRAME_STEP
+    def __init__(self, store: Store, graph: Graph, sequence: str, rules: Rules, low: int = 0) -> None:
+        """Make the layer of a sequence of a store.
+
+        Args:
+            store: Store with the interval tables of the sequence.
+            graph: Graph with the scene of the sequence.
+            sequence: Name of the sequence.
+            rules: Rules of descriptions, and thresholds.
+            low: First id of a node.
+
+        Raises:
+            StoreError: If a table is missing or broken.
+        """
+        (self.head,), frames_of, segments = (
+            store.interval(name, sequence).to_pylist() for name in ("sequence", "frames", "segments")
+        )
+        boxes = store.interval("sightings", sequence, ["track", "frame", *"xywh", "angle", "clear"]).to_pylist()
+        self.low = low
+        self.facts = Facts(graph, sequence, rules.load, with_faces="pose" in self.head["layers"])
+        self.rows: dict[str, list[TableRow]] = defaultdict(list)
+        self.names: dict[int, tuple[Condition, ...]] = {}
+        self.segments: dict[int, TableRow] = {}
+        self.present = frozenset().union(*self.facts.counts.values())
+        self._images = {row["frame"] for row in frames_of if row["image"]}
+        x, w = (np.array([row[side] for row in boxes], dtype=np.float64) for side in "xw")
+        ahead = views.ahead(x, w, rules.visible_share).tolist()
+        self.boxes = {
+            (row["track"], row["frame"]): row | {"ahead": shown} for row, shown in zip(boxes, ahead, strict=True)
+        }
+        ids = self._add_moments(rules)
+        self._add_names(ids, rules)
+        self._add_segments(segments)
+        self._add_absences(sorted(row["frame"] for row in frames_of if row["annotated"]))
 
     def has_image(self, frame: int) -> bool:
         """Return whether a frame has an image, or the sequence has no images at all."""
-        return not self.images or frame in self.images
+        return not self._images or frame in self._images
 
     def tables(self) -> Iterator[tuple[str, pa.Table]]:
         """Yield the name and the rows of each table that has rows, nodes first."""
-        for name, columns in LAYER_NODES.items():
-            types = dict(column.strip("`").split()[:2] for column in columns.replace("`", "").split(", "))
-            yield from self._table(name, types)
-        for name, (source, target, more) in LAYER_RELS.items():
-            ends = {"from": "STRING" if source == "Person" else "INT64"}
-            ends["to"] = "STRING" if target == "Action" else "INT64"
-            yield from self._table(name, ends | dict(column.split() for column in more))
+        nodes = {**SCENE_NODES, **LAYER_NODES}
+        for name in (*LAYER_NODES, *LAYER_RELS):
+            if rows := self.rows[name]:
+                yield name, pa.Table.from_pylist(rows, row_schema(name, nodes, LAYER_RELS))
 
-    def _table(self, name: str, types: Mapping[str, str]) -> Iterator[tuple[str, pa.Table]]:
-        if rows := self.rows[name]:
-            yield name, pa.table({c: pa.array([row[c] for row in rows], _TYPES[kind]) for c, kind in types.items()})
+    def _shown(self, who: int, frame: int) -> TableRow:
+        """Return whether a box is clear, the frame has an image and the view ahead has the box, and the box's angle."""
+        box = self.boxes.get((who, frame), {"clear": False, "ahead": False, "angle": None})
+        return {"image": self.has_image(frame)} | {name: box[name] for name in ("clear", "ahead", "angle")}
 
+    def _add_moments(self, rules: Rules) -> dict[tuple[int, int], int]:
+        """Add the moments of all people; return their ids by track and frame."""
+        facts, sequence, step = self.facts, self.head["sequence"], frames(rules.shift_s)
+        tracks = sorted({who for people in facts.people.values() for who in people})
+        ids, seen = {}, {}
+        for number, (who, frame) in enumerate(product(tracks, facts.keyframes), start=self.low):
+            present = facts.seen(who, frame).present
+            seen[who, frame] = None if present is None else int(present)
+            if present is not None or (who, frame) in self.boxes:
+                ids[who, frame] = number
+        for (who, frame), number in ids.items():
+            row = {"id": number, "sequence": sequence, "track": who, "frame": frame, "seen": seen[who, frame]}
+            row |= {"earlier": seen.get((who, frame - step)), "later": seen.get((who, frame + step))}
+            row |= {"not_doing": different_labels(facts.labels(who, frame)), **self._shown(who, frame)}
+            self.rows["Moment"].append(row | {"distance": facts.seen(who, frame).distance})
+            self.rows["At"].append({"from": f"{sequence}/{who}", "to": number})
+            self.rows["Doing"] += [{"from": number, "to": label} for label in true_labels(facts.lists[who], frame)]
+        return ids
 
-def read_layer(store: Store, graph: Graph, sequence: str, rules: Rules, low: int = 0) -> Layer:
-    """Make the layer of a sequence of a store.
+    def _add_names(self, ids: dict[tuple[int, int], int], rules: Rules) -> None:
+        """Add the descriptions of people who are not covered, and the people to whom relations lead from them."""
+        facts, sequence = self.facts, self.head["sequence"]
+        for (who, frame), number in ids.items():
+            if who not in facts.uncovered[frame]:
+                continue
+            for conditions, general in describe(facts, sequence, who, frame, rules).items():
+                name = self.low + len(self.names)
+                self.names[name] = conditions
+                row = {"id": name, "sequence": sequence, "conditions": f"[{conditions_json(conditions)}]"}
+                self.rows["Name"].append(row | {"general": general})
+                self.rows["Describes"].append({"from": name, "to": number})
+            for relation, target in find_leads(facts, who, frame).items():
+                self.rows["Leads"].append({"from": number, "to": ids[target, frame], "relation": relation})
 
-    Args:
-        store: Store with the interval tables of the sequence.
-        graph: Graph with the scene of the sequence.
-        sequence: Name of the sequence.
-        rules: Rules of descriptions, and thresholds.
-        low: First id of a node.
+    def _add_segments(self, segments: Iterable[TableRow]) -> None:
+        some = [row for row in segments if row["action"] in ACTIONS]
+        some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
+        for number, row in enumerate(some, start=self.low):
+            who = row["track"]
+            held = _held_before(self.facts, who, row["action"], row["first"])
+            own = {"id": number, "held_from": held[0], "held_to": held[1]}
+            for edge in ("last", "first"):
+                shown = self._shown(who, row[edge])
+                own |= {f"{edge}_{name}": shown[name] for name in ("clear", "image", "ahead")}
+            self.segments[number] = row | own | {"angle": shown["angle"]}
+            self.rows["Acts"].append({"from": f"{row['sequence']}/{who}", "to": number})
+        self.rows["Segment"] += self.segments.values()
 
-    Returns:
-        The layer.
-
-    Raises:
-        StoreError: If a table is missing or broken.
-    """
-    tables = {name: store.interval(name, sequence) for name in ("sequence", "frames", "sightings", "segments")}
-    (layers,) = tables["sequence"]["layers"].to_pylist()
-    facts = Facts(graph, sequence, rules.load, with_faces="pose" in layers)
-    return make_layer(facts, sequence, tables, rules, low)
-
-
-def make_layer(facts: Facts, sequence: str, tables: Mapping[str, pa.Table], rules: Rules, low: int = 0) -> Layer:
-    """Make the layer of a sequence.
-
-    Args:
-        facts: Facts of the sequence.
-        sequence: Name of the sequence.
-        tables: Interval tables `sequence`, `frames`, `sightings` and `segments` of the sequence.
-        rules: Rules of descriptions, and thresholds.
-        low: First id of a node.
-
-    Returns:
-        The layer.
-    """
-    images = frozenset(row["frame"] for row in tables["frames"].select(["frame", "image"]).to_pylist() if row["image"])
-    columns = tables["sightings"].select(["track", "frame", "x", "y", "w", "h", "angle", "clear"]).to_pylist()
-    layer = Layer(facts, boxes={(row["track"], row["frame"]): row for row in columns}, images=images, low=low)
-    (head,) = tables["sequence"].to_pylist()
-    layer.fps, layer.action_step, layer.length = head["fps"], head["action_step"], head["frame_count"]
-    layer.present = frozenset().union(*count_actions(facts).values())
-    x, w = (np.array([row[side] for row in columns], dtype=np.float64) for side in "xw")
-    for row, ahead in zip(columns, views.ahead(x, w, rules.visible_share).tolist(), strict=True):
-        row["ahead"] = ahead
-    ids = _add_moments(layer, sequence, rules, low)
-    for (who, frame), number in ids.items():
-        if who not in facts.uncovered[frame]:
-            continue
-        for one in describe(facts, sequence, who, frame, rules):
-            name = low + len(layer.names)
-            layer.names[name] = one.conditions
-            row = {"id": name, "sequence": sequence, "conditions": f"[{conditions_json(one.conditions)}]"}
-            layer.rows["Name"].append(row | {"general": one.general})
-            layer.rows["Describes"].append({"from": name, "to": number})
-        for relation, target in find_leads(facts, who, frame).items():
-            layer.rows["Leads"].append({"from": number, "to": ids[target, frame], "relation": relation})
-    _add_segments(layer, sequence, tables["segments"].to_pylist(), low)
-    _add_absences(
-        layer, sequence, sorted(row["frame"] for row in tables["frames"].to_pylist() if row["annotated"]), low
-    )
-    return layer
-
-
-def count_actions(facts: Facts) -> dict[int, Counter[str]]:
-    """Return how many people in clear view certainly do each action, by keyframe."""
-    numbers: dict[int, Counter[str]] = defaultdict(Counter)
-    for frame, people in facts.people.items():
-        for who, row in people.items():
-            if row["clear"]:
-                numbers[frame].update(facts.lists[who][frame].certain)
-    return numbers
-
-
-def _add_moments(layer: Layer, sequence: str, rules: Rules, low: int) -> dict[tuple[int, int], int]:
-    """Add the moments of all people; return their ids by track and frame."""
-    facts, step = layer.facts, frames(rules.shift_s)
-    tracks = sorted({who for people in facts.people.values() for who in people})
-    ids, seen = {}, {}
-    for place, (who, frame) in enumerate((who, frame) for who in tracks for frame in facts.keyframes):
-        present = facts.seen(who, frame).present
-        seen[who, frame] = None if present is None else int(present)
-        if present is not None or who in facts.people.get(frame, {}):
-            ids[who, frame] = low + place
-    for (who, frame), number in ids.items():
-        sighting, box = facts.people.get(frame, {}).get(who, {}), layer.boxes.get((who, frame), {})
-        row = {"id": number, "sequence": sequence, "track": who, "frame": frame, "seen": seen[who, frame]}
-        row |= {"earlier": seen.get((who, frame - step)), "later": seen.get((who, frame + step))}
-        row |= {"clear": bool(sighting.get("clear")), "image": layer.has_image(frame), "ahead": box.get("ahead", False)}
-        row["not_doing"] = different_labels(facts.labels(who, frame))
-        layer.rows["Doing"] += [{"from": number, "to": label} for label in true_labels(facts.lists[who], frame)]
-        row |= {"distance": facts.seen(who, frame).distance, "angle": sighting.get("angle")}
-        layer.rows["Moment"].append(row)
-        layer.rows["At"].append({"from": f"{sequence}/{who}", "to": number})
-    return ids
-
-
-def _add_segments(layer: Layer, sequence: str, segments: Iterable[TableRow], low: int) -> None:
-    some = [row for row in segments if row["action"] in ACTIONS]
-    some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
-    for number, row in enumerate(some, start=low):
-        own = {name: row[name] for name in ("action", "first", "last", "start", "end", "quiet_from", "closed")}
-        for edge in ("first", "last"):
-            box = layer.boxes.get((row["track"], row[edge]), {})
-            own |= {f"{edge}_clear": bool(box.get("clear")), f"{edge}_ahead": box.get("ahead", False)}
-            own[f"{edge}_image"] = layer.has_image(row[edge])
-        own["angle"] = layer.boxes.get((row["track"], row["first"]), {}).get("angle")
-        own["held_from"], own["held_to"] = _held_before(layer.facts, row["track"], row["action"], row["first"])
-        layer.segments[number] = {"id": number, "sequence": sequence, "track": row["track"], **own}
-        layer.rows["Segment"].append(layer.segments[number])
-        layer.rows["Acts"].append({"from": f"{sequence}/{row['track']}", "to": number})
+    def _add_absences(self, annotated: Sequence[int]) -> None:
+        """Add the absences: between two boxes no frame is unannotated, and the person is absent at a keyframe."""
+        facts, sequence = self.facts, self.head["sequence"]
+        step = KEYFRAME_STEP if all((later - frame) % KEYFRAME_STEP == 0 for frame, later in pairwise(annotated)) else 1
+        for (who, leaves), (same, returns) in pairwise(sorted(self.boxes)):
+            known = bisect_left(annotated, returns) - bisect_right(annotated, leaves)
+            if who != same or known != -((leaves - returns) // step) - 1:
+                continue
+            if not any(facts.is_absent(who, frame) for frame in facts.keyframes if leaves < frame < returns):
+                continue
+            present = {frame: facts.seen(who, frame).present for frame in facts.keyframes if frame < leaves}
+            row = {"id": self.low + len(self.rows["Absence"]), "sequence": sequence, "leaves": leaves}
+            row |= {"returns": returns, "present_from": min(takewhile(present.get, reversed(present)), default=None)}
+            first, last = self._shown(who, leaves), self._shown(who, returns)
+            row |= {name: first[name] and last[name] for name in ("clear", "image", "ahead")}
+            self.rows["Absence"].append(row)
+            self.rows["Leaves"].append({"from": f"{sequence}/{who}", "to": row["id"]})
 
 
 def _held_before(facts: Facts, who: int, action: str, first: int) -> tuple[int | None, int | None]:
     """Return the first and the last keyframe of the other posture that is held until a segment of a posture begins."""
-    after = next((frame for frame in facts.keyframes if frame >= first), None)
-    if action not in POSES or after is None or after - KEYFRAME_STEP not in facts.keyframe_set:
-        return None, None
-    until = since = after - KEYFRAME_STEP
+    after = next((frame for frame in facts.keyframes if frame >= first), -1)
+    until = after - KEYFRAME_STEP
     held = facts.pose(who, until)
-    if held in (None, action) or facts.pose(who, after) != action:
+    if action not in POSES or held in (None, action) or facts.pose(who, after) != action:
         return None, None
-    while since - KEYFRAME_STEP in facts.keyframe_set and facts.pose(who, since - KEYFRAME_STEP) == held:
-        since -= KEYFRAME_STEP
-    return since, until
-
-
-def _add_absences(layer: Layer, sequence: str, annotated: Sequence[int], low: int) -> None:
-    """Add the absences: between two boxes no frame is unannotated, and the person is absent at a keyframe."""
-    facts, grid = layer.facts, np.array(annotated, dtype=np.int64)
-    step = KEYFRAME_STEP if np.all(np.diff(grid) % KEYFRAME_STEP == 0) else 1
-    by_track: dict[int, list[int]] = defaultdict(list)
-    for who, frame in sorted(layer.boxes):
-        by_track[who].append(frame)
-    for who, shown in by_track.items():
-        for leaves, returns in pairwise(shown):
-            between = [frame for frame in facts.keyframes if leaves < frame < returns]
-            if not any(facts.is_absent(who, frame) for frame in between):
-                continue
-            known = int(np.searchsorted(grid, returns) - np.searchsorted(grid, leaves, side="right"))
-            if known != -((leaves - returns) // step) - 1:
-                continue
-            present_from = None
-            for frame in reversed([frame for frame in facts.keyframes if frame < leaves]):
-                if not facts.seen(who, frame).present:
-                    break
-                present_from = frame
-            boxes = [layer.boxes[who, frame] for frame in (leaves, returns)]
-            row = {"id": low + len(layer.rows["Absence"]), "sequence": sequence, "leaves": leaves, "returns": returns}
-            row |= {"present_from": present_from, "clear": all(box["clear"] for box in boxes)}
-            row |= {"image": layer.has_image(leaves) and layer.has_image(returns)}
-            layer.rows["Absence"].append(row | {"ahead": all(box["ahead"] for box in boxes)})
-            layer.rows["Leaves"].append({"from": f"{sequence}/{who}", "to": row["id"]})
+    return min(takewhile(lambda frame: facts.pose(who, frame) == held, range(until, -1, -KEYFRAME_STEP))), until

@@ -7,26 +7,23 @@ again from the annotation tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-from msgspec.structs import replace
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.layer import Layer, TableRow
-from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, find_tracks, match, prove, run
-from jrdb_avr.engine.generate.programs import Program, hops, make_program, shifts
+from jrdb_avr.engine.generate.layer import Layer
+from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
-from jrdb_avr.engine.generate.stored_layer import LayerJob
+from jrdb_avr.engine.generate.propose import Proposal, Search, program_of
+from jrdb_avr.engine.generate.stored_layer import Job
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.graph.handle import open_worker_graph
 from jrdb_avr.queries.store import Store
@@ -45,19 +42,8 @@ COLUMNS: Final = pa.schema([*dict.fromkeys((*QUESTIONS["questions"], *QUESTIONS[
 """Columns of the tables `questions` and `answers`, and `Question.key`."""
 
 
-AT_FIRST: Final = "description's time"
-"""Name of a wrong choice that is true at the time of the description."""
-
-
-@dataclass(frozen=True)
-class QuestionJob(LayerJob):
-    """Selected questions of a sequence."""
-
-    questions: tuple[Question, ...]
-
-
 @without_collector()
-def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, str]]:
+def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     """Make the selected questions of a sequence.
 
     Args:
@@ -81,17 +67,16 @@ def make_questions(job: QuestionJob) -> tuple[pa.Table, dict[str, str]]:
     rows, faults = [], {}
     for question in job.questions:
         key, proposal, own = question.key, proposals[question.key], proofs[question.key]
-        row = _make_row(search, proposal, question, own)
-        difference = _refuted(own, proposal, job.rules) or _rederived(annotations, row, proposal, job.rules)
-        if difference:
-            faults[key] = f"{job.sequence} {row['plan']}: {difference}"
-        rows.append(row | {"key": key})
+        record = _make_record(search, proposal, question, own)
+        if fault := _refuted(own, proposal, job.rules) or _rederived(annotations, record, proposal, job.rules):
+            faults[key] = f"{job.sequence} {record.plan}: {fault}"
+        rows.append(record.columns() | {"key": key})
     return pa.Table.from_pylist(rows, schema=COLUMNS), faults
 
 
 def _propose_again(search: Search, question: Question) -> Proposal:
     candidate = question.candidate
-    return make_proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
+    return Proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
 
 
 def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:
@@ -110,60 +95,48 @@ def _refuted(proofs: Sequence[Proof], proposal: Proposal, rules: Rules) -> str |
     return f"by statements, {', '.join(lacking)} do not hold" if lacking else None
 
 
-def _rederived(annotations: Annotations, row: TableRow, proposal: Proposal, rules: Rules) -> str | None:
+def _rederived(annotations: Annotations, record: QuestionRecord, proposal: Proposal, rules: Rules) -> str | None:
     """Return how the result of the second program differs."""
-    second = rederive(annotations, proposal.plan, proposal.template.name, rules, row["choices"])
-    if second.outcome != "defined" or second.answer != proposal.answer:
-        return f"answer {proposal.answer}, rederived {second.answer or second.outcome}"
-    if second.target != proposal.target:
-        return f"target {proposal.target}, rederived {second.target}"
-    if second.faults:
-        return second.faults[0]
-    needed = msgspec.json.decode(row["needed"], type=tuple[NeededBox, ...])
-    return None if _places(needed) == _places(second.needed) else "other boxes are needed"
-
-
-def _places(boxes: Iterable[NeededBox]) -> set[tuple[str, int, int, bool]]:
-    return {(box.node, box.track, box.frame, box.decisive) for box in boxes}
+    second = rederive(annotations, proposal.plan, record.template, rules, record.choices)
+    if second.outcome != "defined":
+        return f"answer {proposal.answer}, rederived {second.outcome}"
+    if (second.answer, second.target) != (proposal.answer, proposal.target):
+        return f"answer {proposal.answer} about {proposal.target}, rederived {second.answer} about {second.target}"
+    faults = second.faults if set(second.needed) == set(record.needed) else ("other boxes are needed",)
+    return next(iter(faults), None)
 
 
 # -- rows -------------------------------------------------------------------------------------------------------------
 
 
-def _make_row(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> TableRow:
-    """Return the columns of a question in the tables `questions` and `answers`."""
+def _make_record(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> QuestionRecord:
     layer, template, plan = search.layer, proposal.template, proposal.plan
-    needed, times, begin = needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
-    angles = {box.frame: layer.boxes[box.track, box.frame]["angle"] for box in needed if box.node == template.target}
-    decisive = [angles[box.frame] for box in needed if box.node == template.target and box.decisive]
+    needed, times, begin = _needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
+    angle = layer.boxes[proposal.target, begin]["angle"]
+    turns = [angle_error(layer.boxes[box.track, box.frame]["angle"], angle) for box in needed if box.decisive]
     public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
-    about, in_view = layer.action_step == KEYFRAME_STEP, layer.facts.judges_views
+    about, in_view = layer.head["action_step"] == KEYFRAME_STEP, layer.facts.judges_views
     public["question"] = render(template.name, plan, proposal.key, about, in_view)
-    answer, mistakes = proposal.answer, dict[str, str]()
-    labels = question.choices if question.wrong else ()
+    answer, labels = proposal.answer, question.choices if question.wrong else ()
     if labels:
         answer = encode_answer(Choice(labels.index(proposal.answer) + 1))
-        # The first name of an answer is the most telling one.
-        mistakes = dict(reversed(list(_mistakes(search, proposal)))) | {proposal.answer: ""}
     public |= {"choices": tuple(map(choice_text, labels)), "answer_mode": plan.answer.mode}
-    record = QuestionRecord(
+    return QuestionRecord(
         question_id=question_id(**public),
         **public,
         answer=answer,
         target_track=proposal.target,
         plan=canonical(plan),
         proofs=_all_proofs(search, proposal, proofs, needed),
-        distractors=tuple(mistakes.get(label) or None for label in labels),
         rules=rules_hash(search.rules),
         hops=len(template.edges),
-        time_gap_s=(max(times.values()) - begin) / layer.fps,
-        separation_deg=float(np.max(angle_error(np.array(decisive), angles[begin]))),
+        time_gap_s=(max(times.values()) - begin) / layer.head["fps"],
+        separation_deg=max(turns),
         people_in_scene=len(layer.facts.people[begin]),
         bindings={**proposal.people, **dict(sorted(times.items()))},
         needed=needed,
         twin_id=None if question.twin is None else f"{hash_of(question.twin):016x}",
     )
-    return record.columns()
 
 
 def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:
@@ -177,16 +150,10 @@ def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:
     return times
 
 
-def needed_boxes(layer: Layer, proposal: Proposal) -> tuple[NeededBox, ...]:
-    """Return the boxes that a question needs.
+def _needed_boxes(layer: Layer, proposal: Proposal) -> tuple[NeededBox, ...]:
+    """Return the boxes of all people at t0, and of the target as the answer is read, by node and frame.
 
-    Args:
-        layer: Layer of the sequence.
-        proposal: Proposal.
-
-    Returns:
-        Everybody's box at t0, then the boxes of the target in which the answer is read, by node and frame. Each counted
-        person has one box, as nodes b1, b2, ... by track, and the target has one in the same frame.
+    Each counted person has one box, as nodes b1, b2, ... by track, and the target has one in the same frame.
     """
     template, frames = proposal.template, proposal.frames
     boxes = []
@@ -196,14 +163,12 @@ def needed_boxes(layer: Layer, proposal: Proposal) -> tuple[NeededBox, ...]:
             there = {frames[name] for name in template.decisive if (track, frames[name]) in layer.boxes}
             decisive = there or {frames["t0"]}
             shown |= decisive | {frame for _, frame in proposal.counted}
-        boxes += [_needed(layer, node, track, frame, frame in decisive) for frame in sorted(shown)]
-    counted = enumerate(proposal.counted, start=1)
-    return (*boxes, *(_needed(layer, f"b{number}", track, frame, False) for number, (track, frame) in counted))
-
-
-def _needed(layer: Layer, node: str, track: int, frame: int, decisive: bool) -> NeededBox:
-    sides = {side: layer.boxes[track, frame][side] for side in "xywh"}
-    return NeededBox(node, track, frame, **sides, decisive=decisive)
+        boxes += [(node, track, frame, frame in decisive) for frame in sorted(shown)]
+    boxes += [(f"b{number}", track, frame, False) for number, (track, frame) in enumerate(proposal.counted, start=1)]
+    return tuple(
+        NeededBox(node, track, frame, **{side: layer.boxes[track, frame][side] for side in "xywh"}, decisive=decisive)
+        for node, track, frame, decisive in boxes
+    )
 
 
 def _all_proofs(
@@ -224,46 +189,3 @@ def _all_proofs(
         # The second program confirms each question that is chosen.
         Proof("rederive", "annotations", True, "same", own),
     )
-
-
-# -- mistakes ---------------------------------------------------------------------------------------------------------
-
-
-def _mistakes(search: Search, proposal: Proposal) -> Iterator[tuple[str, str]]:
-    """Yield the answers of changed programs, each with the name of the change, the most telling first."""
-    template, facts = proposal.template, search.layer.facts
-    program = make_program(proposal.sequence, proposal.plan, template)
-    if program.read == "next_action":
-        return
-    for kind in ("hop.stop", "hop.skip"):
-        # The people nearest to the target on the path come first.
-        for name, variant, hopped in reversed(list(hops(replace(program, held=proposal.people["a"])))):
-            if name == kind:
-                yield from _named(search, hopped, f"{kind}({variant})")
-    if program.read == "action" and program.times[0] != program.frame:
-        yield from _named(search, replace(program, times=(program.frame,)), AT_FIRST)
-    for variant, shifted in shifts(program, facts.keyframes, search.rules):
-        if shifted is not None:
-            yield from _named(search, shifted, f"time.shift {variant}")
-    if template.joins:
-        return
-    for condition in proposal.conditions:
-        left = replace(program, conditions=tuple(one for one in proposal.conditions if one is not condition))
-        for who in sorted(match(left, facts).could - {proposal.people["a"]}):
-            yield from _named(search, replace(program, held=who), f"look-alike without {condition.words}")
-
-
-def _named(search: Search, program: Program, name: str) -> Iterator[tuple[str, str]]:
-    """Yield the answers of a program with the name."""
-    facts = search.layer.facts
-    if not facts.keyframe_set.issuperset((program.frame, *program.times)):
-        return
-    try:
-        if program.read != "action":
-            yield str(run(program, facts, search.rules)), name
-            return
-        target = find_tracks(program, facts)[program.target]
-    except NoAnswerError:
-        return
-    labels = facts.labels(target, program.times[0])
-    yield from ((label, name) for label in sorted(labels.certain if labels else ()))

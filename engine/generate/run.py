@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
@@ -15,18 +15,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.asked import Candidate, Question
-from jrdb_avr.engine.generate.blind import blind_check, question_texts
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.diagnostics import refusal_rows, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import tallies
 from jrdb_avr.engine.generate.guessers import LabelCounts
-from jrdb_avr.engine.generate.held_out import Extent, HeldOut, read_held_out
-from jrdb_avr.engine.generate.layer import TableRow, count_actions
+from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
+from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
-from jrdb_avr.engine.generate.propose import Search
+from jrdb_avr.engine.generate.propose import Proposal, Search
 from jrdb_avr.engine.generate.publish import publish, question_tables
-from jrdb_avr.engine.generate.question import COLUMNS, QuestionJob, make_questions
+from jrdb_avr.engine.generate.question import COLUMNS, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, select
-from jrdb_avr.engine.generate.stored_layer import LayerJob, ensure_layer
+from jrdb_avr.engine.generate.stored_layer import Job, ensure_layer
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.handle import hold_graph, open_worker_graph
@@ -38,9 +37,8 @@ from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
-from jrdb_avr.schema.templates import FORMS
+from jrdb_avr.schema.templates import FAMILIES, FORMS
 
-_Job = TypeVar("_Job", bound=LayerJob)
 _Result = TypeVar("_Result")
 
 
@@ -49,35 +47,25 @@ class Generation(Displayed):
     """Result of a generation, as rows of counts. The questions are in the store.
 
     Attributes:
-        templates: Candidates, refusals by rule and questions of each template.
-        shortfalls: Reason for few questions of each template.
+        templates: Candidates, refusals by rule, questions and the reason for few questions of each template.
         selection: Quota, proven candidates, questions, time twins and guessers of each template.
-        blind: Scores of blind guessers for each form of a template.
         faults: Selected candidates that the second program refused.
     """
 
     templates: tuple[dict[str, Any], ...]
-    shortfalls: tuple[dict[str, Any], ...]
     selection: tuple[dict[str, Any], ...]
-    blind: tuple[dict[str, Any], ...]
     faults: tuple[str, ...]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row per template: counts, reason if few, the selection, and its rows of the blind check."""
-        blind: dict[str, list[dict[str, Any]]] = {row["template"]: [] for row in self.templates}
-        for row in self.blind:
-            blind[row["template"]].append(row)
-        return [
-            {**row, **short, **selected, "blind": blind[row["template"]]}
-            for row, short, selected in zip(self.templates, self.shortfalls, self.selection, strict=True)
-        ]
+        """Return a row per template: counts, reason if few, and the selection."""
+        return [{**row, **selected} for row, selected in zip(self.templates, self.selection, strict=True)]
 
     def _summary(self) -> str:
         questions = sum(row["reached"] for row in self.selection)
         return f"{questions} questions of {len(self.selection)} templates, {len(self.faults)} faults"
 
     def _tables(self) -> Tables:
-        return {"Candidates, refusals by rule, and questions": self.templates, "Blind guessers": self.blind}
+        return {"Candidates, refusals by rule, and questions": self.templates}
 
 
 def generate(
@@ -125,42 +113,29 @@ def generate(
     with store.writing("generate"):
         manifest = check_load_rules(store, rules)
         check_intervals(store, manifest)
-        sequences = _sequences(store, manifest, require_occlusion)
+        layers = {name: manifest.sequences[name].layers for name in _sequences(store, manifest, require_occlusion)}
         jobs = [
-            SearchJob(job.store, job.sequence, job.low, rules, tuple(held_out.extents.get(job.sequence, ())))
+            replace(job, held_out=tuple(held_out.extents.get(job.sequence, ())))
             for job in ensure_layer(store, rules, workers, progress)
-            if job.sequence in sequences
+            if job.sequence in layers
         ]
         with hold_graph(store.graph_path, workers):
             found = _map(search_sequence, jobs, workers, step_counter(progress, "searching", len(jobs)))
             counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
-            selected = _choose(
+            questions, report, left, faults = _choose(
                 [candidate for one in found for candidate in _CANDIDATES.decode(one.pool)],
                 lambda pool: select(pool, counts, rules, profile, n),
                 partial(_make, jobs, workers, progress),
                 excluded,
             )
         rows = [row for one in found for row in one.refused]
-        rows += [row for place, count in selected.left.items() for row in refusal_rows(*place, count)]
+        rows += [row for rule, count in left.items() for row in _refusals(*rule, count)]
         order = [(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")]
         rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"]).sort_by(order)
         heads = pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"])
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
-        tables = question_tables(store, selected.questions) | {"rejected": [rejected], "sequences": [heads]}
-        publish(store, tables, training)
-    templates = tallies(rejected, selected.questions)
-    lacking = Counter((name, layer) for one in found for name, layers in one.lacking.items() for layer in layers)
-    blind = []
-    for name in sorted(set(selected.questions["template"].to_pylist())):
-        own = selected.questions.filter(pc.equal(selected.questions["template"], name))
-        blind += blind_check(question_texts(own, own))
-    return Generation(
-        templates=tuple(templates),
-        shortfalls=tuple(shortfalls(templates, lacking, len(found), selected.report)),
-        selection=tuple(selected.report),
-        blind=tuple(blind),
-        faults=tuple(selected.faults),
-    )
+        publish(store, question_tables(store, questions) | {"rejected": [rejected], "sequences": [heads]}, training)
+    return Generation(tuple(tallies(rejected, questions, layers, report)), tuple(report), tuple(faults))
 
 
 def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
@@ -240,17 +215,6 @@ def check_intervals(store: Store, manifest: Manifest) -> None:
 # -- search -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class SearchJob(LayerJob):
-    """A sequence to search.
-
-    Attributes:
-        held_out: Extents of held-out questions.
-    """
-
-    held_out: tuple[Extent, ...] = ()
-
-
 _CANDIDATES: Final = msgspec.msgpack.Decoder(list[Candidate])
 
 
@@ -262,18 +226,16 @@ class Found(NamedTuple):
         pool: Proven candidates, encoded.
         counts: Number of people in clear view who certainly do each action, by keyframe.
         refused: Rows of the table `rejected`.
-        lacking: Missing layers of each template that was not searched.
     """
 
     head: TableRow
     pool: bytes
     counts: dict[int, Counter[str]]
     refused: list[TableRow]
-    lacking: dict[str, tuple[str, ...]]
 
 
 @without_collector()
-def search_sequence(job: SearchJob) -> Found:
+def search_sequence(job: Job) -> Found:
     """Find and prove the candidates of one sequence.
 
     The result depends only on the tables and the graph of the sequence, the rules and the held-out questions. So
@@ -293,47 +255,31 @@ def search_sequence(job: SearchJob) -> Found:
     frames = store.interval("frames", job.sequence).sort_by("frame")
     frames = frames.filter(frames["image" if "images" in head["layers"] else "annotated"])["frame"].to_pylist()
     own = {"sequence": job.sequence, "fps": head["fps"], "frame_count": head["frame_count"], "frames": frames}
-    pool, refused, lacking = [], list[TableRow](), {}
+    pool, refused = [], list[TableRow]()
     with open_worker_graph(store.graph_path) as graph:
         search = Search(graph, job.sequence, job.layer(graph), job.rules)
         cypher = CypherFacts(graph, job.rules.load)
         for name, forms in FORMS.items():
-            missing = [tuple(layer for layer in form.layers if layer not in head["layers"]) for form in forms]
-            if least := min(missing, key=len):
-                lacking[name] = least
-                continue
-            allowed = [form for form, layers in zip(forms, missing, strict=True) if not layers]
+            allowed = [form for form in forms if set(form.layers).issubset(head["layers"])]
             prover = Prover(search, cypher, job.held_out)
-            pool += fill_pool(search, allowed, prover)
-            refused += _refusals(job.sequence, name, prover)
-    return Found(own, msgspec.msgpack.encode(pool), count_actions(search.layer.facts), refused, lacking)
+            pool += fill_pool(search, allowed, prover) if allowed else []
+            for rule, count in prover.counts.items():
+                refused += _refusals(job.sequence, name, rule, count, prover.examples[rule])
+    return Found(own, msgspec.msgpack.encode(pool), search.layer.facts.counts, refused)
 
 
-def _refusals(sequence: str, template: str, prover: Prover) -> list[TableRow]:
-    rows: list[TableRow] = []
-    for rule, count in prover.counts.items():
-        examples = [(one.target, canonical(one.plan), detail) for one, detail in prover.examples[rule]]
-        rows += refusal_rows(sequence, template, rule, count, examples)
-    return rows
+def _refusals(
+    sequence: str, template: str, rule: str, count: int, examples: Iterable[tuple[Proposal, str | None]] = ()
+) -> Iterator[TableRow]:
+    """Yield the rows of the table `rejected` for one rule: the number of refused candidates, then examples."""
+    row = {"sequence": sequence, "family": FAMILIES[template], "template": template, "rule": rule}
+    yield row | {"kind": "count", "candidates": count}
+    for one, detail in examples:
+        about = {"target_track": one.target, "plan": canonical(one.plan), "detail": detail}
+        yield row | {"kind": "example", "candidates": 1} | about
 
 
 # -- choice -----------------------------------------------------------------------------------------------------------
-
-
-class Selection(NamedTuple):
-    """Result of the selection.
-
-    Attributes:
-        questions: The questions in the columns of `question.COLUMNS`.
-        report: Row of each template, as `select` returns it.
-        left: Number of proven candidates that are not selected, by sequence, template and rule.
-        faults: A line per candidate that is not confirmed, in order.
-    """
-
-    questions: pa.Table
-    report: list[TableRow]
-    left: Counter[tuple[str, str, str]]
-    faults: list[str]
 
 
 def _choose(
@@ -341,11 +287,13 @@ def _choose(
     choose: Callable[[Mapping[str, Sequence[Candidate]]], tuple[list[Question], list[TableRow]]],
     make: Callable[[Sequence[Question]], tuple[pa.Table, dict[str, str]]],
     excluded: Collection[str],
-) -> Selection:
-    """Select until all questions are confirmed and none is excluded."""
-    made = COLUMNS.empty_table()
-    faults: dict[Candidate, str] = {}
-    gone: set[Candidate] = set()
+) -> tuple[pa.Table, list[TableRow], Counter[tuple[str, str, str]], list[str]]:
+    """Select until all questions are confirmed and none is excluded.
+
+    Returns the questions, the row of each template, the number of other candidates by sequence, template and rule, and
+    a line per candidate that is not confirmed.
+    """
+    made, gone = COLUMNS.empty_table(), dict[Candidate, str]()
     while True:
         pool: dict[str, list[Candidate]] = defaultdict(list)
         for one in candidates:
@@ -353,36 +301,34 @@ def _choose(
                 pool[one.template].append(one)
         selected, report = choose(pool)
         questions = {one.key: one for one in selected}
-        table, refused = make([questions[key] for key in sorted(questions.keys() - set(made["key"].to_pylist()))])
+        table, faults = make([questions[key] for key in sorted(questions.keys() - set(made["key"].to_pylist()))])
         made = pa.concat_tables([made, table])
-        faults |= {questions[key].candidate: fault for key, fault in refused.items()}
         unwanted = table.filter(pc.is_in(table["question_id"], pa.array(sorted(excluded), pa.string())))
-        new = {questions[key].candidate for key in (*refused, *unwanted["key"].to_pylist())}
+        new = dict.fromkeys(unwanted["key"].to_pylist(), "") | faults
         if not new:
             break
-        gone |= new
+        gone |= {questions[key].candidate: fault for key, fault in new.items()}
     unused = set(candidates).difference(one.candidate for one in selected)
-    left = Counter((one.sequence, one.template, "unconfirmed" if one in faults else "selection") for one in unused)
+    left = Counter((one.sequence, one.template, "unconfirmed" if gone.get(one) else "selection") for one in unused)
     made = made.filter(pc.is_in(made["key"], pa.array(sorted(questions), pa.string())))
-    return Selection(made.sort_by("question_id"), report, left, sorted(faults.values()))
+    return made.sort_by("question_id"), report, left, sorted(filter(None, gone.values()))
 
 
 def _make(
-    jobs: Sequence[SearchJob], workers: Executor, progress: Progress | None, questions: Sequence[Question]
+    jobs: Sequence[Job], workers: Executor, progress: Progress | None, questions: Sequence[Question]
 ) -> tuple[pa.Table, dict[str, str]]:
     """Make selected questions; return them, and the faults by key."""
     by_sequence: dict[str, list[Question]] = defaultdict(list)
     for question in questions:
         by_sequence[question.candidate.sequence].append(question)
-    own = ((job, tuple(by_sequence[job.sequence])) for job in jobs if job.sequence in by_sequence)
-    question_jobs = [QuestionJob(job.store, job.sequence, job.low, job.rules, some) for job, some in own]
-    results = _map(make_questions, question_jobs, workers, step_counter(progress, "confirming", len(question_jobs)))
-    faults = {key: fault for _, own in results for key, fault in own.items()}
+    own = [replace(job, questions=tuple(by_sequence[job.sequence])) for job in jobs if job.sequence in by_sequence]
+    results = _map(make_questions, own, workers, step_counter(progress, "confirming", len(own)))
+    faults = {key: fault for _, refused in results for key, fault in refused.items()}
     return pa.concat_tables([COLUMNS.empty_table(), *(table for table, _ in results)]), faults
 
 
 def _map(
-    work: Callable[[_Job], _Result], jobs: Sequence[_Job], workers: Executor, advance: Callable[[int], None]
+    work: Callable[[Job], _Result], jobs: Sequence[Job], workers: Executor, advance: Callable[[int], None]
 ) -> list[_Result]:
     """Let workers do all jobs; return the results in the order of the jobs."""
     results: dict[int, _Result] = {}

@@ -46,7 +46,7 @@ def check_store(store: Store, texts: Sequence[QuestionText], teacher: Store | No
         raise InputError(
             "the other store has no sequence that this one lacks: nothing can be learned", field="blind_from"
         )
-    return blind_check(texts, [*scene_guessers(store), *learned_guessers(new)], box_guesser(store))
+    return blind_check(texts, [*scene_guessers(store), *learned_guessers(new), box_guesser(store)])
 
 
 def scene_guessers(store: Store) -> list[Guesser]:

@@ -18,7 +18,9 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.layer import Layer, read_layer
+from jrdb_avr.engine.generate.asked import Question
+from jrdb_avr.engine.generate.held_out import Extent
+from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.loaders.graph import copy_staged, stage_rows, write_graph
 from jrdb_avr.loaders.verify import checks_of
 from jrdb_avr.queries.display import Progress, step_counter
@@ -39,7 +41,7 @@ SPAN: Final = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class LayerJob:
+class Job:
     """Sequence for a worker.
 
     Attributes:
@@ -47,12 +49,16 @@ class LayerJob:
         sequence: Name of the sequence.
         low: First id of a node of the sequence in the layer.
         rules: Rules of the layer.
+        held_out: Extents of held-out questions about the sequence.
+        questions: Selected questions to make.
     """
 
     store: Path
     sequence: str
     low: int
     rules: Rules
+    held_out: tuple[Extent, ...] = ()
+    questions: tuple[Question, ...] = ()
 
     @property
     def weight(self) -> int:
@@ -60,17 +66,17 @@ class LayerJob:
         return int(pq.read_metadata(Store(self.store).interval_path("sightings", self.sequence)).num_rows)
 
     def layer(self, graph: Graph) -> Layer:
-        """Make the layer of the sequence. `graph` has the scene of the sequence. Raises the errors of `read_layer`."""
-        return read_layer(Store(self.store), graph, self.sequence, self.rules, self.low)
+        """Make the layer of the sequence. `graph` has the scene of the sequence. Raises the errors of `Layer`."""
+        return Layer(Store(self.store), graph, self.sequence, self.rules, self.low)
 
 
-def layer_jobs(store: Store, rules: Rules) -> list[LayerJob]:
+def layer_jobs(store: Store, rules: Rules) -> list[Job]:
     """Return a job for each sequence of a store, in the order of their names."""
     names = sorted(store.manifest().sequences)
-    return [LayerJob(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
+    return [Job(store.path, name, number * SPAN, rules) for number, name in enumerate(names)]
 
 
-def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progress | None = None) -> list[LayerJob]:
+def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progress | None = None) -> list[Job]:
     """Make the keyframe layer of a store's graph, unless it is stored for these rules and sequences already.
 
     Args:
@@ -111,14 +117,14 @@ def _is_stored(store: Store, rules: Rules) -> bool:
         return layer_stamp(graph) == (sorted(store.manifest().sequences), rules)
 
 
-def _stage(job: LayerJob) -> None:
+def _stage(job: Job) -> None:
     with open_worker_graph(Store(job.store).graph_path) as graph:
         layer = job.layer(graph)
     for name, rows in layer.tables():
         stage_rows(job.store / STAGE, name, job.sequence, rows)
 
 
-def _copy(jobs: Sequence[LayerJob]) -> None:
+def _copy(jobs: Sequence[Job]) -> None:
     """Replace the layer of the graph by the staged rows, and write the stamp."""
     store, rules = jobs[0].store, jobs[0].rules
     with build_graph(Store(store).graph_path, extend=True) as graph:

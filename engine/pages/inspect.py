@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import random
-import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -250,13 +249,9 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
     )
     # The answer of a proof is JSON, or the text of a choice if the question has choices.
     proofs = [(proof, proof.answer if record.choices else in_words(proof.answer)) for proof in record.proofs]
-    perturbations = record.distractors or (None,) * len(record.choices)
     return {
         "one": question,
-        "choices": [
-            {"text": text, "right": answer == Choice(index), "from": _perturbation(question, perturbation)}
-            for index, (text, perturbation) in enumerate(zip(record.choices, perturbations, strict=True), 1)
-        ],
+        "choices": [{"text": text, "right": answer == Choice(index)} for index, text in enumerate(record.choices, 1)],
         "answer": "" if record.choices else in_words(record.answer),
         "graph": PlanGraph(question.plan),
         "times": _times(question.plan),
@@ -285,18 +280,6 @@ def _reads(plan: Plan) -> str:
     """Return the read of a plan in words: the property, the person, and the times."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
-
-
-def _perturbation(question: Inspected, name: str | None) -> str:
-    """Return the name of the perturbation of the plan that makes a wrong choice right.
-
-    If the perturbation concerns a person, the person's role comes before the name.
-    """
-    stop = re.fullmatch(r"hop\.stop\((\d)\)", name or "")
-    roles = list(question.people)
-    if stop is not None and int(stop[1]) < len(roles):
-        return f"{roles[int(stop[1])].upper()} ({name})"
-    return name or ""
 
 
 def _strip(question: Inspected, frame: int, observer: Observer) -> View:

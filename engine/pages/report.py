@@ -39,9 +39,6 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
     names = [run.manifest.run_id for run in runs]
     measured = [row for row in tables["main"] if row["run"]]
     families = pivot(tables["family"], "family", "run")
-    perturbations: Counter[str] = Counter()
-    for row in tables["wrong_choices"]:
-        perturbations[row["perturbation"]] += row["times"]
     return render(
         "report.html",
         names=names,
@@ -64,8 +61,6 @@ def report_page(comparison: Comparison, links: Callable[..., str] | None = None)
         ablation=filled(tables["ablation"]),
         causes=list(dict.fromkeys(row["cause"] for row in tables["evidence_failures"])),
         titles=_TITLES,
-        wrong=pivot(tables["wrong_choices"], "run", "perturbation"),
-        perturbations=sorted(perturbations, key=lambda name: (-perturbations[name], name)),
         apart=distinguishing_settings(runs),
         labels={row["run"]: row["label"] for row in (*measured, *tables["twins"])},
         too_few=TOO_FEW,

@@ -319,7 +319,7 @@ def ranked(runs: Sequence[ScoredRun]) -> list[ScoredRun]:
     return sorted(runs, key=lambda run: (-run.scores[:, 2].mean() if run.n else 0.0, *_name(run)))
 
 
-RESULTS: Final = ("wrong_choices", "evidence_failures", "cost")
+RESULTS: Final = ("evidence_failures", "cost")
 """Names of the tables that are SQL queries in `queries/results/`."""
 
 TABLES: Final = ("main", "twins", *DIMENSIONS, "ablation", "pairs", "people", "epochs", *RESULTS)

@@ -20,7 +20,6 @@ import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.near_duplicates import near_frames
 from jrdb_avr.engine.generate.proofs import expected, failing
-from jrdb_avr.engine.generate.question import AT_FIRST
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
 from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
 from jrdb_avr.engine.validate.validation import Validation
@@ -30,7 +29,6 @@ from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.choice_labels import CHOICE_COUNT
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
-from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.panorama import Box, angle_error
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY, QuestionRecord
@@ -305,29 +303,9 @@ class _QuestionCheck:
         self.check("proofs", complete, f"missing or unexpected proofs: {', '.join(map(' '.join, odd))}")
         broken = failing(record.template, record.proofs, self.rules)
         self.check("proofs", not broken, f"{', '.join(broken)} do not hold")
-        self.check("proofs", self._distractors_fit(), f"distractors {list(record.distractors)} do not fit")
         bound = record.bindings.keys() == {node.id for node in plan.nodes} | set(plan.times)
         bound = bound and record.bindings[plan.target] == record.target_track
         self.check("proofs", bound, f"bindings {record.bindings} do not fit the plan")
-
-    def _distractors_fit(self) -> bool:
-        """Return whether each distractor name fits its choice. The true choice must have no name."""
-        record = self.record
-        proofs = {f"{proof.kind}({proof.variant})": proof for proof in record.proofs}
-        proofs |= {f"{proof.kind} {proof.variant}": proof for proof in record.proofs}
-        for choice, name in zip(record.choices, record.distractors, strict=False):
-            label = answer_of_choice(choice)
-            if name is not None and label == record.answer_text:
-                return False
-            # These two kinds of distractors come from no proof.
-            if name is None or name == AT_FIRST or name.startswith("look-alike "):
-                continue
-            proof = proofs.get(name)
-            # The proof of an action may have any outcome, because a person may perform several actions.
-            actions = forms_of(record.template)[0].asks_action
-            if proof is None or not (actions or (proof.outcome, proof.answer) == ("different", label)):
-                return False
-        return len(record.distractors) == len(record.choices)
 
 
 def _is_inside(answer: Answer, choices: int, frame_count: int) -> bool:

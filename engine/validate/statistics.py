@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.blind import QuestionText, question_texts
-from jrdb_avr.engine.generate.diagnostics import REFUSALS, shortfalls, tallies
+from jrdb_avr.engine.generate.diagnostics import REFUSALS, lacking_layers, tallies
 from jrdb_avr.engine.generate.scene_guessers import check_store
 from jrdb_avr.engine.generate.selection import PROFILES
 from jrdb_avr.engine.generate.views import min_crops
@@ -21,7 +21,7 @@ from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
-from jrdb_avr.schema.templates import FORMS, forms_of
+from jrdb_avr.schema.templates import forms_of
 
 TITLES: Final = {
     "family": "Questions per family, beside the paper's",
@@ -34,7 +34,6 @@ TITLES: Final = {
     "layer": "Sequences that have a layer",
     "answer": "Answers per template (of times: offset from the description, or length, in seconds)",
     "position": "Position of the true choice",
-    "distractor": "What yields the wrong choices",
     "distribution": "Waits, turns, hops, words, people and looks",
     "spread": "The same per template (smallest, median, mean, largest)",
     "blind": "Answering without looking: shares of right answers",
@@ -43,7 +42,7 @@ TITLES: Final = {
 
 _MEASURED: Final = pa.schema(
     [(name, pa.string()) for name in ("question_id", "sequence", "family", "template", "answer_mode", "asks", "answer")]
-    + [("target_track", pa.int32()), ("position", pa.int32()), ("wrong", pa.list_(pa.string()))]
+    + [("target_track", pa.int32()), ("position", pa.int32())]
     + [(name, pa.float64()) for name in ("time_gap_s", "separation_deg", "apart_deg", "hops", "words")]
     + [(name, pa.float64()) for name in ("people_in_scene", "crops")]
 )
@@ -51,7 +50,6 @@ _MEASURED: Final = pa.schema(
 
 - answer: text of the true choice, or the bin of another answer.
 - position: number of the true choice, from 1.
-- wrong: name of the perturbation that gives each wrong choice.
 - time_gap_s: seconds from the description to the last time that the question is about.
 - separation_deg: angle at the robot between the target at the description and the target's decisive boxes.
 - apart_deg: largest angle between two needed boxes, at any times.
@@ -60,6 +58,8 @@ _MEASURED: Final = pa.schema(
 - people_in_scene: number of people with a box at the time of the description.
 - crops: smallest number of looks that show all needed boxes (`views.min_crops`).
 """
+
+_SHORTFALL: Final = ("family", "template", "candidates", "proven", "questions", "why")
 
 _Row = dict[str, Any]
 
@@ -84,8 +84,7 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
     texts = question_texts(questions, answers)
     measured = [_measured(QuestionRecord.read(*row), text) for row, text in zip(rows, texts, strict=True)]
     layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
-    lacking, refused = _lacking(layers), tallies(rejected, questions)
-    counts = {(row["template"], row["layer"]): row["sequences_without"] for row in lacking}
+    counted = tallies(rejected, questions, layers)
     evidence = store.visibility()
     visibility = pa.array([evidence.get(name) for name in layers], pa.string())
     paper = PROFILES["paper"]
@@ -95,14 +94,18 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
         "loaded": pa.table({"sequence": pa.array(layers, pa.string()), "visibility": visibility}),
     }
     derived = {
-        "shortfall": shortfalls(refused, counts, len(layers)),
+        "shortfall": [{name: row[name] for name in _SHORTFALL} for row in counted],
         "refusal": [
             {"family": row["family"], "template": row["template"], "rule": rule, "candidates": row[rule]}
-            for row in sorted(refused, key=lambda row: (row["family"], row["template"]))
+            for row in sorted(counted, key=lambda row: (row["family"], row["template"]))
             for rule in sorted(REFUSALS)
             if row[rule]
         ],
-        "lacking": lacking,
+        "lacking": [
+            {"family": forms_of(name)[0].family, "template": name, "layer": layer, "sequences_without": without}
+            | {"sequences": len(layers)}
+            for (name, layer), without in lacking_layers(layers).items()
+        ],
         "layer": [
             {
                 "layer": name,
@@ -114,8 +117,8 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
         "blind": check_store(store, texts, blind_from),
     }
     with open_tables(store.path, tables) as select:
-        counted = {name: select(read_statement(f"stats/{name}.sql")) for name in TITLES if name not in derived}
-    return {name: derived[name] if name in derived else counted[name].to_pylist() for name in TITLES}
+        selected = {name: select(read_statement(f"stats/{name}.sql")) for name in TITLES if name not in derived}
+    return {name: derived[name] if name in derived else selected[name].to_pylist() for name in TITLES}
 
 
 def generator_rows(tables: Mapping[str, Sequence[_Row]]) -> list[_Row]:
@@ -152,21 +155,8 @@ def _measured(record: QuestionRecord, text: QuestionText) -> _Row:
         "asks": text.asks,
         "answer": text.bin if position is None else record.answer_text,
         "position": position,
-        "wrong": [name for index, name in enumerate(record.distractors, start=1) if position not in (None, index)],
         "apart_deg": float(angle_error(angles[:, None], angles).max()),
         "hops": forms_of(record.template)[0].hops,
         "words": len(record.question.split()),
         "crops": min_crops((box.frame, box.x, box.w) for box in record.needed),
     }
-
-
-def _lacking(layers: Mapping[str, Sequence[str]]) -> list[_Row]:
-    """Return a row per template and layer that the template needs and some sequences lack."""
-    return [
-        {"family": forms[0].family, "template": name, "layer": layer, "sequences_without": without}
-        | {"sequences": len(layers)}
-        for name, forms in FORMS.items()
-        # A template needs only the layers of its least demanding form.
-        for layer in min((form.layers for form in forms), key=len)
-        if (without := sum(layer not in present for present in layers.values()))
-    ]

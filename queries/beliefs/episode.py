@@ -35,19 +35,11 @@ from jrdb_avr.schema.beliefs import (
     episode_key,
 )
 from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.graph import row_schema
 
 Edge = SightingRow | AttributeRow | RelationRow
 
 _TABLES: Final[Mapping[type[Edge], str]] = {SightingRow: "Sighted", AttributeRow: "Has", RelationRow: "Related"}
-_TYPES: Final[dict[str, pa.DataType]] = {
-    "STRING": pa.string(),
-    "INT64": pa.int64(),
-    "DOUBLE": pa.float64(),
-    "BOOLEAN": pa.bool_(),
-    # As text, which the engine reads.
-    "UUID": pa.string(),
-    "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)": pa.struct([(name, pa.float64()) for name in "xywh"]),
-}
 _COLUMN: Final = re.compile(r"\br\.(\w+)")
 
 
@@ -209,9 +201,4 @@ class EpisodeRows:
 @cache
 def world_schema(table: str) -> pa.Schema:
     """The columns of a table of the world namespace as COPY takes them: edges begin with the two keys."""
-    if table in WORLD_RELS:
-        columns = ["from STRING", "to STRING", *WORLD_RELS[table][2]]
-    else:
-        columns = WORLD_NODES[table].replace(" PRIMARY KEY", "").split(", ")
-    parts = (column.split(" ", 1) for column in columns)
-    return pa.schema([(name, _TYPES[kind]) for name, kind in parts])
+    return row_schema(table, WORLD_NODES, WORLD_RELS)

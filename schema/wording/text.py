@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache, lru_cache
 from string import Formatter
 from typing import Any, Final
@@ -354,18 +354,16 @@ def actions_of(condition: Condition) -> tuple[str, ...]:
     return POSES_OF_VERBS.get(condition.verb or "", ())
 
 
-def implied_choices(plan: Plan) -> frozenset[str]:
-    """Return the actions that the words of a question state or imply. None of them is a choice of the question."""
-    labels = {edge.relation for edge in plan.edges} | {time.action for time in plan.times.values()}
-    labels.add(plan.answer.relation)
-    stated = [condition for node in plan.nodes for condition in node.conditions]
-    return implied_by(stated).union(*(implied_actions(word) for word in labels if word is not None))
+@lru_cache(maxsize=4096)
+def implied_choices(conditions: tuple[Condition, ...], labels: tuple[str, ...] = ()) -> frozenset[str]:
+    """Return the actions that the words of a question state or imply. None of them is a choice of the question.
 
-
-def implied_by(conditions: Iterable[Condition]) -> frozenset[str]:
-    """Return the actions that the words of conditions state or imply."""
-    labels = (condition.action or condition.interaction or condition.verb for condition in conditions)
-    return frozenset().union(*(implied_actions(word) for word in labels if word is not None))
+    Args:
+        conditions: Conditions of the description.
+        labels: Relations and actions of the text.
+    """
+    stated = (condition.action or condition.interaction or condition.verb for condition in conditions)
+    return frozenset().union(*(implied_actions(word) for word in (*stated, *labels) if word is not None))
 
 
 def stated_frames(plan: Plan) -> tuple[int, ...]:

@@ -73,7 +73,6 @@ def made_up_questions(rng):
         "question_id": ids,
         "answer": [answer(mode, rng) for mode in modes],
         "target_track": np.arange(QUESTION_COUNT) // SEQUENCES,
-        "distractors": ['["time.shift +3 s","action without e1",null,"swapped"]'] * QUESTION_COUNT,
         "hops": rng.integers(0, 4, QUESTION_COUNT),
         "time_gap_s": rng.uniform(0, 50, QUESTION_COUNT),
         "separation_deg": rng.uniform(0, 180, QUESTION_COUNT),

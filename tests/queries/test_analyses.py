@@ -178,20 +178,6 @@ def test_cost(world):
         assert row["tokens_per_combined"] == pytest.approx(110 * len(rows) / combined(own[row["run_id"]]), abs=0.51)
 
 
-def test_wrong_choices(world):
-    _, _, predictions, _, _ = world
-    named = {2: "time.shift +3 s", 3: "x", 4: "none recorded"}
-    chosen = [(row["run_id"], json.loads(row["answer"] or "{}").get("choice", 1), row["status"]) for row in predictions]
-    wrong = Counter((run, named[choice]) for run, choice, status in chosen if choice != 1 and status != "error")
-    in_all = Counter()
-    for (run, _), times in wrong.items():
-        in_all[run] += times
-    assert {(row.pop("run_id"), row.pop("perturbation")): row for row in ask(world, "wrong_choices")} == {
-        key: {"wrong_choices": in_all[key[0]], "times": n, "percent": round(100 * n / in_all[key[0]], 2)}
-        for key, n in wrong.items()
-    }
-
-
 @pytest.mark.parametrize(
     ("query", "name"),
     [

@@ -26,7 +26,7 @@ ALL = {**ANNOTATIONS, **{f"i_{k}": v for k, v in INTERVALS.items()}, **QUESTIONS
 CONTRACTS = {
     "questions": "question_id sequence family template question choices answer_mode",
     "sequences": "sequence fps frame_count frames",
-    "answers": "question_id answer target_track plan proofs distractors rules hops time_gap_s separation_deg "
+    "answers": "question_id answer target_track plan proofs rules hops time_gap_s separation_deg "
     "people_in_scene bindings needed twin_id",
     "evidence": "sequence track frame x y w h",
     "predictions": "run_id question_id status answer evidence_frame evidence_x evidence_y evidence_w evidence_h raw "
@@ -44,7 +44,7 @@ def test_columns_are_the_contract(name):
 
 def test_public_tables_hold_no_secret():
     public = {column for name in QUESTIONS if name not in PRIVATE for column in QUESTIONS[name].names}
-    secret = {"answer", "target_track", "plan", "proofs", "distractors", "bindings", "needed", "twin_id", "x", "y"}
+    secret = {"answer", "target_track", "plan", "proofs", "bindings", "needed", "twin_id", "x", "y"}
     assert not public & secret
 
 

@@ -16,13 +16,13 @@ from jrdb_avr.engine.generate import question, run
 from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.guessers import LabelCounts
-from jrdb_avr.engine.generate.layer import read_layer
+from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.levelling import level_choices
 from jrdb_avr.engine.generate.perturb import Setting, prove
 from jrdb_avr.engine.generate.pool import Prover
-from jrdb_avr.engine.generate.propose import Search, make_proposal, program_of, propose, propose_presence
-from jrdb_avr.engine.generate.run import SearchJob, search_sequence
-from jrdb_avr.engine.generate.stored_layer import LayerJob, layer_jobs
+from jrdb_avr.engine.generate.propose import Proposal, Search, program_of, propose, propose_presence
+from jrdb_avr.engine.generate.run import search_sequence
+from jrdb_avr.engine.generate.stored_layer import Job, layer_jobs
 from jrdb_avr.loaders.graph import build_scene
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, table_ddl
@@ -51,7 +51,7 @@ def add_layer(graph, layer):
 def searched(store, sequence, rules):
     """A sequence ready to be searched."""
     graph = memory_graph(store, [sequence])
-    layer = read_layer(store, graph, sequence, rules)
+    layer = Layer(store, graph, sequence, rules)
     add_layer(graph, layer)
     yield Search(graph, sequence, layer, rules)
 
@@ -69,14 +69,14 @@ def forms_in(store, sequence):
 def proposals(search, template):
     """Every proposal of a form of a template."""
     if template.name != "presence":
-        yield from (make_proposal(search, template, row) for row in propose(search, template))
+        yield from (Proposal(search, template, row) for row in propose(search, template))
         return
     described, pairs = propose_presence(search, template)
     wait = frames(search.rules.min_wait_s)
     for who, rows in described.items():
         for row, pair in itertools.product(rows, pairs.get(who, ())):
             if pair["t1"] >= row["t0"] + wait and not (row["ahead"] and pair["away"]):
-                yield make_proposal(search, template, row | pair)
+                yield Proposal(search, template, row | pair)
 
 
 def all_proofs(search, one):
@@ -93,14 +93,14 @@ def worked(store, sequence, rules):
         for module in (run, question):
             patch.setattr(module, "Store", lambda path: store)
             patch.setattr(module, "open_worker_graph", lambda path: contextlib.nullcontext(search.graph))
-        patch.setattr(LayerJob, "layer", lambda *_: search.layer)
+        patch.setattr(Job, "layer", lambda *_: search.layer)
         yield
 
 
 def search_one(store, sequence, rules):
     """What a worker of generation returns for a sequence: the result, and its candidates."""
     with worked(store, sequence, rules):
-        found = search_sequence(SearchJob(store.path, sequence, 0, rules))
+        found = search_sequence(Job(store.path, sequence, 0, rules))
     return found, run._CANDIDATES.decode(found.pool)
 
 
@@ -115,7 +115,7 @@ def make_all(store, sequence, rules, candidates, counts):
             leveled = (level_choices([one], level, rules) for one in own if FORMS[template][0].asks_action)
             asked = list(itertools.chain.from_iterable(leveled))
             asked = tuple(asked or [Question(one, tuple(sorted(one.wrong))) for one in own])
-            table, found = question.make_questions(question.QuestionJob(store.path, sequence, 0, rules, asked))
+            table, found = question.make_questions(Job(store.path, sequence, 0, rules, questions=asked))
             rows += [row | {"truth": one.candidate.truth} for row, one in zip(table.to_pylist(), asked, strict=True)]
             faults += found.values()
     return rows, faults

@@ -155,7 +155,7 @@ def write_answers(store, questions=QUESTIONS_ASKED):
     for i, q in enumerate(questions):
         frame = asked_frame(q)
         answer = json.dumps({"choice": shown_at(frame) if i % 2 else shown_at(frame) % 4 + 1})
-        texts = dict.fromkeys(("plan", "distractors", "rules", "bindings", "needed", "proofs"), "{}")
+        texts = dict.fromkeys(("plan", "rules", "bindings", "needed", "proofs"), "{}")
         numbers = {"target_track": 1, "hops": 1, "time_gap_s": 1.0, "separation_deg": 1.0, "people_in_scene": 2}
         answers.append({"question_id": q.question_id, "answer": answer, **texts, **numbers})
         box = dict(zip("xywh", box_at(frame), strict=True))

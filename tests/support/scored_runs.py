@@ -57,7 +57,6 @@ class Benchmark:
                 "question_id": q,
                 "answer": '{"choice":1}',
                 "target_track": 1,
-                "distractors": '[null,"time.shift +3 s","x without y",null]',
             }
             for q in self.ids
         ]

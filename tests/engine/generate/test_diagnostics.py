@@ -2,8 +2,8 @@
 
 import pyarrow as pa
 
-from jrdb_avr.engine.generate.diagnostics import REASONS, REFUSALS, RULES, shortfalls, tallies
-from jrdb_avr.schema.tables import QUESTIONS
+from jrdb_avr.engine.generate.diagnostics import REASONS, REFUSALS, RULES, tallies
+from jrdb_avr.schema.tables import LAYERS, QUESTIONS
 from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
 
@@ -23,9 +23,11 @@ def asked(**counts):
     return pa.Table.from_pylist(rows, schema=QUESTIONS["questions"])
 
 
-def told(counts, questions, lacking=None, sequences=3, **selected):
+def told(counts, questions, lacking=0, **selected):
+    """The row of each template. The layer 3d is missing in so many of three sequences."""
     selection = [{"template": "two_hop", "quota": None, "shortage": None} | selected]
-    rows = shortfalls(tallies(rejected(counts), questions), lacking or {}, sequences, selection)
+    layers = {f"s{n}": [layer for layer in LAYERS if layer != "3d" or n >= lacking] for n in range(3)}
+    rows = tallies(rejected(counts), questions, layers, selection)
     assert [row["template"] for row in rows] == list(FAMILIES)
     return {row["template"]: row for row in rows}
 
@@ -41,8 +43,8 @@ COUNTS = [
 
 
 def test_candidates_are_what_was_refused_and_what_was_kept():
-    (row,) = (row for row in tallies(rejected(COUNTS), asked(two_hop=5)) if row["template"] == "two_hop")
-    assert row == {
+    row = told(COUNTS, asked(two_hop=5))["two_hop"]
+    assert {name: row[name] for name in row if name != "why"} == {
         **{"family": "chain_2hop", "template": "two_hop", "candidates": 200, "proven": 10, "questions": 5},
         **dict.fromkeys(REFUSALS, 0),
         **{"anchor": 100, "hop.stop": 70, "time.shift": 20, "selection": 5},
@@ -51,9 +53,8 @@ def test_candidates_are_what_was_refused_and_what_was_kept():
 
 def test_few_questions_are_explained_by_the_rules_that_refused_most():
     row = told(COUNTS, asked(two_hop=5))["two_hop"]
-    assert row["refused_most"] == "anchor 50 %, hop.stop 35 %"
     assert row["why"] == (
-        "5 questions of 200 candidates, 10 proven; "
+        "candidates: 200, proven: 10, questions: 5; "
         f"anchor refused 50 %: {REASONS['anchor']}; hop.stop refused 35 %: {REASONS['hop.stop']}"
     )
     # One question fewer than balance dropped: that is a reason too.
@@ -62,7 +63,8 @@ def test_few_questions_are_explained_by_the_rules_that_refused_most():
 
 def test_shares_too_small_for_a_percent_are_not_called_none():
     counts = [("count", "two_hop", "anchor", 980), ("count", "two_hop", "hop.stop", 4)]
-    assert told(counts, asked(two_hop=16))["two_hop"]["refused_most"] == "anchor 98 %, hop.stop <1 %"
+    why = told(counts, asked(two_hop=16))["two_hop"]["why"]
+    assert "; anchor refused 98 %: " in why and "; hop.stop refused <1 %: " in why
 
 
 def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
@@ -74,22 +76,19 @@ def test_enough_questions_or_as_many_as_were_asked_for_need_no_reason():
 
 def test_the_answers_that_are_left_explain_what_balance_refused():
     row = told(COUNTS, asked(two_hop=40), quota=50, shortage="only sitting is left")["two_hop"]
-    assert row["why"].startswith("40 questions of 235 candidates, 45 proven; anchor refused 43 %")
+    assert row["why"].startswith("candidates: 235, proven: 45, questions: 40; anchor refused 43 %")
     assert row["why"].endswith("; selection refused 2 %: only sitting is left")
 
 
 def test_no_candidate_says_what_the_scenes_do_not_hold():
     row = told([], asked())["consequence"]
     assert row["why"] == f"no candidate, nowhere is it certain that {forms_of('consequence')[0].seeks}"
-    assert row["refused_most"] is None and row["skipped"] is None
 
 
 def test_a_missing_layer_is_the_reason():
-    row = told([], asked(), {("distance", "3d"): 3})["distance"]
-    assert row["why"] == "skipped, the layer 3d is missing" and row["skipped"] == "the layer 3d is missing"
-    row = told([("count", "distance", "anchor", 4)], asked(distance=1), {("distance", "3d"): 2})["distance"]
-    assert row["skipped"] == "the layer 3d is missing in 2 of 3 sequences"
-    assert row["why"].startswith("skipped, the layer 3d is missing in 2 of 3 sequences; 1 question of 5 candidates")
+    assert told([], asked(), 3)["distance"]["why"] == "skipped, the layer 3d is missing"
+    row = told([("count", "distance", "anchor", 4)], asked(distance=1), 2)["distance"]
+    assert row["why"].startswith("skipped, the layer 3d is missing in 2 of 3 sequences; candidates: 5, proven: 1")
 
 
 def test_every_rule_and_template_has_its_words():

@@ -17,7 +17,7 @@ from random_worlds import lively_world
 from jrdb_avr.engine.generate import run
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.question import COLUMNS
-from jrdb_avr.engine.generate.stored_layer import LayerJob
+from jrdb_avr.engine.generate.stored_layer import Job
 from jrdb_avr.queries.manifest import SequenceEntry
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.rules import Rules
@@ -56,7 +56,7 @@ def publish_copies(path, found, row, names):
         for name in names:
             if not (folder / f"{name}.parquet").exists():
                 (folder / f"{name}.parquet").symlink_to(f"{NAME}.parquet")
-    run.ensure_layer = lambda store, rules, *_: [LayerJob(store.path, name, 0, rules) for name in names]
+    run.ensure_layer = lambda store, rules, *_: [Job(store.path, name, 0, rules) for name in names]
     run.hold_graph = lambda *_: contextlib.nullcontext()
     run.search_sequence = lambda job: copied(found, job.sequence)
     run.make_questions = lambda job: (made(job, row), {})

@@ -65,9 +65,9 @@ def judge(store, claimed):
         facts = search.layer.facts
         for frame, people in facts.people.items():
             for who in people:
-                for one in describe(facts, SEQUENCE, who, frame, RULES):
-                    if one.general:
-                        words = (c.action or c.interaction or c.value for c in one.conditions)
+                for conditions, general in describe(facts, SEQUENCE, who, frame, RULES).items():
+                    if general:
+                        words = (c.action or c.interaction or c.value for c in conditions)
                         described[who, frame // 15] = ", ".join(map(str, words))
     return found, described
 
@@ -103,7 +103,7 @@ def named(one, segments):
         return one.relations[0]
     if one.template.answer is None or not one.segments:
         return None
-    return " then ".join(segments[number]["action"] for number in one.segments)
+    return " then ".join(segment["action"] for segment in one.segments)
 
 
 def walk(one):

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.bins import answer_bin, wait_bin
+from jrdb_avr.engine.generate.asked import doublings
+from jrdb_avr.engine.generate.bins import answer_bin
 from jrdb_avr.engine.generate.near_duplicates import Subject, Taken
 from jrdb_avr.schema.rules import Rules
 
@@ -84,7 +85,7 @@ def test_offset_bins(seconds, number):
     assert answer_bin("span", f'{{"start_frame":{frame},"end_frame":9999}}', [150], "span") == number
 
 
-def test_gap_and_wait_bins():
+def test_bins_of_gaps_and_doublings_of_waits():
     for seconds, number in {5: 1, 9.9: 1, 10: 2, 20: 3, 39.9: 3, 40: 4, 400: 4}.items():
         assert answer_bin("number", f'{{"value":{seconds}}}', [0], "seconds_between") == number
-    assert [wait_bin(round(s * 15)) for s in (3, 5.9, 6, 11.9, 12, 24)] == [1, 1, 2, 2, 3, 4]
+    assert [doublings(round(s * 15)) for s in (3, 3.9, 4, 7.9, 8, 16)] == [2, 2, 3, 3, 4, 5]

@@ -14,7 +14,7 @@ from world_calls import believe, tables_of
 from worlds import load_world
 
 from jrdb_avr.engine.generate import stored_layer
-from jrdb_avr.engine.generate.layer import read_layer
+from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.stored_layer import STAGE, ensure_layer, layer_jobs
 from jrdb_avr.engine.validate.checks import validate
@@ -66,7 +66,7 @@ def test_the_graph_holds_the_layers_of_all_sequences(made, made_rows):
     expected = {name: [] for name in made_rows}
     with Graph.open(made.graph_path, read_only=True) as graph:
         for job in layer_jobs(made, RULES):
-            for name, rows in read_layer(made, graph, job.sequence, RULES, job.low).tables():
+            for name, rows in Layer(made, graph, job.sequence, RULES, job.low).tables():
                 expected[name] += [repr(tuple(row.values())) for row in rows.to_pylist()]
     assert made_rows == {name: sorted(rows) for name, rows in expected.items()}
     assert all(made_rows.values()) and stamp(made) == (NAMES, RULES)

@@ -59,7 +59,7 @@ def secrets(small_demo):
     store = Store(small_demo.folder / "store")
     answers, evidence = (table.to_pylist() for table in (store.questions("answers"), all_evidence(store)))
     boxes = {f"{row[side]!r}" for row in evidence for side in "xywh" if len(f"{row[side]!r}") > 12}
-    plans = {row[name] for row in answers for name in ("plan", "distractors", "bindings", "proofs")}
+    plans = {row[name] for row in answers for name in ("plan", "bindings", "proofs")}
     found = {text for text in boxes | plans if len(text) > 12}
     assert len(found) > 20
-    return {*found, "target_track", "distractor"}
+    return {*found, "target_track"}

@@ -211,9 +211,7 @@ def test_no_text_of_a_question_runs_or_breaks_the_page(opened, sample_benchmark,
     multiple = next(r for r in sample_benchmark.questions("questions").to_pylist() if r["choices"])
     (one,) = inspect_questions(sample_benchmark, [multiple["question_id"]])
     proofs = tuple(msgspec.structs.replace(proof, variant=text, answer=text) for proof in one.record.proofs)
-    one.record = msgspec.structs.replace(
-        one.record, question=text, choices=(text,) * 4, distractors=(text,) * 4, proofs=proofs
-    )
+    one.record = msgspec.structs.replace(one.record, question=text, choices=(text,) * 4, proofs=proofs)
     one.timeline = [row._replace(label=text) for row in one.timeline]
     html = inspect_page([one], Observer(None, read_sequences(sample_benchmark).values()), "0", lambda _: None)
     write_page(tmp_path / "h.html", html)

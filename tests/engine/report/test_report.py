@@ -242,13 +242,6 @@ def test_tables_hold_only_the_named_runs_under_the_threshold_at_hand(tmp_path):
     assert strict == loose | {"right person, loose box": loose["right person, loose box"] + 1}
 
 
-def test_a_wrong_choice_tells_the_perturbation_it_is_true_of(tmp_path):
-    store = stored_run(tmp_path, [(1, BOX, 7), (2, BOX, 7), (3, BOX, 7), (4, BOX, 7)])
-    rows = {row["perturbation"]: row for row in report(store).table("wrong_choices")}
-    assert {name: row["times"] for name, row in rows.items()} == {"time.shift +3 s": 1, "x": 1, "none recorded": 1}
-    assert rows["x"]["percent"] == 33.33
-
-
 # -- texts ------------------------------------------------------------------------------------------------------------
 
 ROWS = [

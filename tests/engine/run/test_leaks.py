@@ -30,7 +30,7 @@ from jrdb_avr.schema.graph import scene_ddl
 from jrdb_avr.schema.tables import PRIVATE
 
 TRACK, LABEL, KEY = 918273, "juggling swordfish", "sk-never-to-be-seen"
-SECRETS = (str(TRACK), "swordfish", KEY, "target_track", "distractor", "proof")
+SECRETS = (str(TRACK), "swordfish", KEY, "target_track", "proof")
 BARE = ("monolithic", "agent")
 ASKED = QUESTIONS_ASKED[:1]
 

@@ -224,7 +224,6 @@ RECORD = QuestionRecord(
     target_track=1,
     plan="",
     proofs=(SHIFT, DROP),
-    distractors=(None, None),
     rules="",
     hops=0,
     time_gap_s=3.0,

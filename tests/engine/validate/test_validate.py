@@ -138,8 +138,6 @@ PRIVATE = {
     "another separation": (lambda row: row.update(separation_deg=row["separation_deg"] + 0.5), "rederive"),
     "fewer people": (lambda row: row.update(people_in_scene=row["people_in_scene"] - 1), "rederive"),
     "another wait": (lambda row: row.update(time_gap_s=row["time_gap_s"] + 1), "rederive"),
-    "a guess": (lambda row: row.update(distractors=row["distractors"].replace("null", '"a guess"')), "proofs"),
-    "distractors missing": (lambda row: row.update(distractors="[]"), "proofs"),
     "other bindings": (lambda row: row.update(bindings='{"a":1}'), "proofs"),
     "a needed box elsewhere": (lambda row: needed(row, x=1.25), "rederive"),
     "a needed box no longer decisive": (
