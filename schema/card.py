@@ -22,7 +22,7 @@ SUMMARY: Final = (
 
 
 class Source(NamedTuple):
-    """Data set from which questions are made.
+    """Data set that questions are made from.
 
     Attributes:
         name: Name of the data set.

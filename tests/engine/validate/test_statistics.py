@@ -259,7 +259,7 @@ def test_the_papers_table_of_generators(sample_benchmark, ask):
         "FROM questions GROUP BY family ORDER BY family"
     )
     assert [(*line[:3], line[4]) for line in lines if line[1] != "0"] == [row[:4] for row in counted]
-    assert [float(line[5]) for line in lines if line[1] != "0"] == pytest.approx([row[4] for row in counted], abs=0.005)
+    assert [float(line[5]) for line in lines if line[1] != "0"] == pytest.approx([row[4] for row in counted], abs=0.01)
     assert {line[0]: line[3] for line in lines if line[1] != "0"}["chain hybrid"] == "frame viewpoint"
     assert len(lines) == 7 and result.output.count(r"\midrule") == 1
     assert CliRunner().invoke(stats, ["--store", "S", "--latex", "--json"]).exit_code == 2
