@@ -98,7 +98,7 @@ LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Leaves": ("Person", "Absence", ()),
 }
 
-_TYPES: Final[dict[str, pa.DataType]] = {
+_ARROW_TYPES: Final[dict[str, pa.DataType]] = {
     "STRING": pa.string(),
     "STRING[]": pa.list_(pa.string()),
     "INT64": pa.int64(),
@@ -153,4 +153,4 @@ def row_schema(table: str, nodes: Mapping[str, str], rels: Mapping[str, tuple[st
         columns = [f"from {first}", f"to {last}", *more]
     else:
         columns = nodes[table].replace("`", "").replace(" PRIMARY KEY", "").split(", ")
-    return pa.schema([(name, _TYPES[kind]) for name, kind in (column.split(" ", 1) for column in columns)])
+    return pa.schema([(name, _ARROW_TYPES[kind]) for name, kind in (column.split(" ", 1) for column in columns)])
