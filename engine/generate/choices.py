@@ -7,7 +7,7 @@ without a list of actions.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Final
 
@@ -63,8 +63,9 @@ def different_labels(labels: ListedActions | None) -> tuple[str, ...]:
     return tuple(label for label in CHOICE_LABELS if outcome_of_action(labels, label) == "different")
 
 
+@lru_cache(maxsize=4096)
 def wrong_choices(
-    truth: str, false: Collection[str], implied: Collection[str], present: Collection[str]
+    truth: str, false: frozenset[str], implied: frozenset[str], present: frozenset[str]
 ) -> frozenset[str]:
     """Find the actions that may stand as wrong choices beside a right one.
 

@@ -19,7 +19,7 @@ from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording.people import in_order
-from jrdb_avr.schema.wording.text import implied_by
+from jrdb_avr.schema.wording.text import implied_choices
 
 _WEAK: Final = ("sector", "distance")
 """Kinds of conditions that do not describe a person by themselves, because they fit each person who comes by."""
@@ -52,8 +52,8 @@ def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) ->
         return {}
     prefix = f"{sequence}\n{who}\n{frame}\n"
     general = _best_of([some for some in minimal if len(some) == len(minimal[0])], prefix, order)
-    least = min(len(implied_by(some)) for some in minimal)
-    quiet = [some for some in minimal if len(implied_by(some)) == least]
+    least = min(len(implied_choices(some)) for some in minimal)
+    quiet = [some for some in minimal if len(implied_choices(some)) == least]
     shortest = [some for some in quiet if len(some) == len(quiet[0])]
     return {some: some == general for some in (general, _best_of(shortest, prefix, order))}
 

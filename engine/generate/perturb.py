@@ -7,7 +7,8 @@ by key. So the same code proves a question from the sets of `Facts` and from sta
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple, Protocol, cast
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol, cast
 
 from msgspec.structs import replace
 
@@ -62,18 +63,21 @@ class FactSource(Protocol):
         """
 
 
-class Setting(NamedTuple):
+@dataclass(frozen=True)
+class Setting:
     """Conditions under which programs run.
 
     Attributes:
         source: Source of facts.
         keyframes: Keyframes of the sequence, in order.
         rules: Thresholds.
+        drops: Complete proofs of the kind "time.drop". Programs that are equal but for the time share one.
     """
 
     source: FactSource
     keyframes: Sequence[int]
     rules: Rules
+    drops: dict[tuple[Program, Answer], Proof] = field(default_factory=dict)
 
 
 # -- running a program ------------------------------------------------------------------------------------------------
@@ -276,12 +280,17 @@ def prove_changes(
     moving, begin = program, setting.keyframes[0]
     if program.moves == "times":
         # The person that the answer is about stays the same.
-        moving = replace(program, edges=(), target="a", held=people[program.target])
+        moving = replace(program, conditions=(), edges=(), target="a", held=people[program.target])
         begin = program.frame + frames(setting.rules.min_wait_s)
     for variant, shifted in shifts(moving, setting.keyframes, setting.rules):
         yield _prove("time.shift", variant, shifted, answer, setting)
-    moved = (move(moving, frame - min(later_times(moving))) for frame in setting.keyframes if frame >= begin)
-    yield _prove_drop(moved, answer, setting)
+    time = min(later_times(moving))
+    key = move(moving, begin - time), answer
+    if key not in setting.drops:
+        moved = (move(moving, frame - time) for frame in setting.keyframes if frame >= begin)
+        if (proof := _prove_drop(moved, answer, setting)) is not None:
+            setting.drops[key] = proof
+    yield setting.drops.get(key)
 
 
 def _prove(kind: str, variant: str, perturbed: Program | None, answer: Answer, setting: Setting) -> Proof | None:

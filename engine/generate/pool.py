@@ -18,7 +18,7 @@ import numpy as np
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Candidate, answer_contexts, choice_contexts
 from jrdb_avr.engine.generate.bins import answer_bin
-from jrdb_avr.engine.generate.choices import false_labels, wrong_choices, wrong_sets
+from jrdb_avr.engine.generate.choices import wrong_choices, wrong_sets
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.hashes import hash_of
@@ -28,7 +28,7 @@ from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate_proofs
 from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of, propose, propose_presence
+from jrdb_avr.engine.generate.propose import Proposal, Search, program_of, propose, propose_presence
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import QUESTION_RELATIONS
@@ -73,6 +73,7 @@ class Prover:
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
         self._search, self._cypher, self._held_out = search, cypher, held_out
+        self._setting = Setting(self, search.layer.facts.keyframes, search.rules)
         self.counts: Counter[str] = Counter()
         self.examples: dict[str, list[tuple[Proposal, str | None]]] = defaultdict(list)
 
@@ -81,6 +82,19 @@ class Prover:
         self.counts[rule] += 1
         if proposal is not None and len(self.examples[rule]) < EXAMPLES:
             self.examples[rule].append((proposal, detail))
+
+    def with_choices(self, form: Template, rows: Iterable[TableRow]) -> Iterator[Proposal]:
+        """Yield the proposals of rows that have wrong choices, and note the others as refused."""
+        for row in rows:
+            proposal = Proposal(self._search, form, row)
+            if wrong_sets(_wrong_actions(proposal)):
+                yield proposal
+            else:
+                self.refuse("choices", proposal)
+
+    def proven(self, proposals: Iterable[Proposal]) -> Iterator[Proposal]:
+        """Yield the proposals that are proven, and note the others as refused."""
+        return (proposal for proposal in proposals if self.prove(proposal) is not None)
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
@@ -116,8 +130,7 @@ class Prover:
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
         rules, proofs, missing = self._search.rules, [], False
-        setting = Setting(self, self._search.layer.facts.keyframes, rules)
-        for proof in iterate_proofs(program, answer, setting):
+        for proof in iterate_proofs(program, answer, self._setting):
             if proof is None:
                 missing = True
                 continue
@@ -149,14 +162,13 @@ def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list
     Returns:
         The proven candidates.
     """
-    if forms[0].name == "presence":
-        return list(_fill_presence(search, forms[0], prover))
-    fill = _fill_moments if forms[0].asks_action else _thin_out
-    return list(fill(search, forms, prover))
+    fill = _fill_presence if forms[0].name == "presence" else _fill_moments if forms[0].asks_action else _thin_out
+    made = map(make_candidate, fill(search, forms, prover))
+    return [candidate for candidate in made if candidate is not None]
 
 
-def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Candidate]:
-    """Yield one candidate for each person, time and true answer: the first proven one in the order of a hash.
+def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+    """Yield one proposal for each person, time and true answer: the first proven one in the order of a hash.
 
     Time twins have equal descriptions. A template with twins begins with all times and answers of some descriptions.
     """
@@ -168,20 +180,14 @@ def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> 
             described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
         moments[_moment(form, row)].append(row)
 
-    def prove_all(rows: Iterable[TableRow]) -> Iterator[tuple[Candidate, TableRow]]:
-        made = ((_make(search, make_proposal(search, form, row), row, prover), row) for row in rows)
-        return ((one[1], row) for one, row in made if one and prover.prove(one[0]) is not None)
-
     for groups in described.values():
         ordered = sorted(groups.values(), key=lambda rows: _rank(search, rows[0]))
-        for candidate, row in _take_some(map(prove_all, ordered)):
-            moments.pop(_moment(form, row), None)
-            yield candidate
+        for proposal in _take_some(prover.proven(prover.with_choices(form, rows)) for rows in ordered):
+            moments.pop(_moment(form, proposal.row), None)
+            yield proposal
     for rows in moments.values():
-        proposals = ((make_proposal(search, form, row), row) for row in sorted(rows, key=partial(_rank, search)))
-        made = (one for proposal, row in proposals if (one := _make(search, proposal, row, prover)))
-        proven = (one for proposal, one in islice(made, _TRIES) if prover.prove(proposal) is not None)
-        yield from islice(proven, 1)
+        tried = prover.with_choices(form, sorted(rows, key=partial(_rank, search)))
+        yield from islice(prover.proven(islice(tried, _TRIES)), 1)
 
 
 def _moment(form: Template, row: TableRow) -> tuple[Any, ...]:
@@ -200,8 +206,9 @@ def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[_T]:
             return
 
 
-def _fill_presence(search: Search, form: Template, prover: Prover) -> Iterator[Candidate]:
-    """Yield, for some descriptions of each person, a few candidates with each answer, in the order of a hash."""
+def _fill_presence(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+    """Yield, for some descriptions of each person, a few proposals with each answer, in the order of a hash."""
+    (form,) = forms
     described, pairs = propose_presence(search, form)
     for who, descriptions in described.items():
         ordered = sorted(descriptions, key=partial(_rank, search))
@@ -210,7 +217,7 @@ def _fill_presence(search: Search, form: Template, prover: Prover) -> Iterator[C
 
 def _prove_pairs(
     search: Search, form: Template, row: TableRow, pairs: Iterable[TableRow], prover: Prover
-) -> Iterator[Candidate]:
+) -> Iterator[Proposal]:
     near, first = near_frames(form.name, search.rules), row["t0"] + frames(search.rules.min_wait_s)
     kept: dict[str, list[tuple[int, int]]] = defaultdict(list)
     later = [row | pair for pair in pairs if pair["t1"] >= first and not (row["ahead"] and pair["away"])]
@@ -218,39 +225,29 @@ def _prove_pairs(
         times, stay = (both["t1"], both["t2"]), kept[both["answer"]]
         if len(stay) == _PAIRS or any(are_near(times, one, near) for one in stay):
             continue
-        proposal = make_proposal(search, form, both)
-        if (made := _make(search, proposal, both, prover)) and prover.prove(proposal) is not None:
+        for proposal in prover.proven([Proposal(search, form, both)]):
             stay.append(times)
-            yield made[1]
+            yield proposal
 
 
-def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Candidate]:
-    """Yield candidates in the order of their keys, but none that reads the same as one before it."""
-    groups: dict[tuple[int, str], list[tuple[Proposal, TableRow]]] = defaultdict(list)
+def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+    """Yield proposals in the order of their keys, but none that reads the same as one before it."""
+    groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
     for form in forms:
         for row in propose(search, form):
-            proposal = make_proposal(search, form, row)
-            groups[proposal.target, proposal.answer].append((proposal, row))
+            proposal = Proposal(search, form, row)
+            groups[proposal.target, proposal.answer].append(proposal)
     near = near_frames(forms[0].name, search.rules)
     for members in groups.values():
         kept: list[Sequence[int]] = []
-        for proposal, row in sorted(members, key=lambda member: member[0].key):
+        for proposal in sorted(members, key=lambda proposal: proposal.key):
             if len(kept) == search.rules.max_per_person:
                 prover.refuse("max_per_person")
             elif any(are_near(proposal.read, read, near) for read in kept):
                 prover.refuse("near_duplicate")
-            elif (made := _make(search, proposal, row, prover)) and prover.prove(proposal) is not None:
+            elif prover.prove(proposal) is not None:
                 kept.append(proposal.read)
-                yield made[1]
-
-
-def _make(search: Search, proposal: Proposal, row: TableRow, prover: Prover) -> tuple[Proposal, Candidate] | None:
-    """Return a proposal with its candidate, or note the proposal as refused if it lacks wrong choices."""
-    candidate = make_candidate(search, proposal)
-    if candidate is None:
-        prover.refuse("choices", proposal)
-        return None
-    return proposal, candidate._replace(form=proposal.template.query, row=msgspec.msgpack.encode(row))
+                yield proposal
 
 
 def _rank(search: Search, row: TableRow) -> int:
@@ -262,26 +259,23 @@ def _rank(search: Search, row: TableRow) -> int:
 # -- candidates -------------------------------------------------------------------------------------------------------
 
 
-def make_candidate(search: Search, proposal: Proposal) -> Candidate | None:
+def make_candidate(proposal: Proposal) -> Candidate | None:
     """Make the candidate of a proposal.
 
     Args:
-        search: Sequence of the proposal.
         proposal: Proposal.
 
     Returns:
         The candidate, or None if fewer than three wrong choices fit.
     """
-    template, answer, layer = proposal.template, proposal.answer, search.layer
+    template, answer, layer = proposal.template, proposal.answer, proposal.search.layer
     words, begin = [condition.words for condition in proposal.conditions], proposal.frames["t0"]
     key, asked, wrong = proposal.key, proposal.read, frozenset[str]()
     if template.asks_action:
-        # The labels are given at keyframes; a posture may begin between two of them.
-        after = bisect_left(layer.facts.keyframes, proposal.frames[template.decisive[0]])
-        key, asked = f"{key} {answer}", (layer.facts.keyframes[after],)
-        wrong = _wrong_actions(search, proposal, asked[0])
+        wrong, asked = _wrong_actions(proposal), (_asked_keyframe(proposal),)
         if not wrong_sets(wrong):
             return None
+        key = f"{key} {answer}"
         last = " ".join(proposal.relations[-2 if template.joins else -1 :]) or None
         contexts = choice_contexts(proposal.sequence, words, last, asked[0] - begin)
     elif template.answer is None:
@@ -302,29 +296,40 @@ def make_candidate(search: Search, proposal: Proposal) -> Candidate | None:
         truth=answer,
         wrong=wrong,
         contexts=contexts,
-        event=_event(search, proposal),
+        event=_event(proposal),
+        form=template.query,
+        row=msgspec.msgpack.encode(proposal.row),
     )
 
 
-def _wrong_actions(search: Search, proposal: Proposal, frame: int) -> frozenset[str]:
+def _asked_keyframe(proposal: Proposal) -> int:
+    """Return the keyframe of an action: labels are given at keyframes, and a posture may begin between two of them."""
+    keyframes: list[int] = proposal.search.layer.facts.keyframes
+    return keyframes[bisect_left(keyframes, proposal.frames[proposal.template.decisive[0]])]
+
+
+def _wrong_actions(proposal: Proposal) -> frozenset[str]:
     """Return the actions that may be wrong choices of a proposal."""
-    false = false_labels(search.layer.facts.lists[proposal.target], frame)
+    layer = proposal.search.layer
+    false = proposal.search.false_labels(proposal.target, _asked_keyframe(proposal))
     if proposal.template.spec.read == "next_action":
         false &= frozenset(POSES)
-    return wrong_choices(proposal.answer, false, implied_choices(proposal.plan), search.layer.present)
+    implied = implied_choices(layer.names[proposal.row["name"]], proposal.relations)
+    return wrong_choices(proposal.answer, false, implied, layer.present)
 
 
 _EVENTS: Final = ("start", "span", "start_view")
 """Reads that share a start. Only one question may be about a start."""
 
 
-def _event(search: Search, proposal: Proposal) -> str | None:
+def _event(proposal: Proposal) -> str | None:
     """Return the start of an action, or the count of people, that only one question may be about."""
     template = proposal.template
     if template.counts:
         return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"
-    number = proposal.segments[0] - search.layer.low if template.spec.read in _EVENTS else None
-    return None if number is None else f"start {number}"
+    if template.spec.read not in _EVENTS:
+        return None
+    return f"start {proposal.segments[0]['id'] - proposal.search.layer.low}"
 
 
 def _touches(proposal: Proposal, extent: Extent) -> bool:

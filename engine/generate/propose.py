@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
 from itertools import product
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ import msgspec
 import pyarrow as pa
 from msgspec.structs import replace
 
-from jrdb_avr.engine.generate.choices import different_labels, true_labels
+from jrdb_avr.engine.generate.choices import different_labels, false_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
@@ -34,55 +34,8 @@ from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.templates import Slots, Template
 from jrdb_avr.schema.wording.people import in_order
 
-
-@dataclass(frozen=True)
-class Proposal:
-    """A question that is not proven yet.
-
-    Attributes:
-        sequence: Name of the sequence.
-        template: Form of the template.
-        conditions: Conditions of the description, in the order in which proofs leave them out.
-        people: Tracks by name in the plan.
-        frames: Frames by name: stated times, and `start`, `end`, `first`, `last`, `leaves` and `returns` of events.
-        relations: Relations of the text.
-        actions: Actions of the text.
-        answer: Text of a choice, or the stored JSON of another answer.
-        segments: Ids of the segments of the actions.
-        counted: People who are counted, each with the first frame that shows that person and the target clearly.
-    """
-
-    sequence: str
-    template: Template
-    conditions: tuple[Condition, ...]
-    people: Mapping[str, int]
-    frames: Mapping[str, int]
-    relations: tuple[str, ...]
-    actions: tuple[str, ...]
-    answer: str
-    segments: tuple[int, ...] = ()
-    counted: tuple[tuple[int, int], ...] = field(default=())
-
-    @property
-    def target(self) -> int:
-        """Track of the person that the answer is about."""
-        return self.people[self.template.target]
-
-    @property
-    def read(self) -> tuple[int, ...]:
-        """Frames of the answer."""
-        return tuple(self.frames[name] for name in self.template.read)
-
-    @cached_property
-    def plan(self) -> Plan:
-        """Plan of the question."""
-        stated = {name: self.frames[name] for name in self.template.stated}
-        return self.template.build(Slots(in_order(self.conditions), stated, self.actions, self.relations))
-
-    @cached_property
-    def key(self) -> str:
-        """Hash of sequence, target and plan, which decides among equals."""
-        return hashlib.sha256(f"{self.sequence}\n{self.target}\n{canonical(self.plan)}".encode()).hexdigest()
+_TIMES: Final = ("t0", "t1", "t2", "leaves", "returns")
+"""Columns of times in rows of generators."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +54,11 @@ class Search:
     layer: Layer
     rules: Rules
 
+    @cached_property
+    def false_labels(self) -> Callable[[int, int], frozenset[str]]:
+        """Function that returns the actions that may be wrong choices, by track and keyframe."""
+        return cache(lambda who, frame: false_labels(self.layer.facts.lists[who], frame))
+
     def rows(self, name: str) -> list[dict[str, Any]]:
         """Run a generator and return its rows."""
         text = read_statement(f"generators/{name}.cypher")
@@ -116,6 +74,99 @@ class Search:
         return [dict(zip(table.column_names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A question that is not proven yet.
+
+    Attributes:
+        search: Sequence of the question.
+        template: Form of the template.
+        row: Row of a generator: id of the name, people, times, relations, ids of segments, and answer or value.
+    """
+
+    search: Search
+    template: Template
+    row: TableRow
+
+    @property
+    def sequence(self) -> str:
+        """Name of the sequence."""
+        return self.search.sequence
+
+    @property
+    def target(self) -> int:
+        """Track of the person that the answer is about."""
+        return int(self.row[self.template.target])
+
+    @cached_property
+    def people(self) -> dict[str, int]:
+        """Tracks by name in the plan."""
+        return {node: self.row[node] for node in self.template.people}
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Conditions of the description, in the order in which proofs leave them out."""
+        at = self.template.described
+        return tuple(c if c.at is None else replace(c, at=at) for c in self.search.layer.names[self.row["name"]])
+
+    @cached_property
+    def segments(self) -> list[TableRow]:
+        """Segments of the actions."""
+        return [self.search.layer.segments[self.row[name]] for name in ("segment", "segment2") if name in self.row]
+
+    @cached_property
+    def frames(self) -> dict[str, int]:
+        """Frames by name: stated times, and `start`, `end`, `first`, `last`, `leaves` and `returns` of events."""
+        times: dict[str, int] = {name: self.row[name] for name in _TIMES if name in self.row}
+        for suffix, segment in zip(("", "2"), self.segments, strict=False):
+            times |= {f"{name}{suffix}": segment[name] for name in ("first", "last", "start", "end")}
+        times.setdefault("t0", times.get("t1", 0))
+        return times
+
+    @property
+    def read(self) -> tuple[int, ...]:
+        """Frames of the answer."""
+        return tuple(self.frames[name] for name in self.template.read)
+
+    @cached_property
+    def relations(self) -> tuple[str, ...]:
+        """Relations of the text."""
+        return tuple(self.row[f"r{number}"] for number, _ in enumerate(self.template.uses, start=1))
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """Actions of the text."""
+        return tuple(segment["action"] for segment in self.segments)[: self.template.actions]
+
+    @cached_property
+    def answer(self) -> str:
+        """Text of a choice, or the stored JSON of another answer."""
+        if self.template.answer is None:
+            return str(self.row["answer"])
+        values = {name: str(frame) for name, frame in self.frames.items()}
+        values |= {name: msgspec.json.encode(self.row[name]).decode() for name in ("value",) if name in self.row}
+        if self.segments:
+            values["angle"] = msgspec.json.encode(self.segments[0]["angle"]).decode()
+        return "".join(values.get(piece, piece) for piece in self.template.answer)
+
+    @property
+    def counted(self) -> Sequence[Sequence[int]]:
+        """People who are counted, each with the first frame that shows that person and the target clearly."""
+        counted: Sequence[Sequence[int]] = self.row.get("counted", ())
+        return counted
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Plan of the question."""
+        stated = {name: self.frames[name] for name in self.template.stated}
+        return self.template.build(Slots(in_order(self.conditions), stated, self.actions, self.relations))
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of sequence, target and plan, which decides among equals."""
+        return hashlib.sha256(f"{self.sequence}\n{self.target}\n{canonical(self.plan)}".encode()).hexdigest()
+
+
 def propose(search: Search, template: Template) -> Iterable[TableRow]:
     """Return the rows of the proposals of a form of a template.
 
@@ -124,48 +175,11 @@ def propose(search: Search, template: Template) -> Iterable[TableRow]:
         template: Form of the template, any but presence.
 
     Returns:
-        The rows that `make_proposal` takes, in an order that means nothing.
+        The rows of proposals, in an order that means nothing.
     """
     if template.query == "fork_join":
         return _fork_joins(search, template)
     return _counts(search) if template.query == "gap_count" else search.rows(template.query)
-
-
-def make_proposal(search: Search, template: Template, row: TableRow) -> Proposal:
-    """Make a proposal of a generator's row.
-
-    Args:
-        search: Sequence of the row.
-        template: Form of the template.
-        row: Id of the name, people, times, relations, ids of segments, and answer or value.
-
-    Returns:
-        The proposal.
-    """
-    times: dict[str, int] = {name: row[name] for name in ("t0", "t1", "t2", "leaves", "returns") if name in row}
-    segments = [search.layer.segments[row[name]] for name in ("segment", "segment2") if name in row]
-    for suffix, segment in zip(("", "2"), segments, strict=False):
-        times |= {f"{name}{suffix}": segment[name] for name in ("first", "last", "start", "end")}
-    times.setdefault("t0", times.get("t1", 0))
-    at = template.described
-    conditions = tuple(c if c.at is None else replace(c, at=at) for c in search.layer.names[row["name"]])
-    values = {name: str(frame) for name, frame in times.items()}
-    values |= {name: msgspec.json.encode(row[name]).decode() for name in ("value",) if name in row}
-    if segments:
-        values["angle"] = msgspec.json.encode(segments[0]["angle"]).decode()
-    pieces = template.answer
-    return Proposal(
-        sequence=search.sequence,
-        template=template,
-        conditions=conditions,
-        people={node: row[node] for node in template.people},
-        frames=times,
-        relations=tuple(row[f"r{i}"] for i, _ in enumerate(template.uses, start=1)),
-        actions=tuple(segment["action"] for segment in segments)[: template.actions],
-        answer=row["answer"] if pieces is None else "".join(values.get(piece, piece) for piece in pieces),
-        segments=tuple(segment["id"] for segment in segments),
-        counted=row.get("counted", ()),
-    )
 
 
 def program_of(proposal: Proposal) -> tuple[Program, Answer]:
@@ -258,7 +272,7 @@ def propose_presence(search: Search, template: Template) -> tuple[dict[int, list
 
     Returns:
         Rows of descriptions, and rows of pairs of times, by track. A row of one kind and a row of the other kind make a
-        row for `make_proposal`. The key `away` says whether the person is absent at both times.
+        row of a proposal. The key `away` says whether the person is absent at both times.
     """
     described: dict[int, list[TableRow]] = defaultdict(list)
     pairs: dict[int, list[TableRow]] = defaultdict(list)

@@ -22,7 +22,7 @@ from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, make_proposal, program_of
+from jrdb_avr.engine.generate.propose import Proposal, Search, program_of
 from jrdb_avr.engine.generate.stored_layer import Job
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.graph.handle import open_worker_graph
@@ -76,7 +76,7 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
 
 def _propose_again(search: Search, question: Question) -> Proposal:
     candidate = question.candidate
-    return make_proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
+    return Proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
 
 
 def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:

@@ -1,9 +1,9 @@
 """The statement that finds the people of a plan: its conditions and edges as one Cypher statement.
 
-Each row binds the plan's nodes to different people that no condition and no edge excludes. The columns `sure0`,
+Each row binds the plan's nodes to different people, so that every condition and edge is possible. The columns `sure0`,
 `sure1`, ... say whether each condition and edge is certain. The rows of a plan decide its outcome. The text of the
-statement depends only on the shape of the plan, so plans of one shape run together. Their times and values are rows of
-the parameter `$plans`. All names in the statement are made by the compiler.
+statement depends only on the form of the plan, so plans of one form run together. Their times and values are rows of
+the parameter `$plans`. The compiler makes all names in the statement, so that no text of a plan is part of it.
 """
 
 from __future__ import annotations

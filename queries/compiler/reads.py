@@ -143,7 +143,7 @@ class Reader(Protocol):
         return rows
 
     def values_at(self, queries: Offers) -> dict[int, str]:
-        """Return an attribute of people, or the only offered action that they do. The other actions must be false."""
+        """Return an attribute of people, or their only true action among those offered. All others must be false."""
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """Return presence and distance, by id of the plan and frame."""
@@ -155,7 +155,7 @@ class Reader(Protocol):
         """Return the frames before and after the first absence after a frame."""
 
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
-        """Return the next posture after the one at a frame, and the last frame with the earlier posture."""
+        """Return the posture that follows the posture at a frame, and the last frame with the first posture."""
 
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
         """Return the number of people in a relation with a person at any frame from the first to the last."""
@@ -287,8 +287,8 @@ def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same
         label: The action.
 
     Returns:
-        "same" if the action is certain. "different" if it is certainly false: the list is complete, and neither the
-        action nor one that may be called so is in it. A pose is certainly false only beside exactly one certain pose.
+        "same" if the action is certain. "different" if it is certainly false: the list is complete and has no action
+        that overlaps in meaning. A pose is certainly false only beside exactly one certain pose. Otherwise "unknown".
     """
     if labels is None:
         return "unknown"

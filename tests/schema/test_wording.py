@@ -547,12 +547,13 @@ def test_identities_change_with_every_part():
 
 
 def test_stated_frames():
-    plan = make_plan("start", [Condition(action="sitting", at="t0")], [150], ["typing"])
-    assert wording.implied_choices(plan) >= {"sitting", "typing"}
+    sitting = (Condition(action="sitting", at="t0"),)
+    plan = make_plan("start", sitting, [150], ["typing"])
+    assert wording.implied_choices(sitting, ("typing",)) >= {"sitting", "typing"}
     assert wording.stated_frames(plan) == (150,)
-    riding = Condition(verb="riding", object="bicycle/scooter", at="t0")
-    plan = make_plan("two_hop", [riding], [150], (), ("walking together", "conversation"))
-    assert wording.implied_choices(plan) >= {"cycling", "scootering", "skating", "walking", "talking to someone"}
+    riding = (Condition(verb="riding", object="bicycle/scooter", at="t0"),)
+    implied = wording.implied_choices(riding, ("walking together", "conversation"))
+    assert implied >= {"cycling", "scootering", "skating", "walking", "talking to someone"}
     assert set(POSES).isdisjoint(OTHER_ACTIONS)
 
 
@@ -577,4 +578,5 @@ def test_a_pose_that_the_text_names_is_among_the_implied_actions(case, key):
     form, plan = case
     text = render(template_of(form), plan, key)
     named = {pose for pose, words in POSE_WORDS.items() if re.search(rf"\b({words})\b", text)}
-    assert named <= wording.implied_choices(plan)
+    slots = TEMPLATES[form].slots(plan)
+    assert named <= wording.implied_choices(slots.conditions, (*slots.relations, *slots.actions))

@@ -20,7 +20,7 @@ from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.levelling import level_choices
 from jrdb_avr.engine.generate.perturb import Setting, prove
 from jrdb_avr.engine.generate.pool import Prover
-from jrdb_avr.engine.generate.propose import Search, make_proposal, program_of, propose, propose_presence
+from jrdb_avr.engine.generate.propose import Proposal, Search, program_of, propose, propose_presence
 from jrdb_avr.engine.generate.run import search_sequence
 from jrdb_avr.engine.generate.stored_layer import Job, layer_jobs
 from jrdb_avr.loaders.graph import build_scene
@@ -69,14 +69,14 @@ def forms_in(store, sequence):
 def proposals(search, template):
     """Every proposal of a form of a template."""
     if template.name != "presence":
-        yield from (make_proposal(search, template, row) for row in propose(search, template))
+        yield from (Proposal(search, template, row) for row in propose(search, template))
         return
     described, pairs = propose_presence(search, template)
     wait = frames(search.rules.min_wait_s)
     for who, rows in described.items():
         for row, pair in itertools.product(rows, pairs.get(who, ())):
             if pair["t1"] >= row["t0"] + wait and not (row["ahead"] and pair["away"]):
-                yield make_proposal(search, template, row | pair)
+                yield Proposal(search, template, row | pair)
 
 
 def all_proofs(search, one):

@@ -100,7 +100,7 @@ def test_a_choice_is_not_stated_nor_called_like_the_right_one_and_occurs_in_the_
     assert not found & {"talking to someone", "listening to someone", "talking on the phone"}
     assert not found & {"running", "going upstairs", "bending"}
     assert {"sitting", "holding sth"} <= found
-    assert wrong_choices("walking", false, implied_actions("conversation"), {"sitting"}) == {"sitting"}
+    assert wrong_choices("walking", false, implied_actions("conversation"), frozenset({"sitting"})) == {"sitting"}
     assert not wrong_choices("walking", false, implied_actions("walking together"), ALL)
 
 

@@ -44,7 +44,7 @@ def candidates(store, sequence, visibility):
         prover = make_prover(search)
         for template in forms_in(store, sequence):
             for one in proposals(search, template):
-                candidate = make_candidate(search, one)
+                candidate = make_candidate(one)
                 if candidate is not None and prover.prove(one) is not None:
                     key = (template.name, one.target, canonical(one.plan), one.answer)
                     assert key not in found

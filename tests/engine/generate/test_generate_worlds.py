@@ -103,7 +103,7 @@ def named(one, segments):
         return one.relations[0]
     if one.template.answer is None or not one.segments:
         return None
-    return " then ".join(segments[number]["action"] for number in one.segments)
+    return " then ".join(segment["action"] for segment in one.segments)
 
 
 def walk(one):

@@ -16,7 +16,7 @@ from jrdb_avr.engine.generate.diagnostics import RULES as REASONS
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.pool import fill_pool, make_candidate
-from jrdb_avr.engine.generate.propose import make_proposal
+from jrdb_avr.engine.generate.propose import Proposal
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import FORMS, TEMPLATES
 
@@ -38,7 +38,7 @@ def pools(search, allowed, held_out=()):
         if some := [form for form in forms if form in allowed]:
             prover = make_prover(search, held_out)
             pool = fill_pool(search, some, prover)
-            made = [make_proposal(search, TEMPLATES[one.form], msgspec.msgpack.decode(one.row)) for one in pool]
+            made = [Proposal(search, TEMPLATES[one.form], msgspec.msgpack.decode(one.row)) for one in pool]
             yield name, some, prover, pool, made
 
 
@@ -66,7 +66,7 @@ def test_the_pool_holds_what_a_selection_can_use(search, monkeypatch):
     total = 0
     for name, forms, prover, pool, made in pools(search, allowed):
         every = [one for form in forms for one in proposals(search, form)]
-        proven = [one for one in every if make_candidate(search, one) and make_prover(search).prove(one) is not None]
+        proven = [one for one in every if make_candidate(one) and make_prover(search).prove(one) is not None]
         assert len({one.key for one in pool}) == len(pool)
         assert {(one.key, one.answer) for one in made} <= {(one.key, one.answer) for one in proven}
         assert prover.counts.keys() <= REASONS.keys()
@@ -82,7 +82,7 @@ def test_the_pool_holds_what_a_selection_can_use(search, monkeypatch):
             )
         elif forms[0].asks_action:
             # One candidate of each moment and true answer at least.
-            moments = {make_candidate(search, one)[3:8:2] for one in proven}
+            moments = {make_candidate(one)[3:8:2] for one in proven}
             assert {one[3:8:2] for one in pool} == moments
         else:
             assert {one.key for one in made} == choose_slowly(name, proven)

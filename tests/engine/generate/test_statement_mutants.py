@@ -22,6 +22,7 @@ from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.pool import fill_pool
 from jrdb_avr.engine.generate.propose import Search
 from jrdb_avr.engine.generate.stored_layer import ensure_layer, layer_jobs
+from jrdb_avr.queries.compiler import reads
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.choice_labels import CHOICE_LABELS
@@ -143,7 +144,7 @@ def is_noticed(searches, path, text, before):
         if number not in before:
             before[number] = results(search, keys, path)
         with pytest.MonkeyPatch.context() as patch:
-            for module in (cypher_facts, facts, propose):
+            for module in (cypher_facts, facts, propose, reads):
                 patch.setattr(module, "read_statement", lambda name: text if name == path else read_statement(name))
             try:
                 found = results(search, keys, path)

@@ -141,7 +141,7 @@ def some_of(rows, most):
 
 def choices_of(search, one):
     """The choices of a proposal, as texts; None if it has too few."""
-    candidate = make_candidate(search, one)
+    candidate = make_candidate(one)
     if candidate is None:
         return None
     wrong = wrong_sets(candidate.wrong)[0] if one.template.asks_action else tuple(candidate.wrong)
