@@ -45,8 +45,9 @@ def test_counts(tables, ask):
     assert list(tables) == list(TITLES)
     counted = dict(ask("SELECT family, count(*) FROM questions GROUP BY ALL"))
     assert dict(columns(tables["family"], "family", "n")) == dict.fromkeys(FAMILIES.values(), 0) | counted
-    assert columns(tables["template"], "family", "template", "asks", "mode", "n") == ask(
-        f"SELECT family, template, {ASKS} AS asks, answer_mode, count(*) FROM {JOINED} GROUP BY ALL ORDER BY ALL"
+    assert columns(tables["template"], "family", "template", "asks", "mode", "n", "people", "sequences") == ask(
+        f"SELECT family, template, {ASKS} AS asks, answer_mode, count(*), count(DISTINCT (sequence, target_track)), "
+        f"count(DISTINCT sequence) FROM {JOINED} GROUP BY ALL ORDER BY ALL"
     )
     assert columns(tables["mode"], "mode", "n") == ask(
         "SELECT answer_mode, count(*) FROM questions GROUP BY ALL ORDER BY ALL"
@@ -61,12 +62,12 @@ def test_counts(tables, ask):
 
 def test_answers_and_positions(tables, ask):
     chosen = ask(
-        f"SELECT template, coalesce(({SAID})[choices[(answer->>'choice')::int]], choices[(answer->>'choice')::int]) "
-        f"AS text, count(*) FROM {JOINED} "
-        "WHERE answer_mode = 'multiple_choice' GROUP BY ALL ORDER BY ALL"
+        f"SELECT template, coalesce(({SAID})[text], text) AS said, count(*) FILTER (text = "
+        f"choices[(answer->>'choice')::int]), count(*) FROM (SELECT *, unnest(choices) AS text FROM {JOINED}) "
+        "GROUP BY ALL ORDER BY ALL"
     )
     choices = [row for row in tables["answer"] if row["asks"] == "choice"]
-    assert columns(choices, "template", "answer", "n") == chosen
+    assert columns(choices, "template", "answer", "n", "offered") == chosen
     counts = [row for row in tables["answer"] if row["asks"] == "count"]
     assert columns(counts, "answer", "n") == ask(
         f"SELECT people::varchar, count(*) FROM (SELECT (answer->>'value')::double::int AS people FROM {JOINED} "
