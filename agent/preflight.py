@@ -81,7 +81,7 @@ class Check:
 
     name: str
     passed: bool
-    seen: str
+    result: str
     remedy: str
     needed: bool = True
     methods: tuple[str, ...] = ()
@@ -89,7 +89,7 @@ class Check:
     @property
     def line(self) -> str:
         """The result of the check in one line."""
-        return f"{self.name}: {self.seen}" + ("" if self.passed else f": {self.remedy}")
+        return f"{self.name}: {self.result}" + ("" if self.passed else f": {self.remedy}")
 
 
 def preflight(client: Client) -> list[Check]:

@@ -67,7 +67,7 @@ def draw_covered_share() -> str:
     verdict = "less than" if share < LOAD.max_covered else "not less than"
     parts += [text(0, 270, f"hatched area / area of A = {share:.2f},")]
     parts += [text(0, 288, f"{verdict} {LOAD.max_covered:g}: nearer boxes leave A in clear view.")]
-    parts += [text(0, 306, f"From {LOAD.min_covered:g} on A would be covered, between both uncertain.")]
+    parts += [text(0, 306, f"From {LOAD.min_covered:g} on A would be covered, between the two uncertain.")]
     return "".join(parts)
 
 
@@ -93,8 +93,9 @@ def draw_hops() -> str:
     parts += [person(50, 110, "A"), person(180, 60, "B"), person(300, 130, "C", TRUE), person(170, 190, "D", GREY)]
     parts += [line(65, 103, 162, 67, arrow=True), line(194, 67, 283, 120, arrow=True)]
     parts += [text(20, 60, "the only seated"), text(20, 77, "woman")]
-    parts += [text(78, 120, "talks with", "small"), text(262, 58, "the first person", "small")]
-    parts += [text(262, 74, "to B's right, as the", "small"), text(262, 90, "robot sees it", "small")]
+    parts += [text(78, 120, "talks with", "small"), text(262, 42, "the first person", "small")]
+    parts += [text(262, 58, "to B's right, as the", "small"), text(262, 74, "robot sees it, at", "small")]
+    parts += [text(262, 90, f"most {LOAD.neighbor_max_deg:g}° away", "small")]
     parts += [text(196, 195, "fits no relation", "small")]
     parts += [text(0, 252, "hop.stop: read B, or A, instead of C")]
     parts += [text(0, 270, "hop.skip: go from A straight to A's right")]
@@ -120,10 +121,10 @@ def draw_shift() -> str:
         at = start + time * scale
         parts += [line(at, 66, at, 106, colour, arrow=True), text(at, 56, name, anchor="middle")]
     parts += [line(start, 180, start + 14 * scale, 180, GREY, arrow=True), text(start, 200, "time", "small")]
-    parts += [text(0, 252, "The answer at t1 is “walking”. Shifted, it is")]
-    parts += [text(0, 270, "“standing” and “sitting”: both are different,")]
-    parts += [text(0, 288, "so the question cannot be answered without")]
-    parts += [text(0, 306, "looking at the time that it states.")]
+    parts += [text(0, 252, "The person walks at t1, and certainly does not")]
+    parts += [text(0, 270, f"{shift:g} seconds before and after. One of the two is")]
+    parts += [text(0, 288, "enough: so the answer depends on the time that")]
+    parts += [text(0, 306, "the question states.")]
     return "".join(parts)
 
 

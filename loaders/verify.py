@@ -79,7 +79,7 @@ def checks_of(store: Store, advance: Callable[[int], None] = lambda steps: None)
 def _check_files(store: Store, manifest: Manifest, part: str) -> Check:
     """Compare the files of a part with the hashes in the manifest.
 
-    A file for which the manifest has no hash is a fault too, because views would read the file.
+    A file without a hash in the manifest is a fault too, because views would read the file.
     """
     digests = {path: digest for entry in manifest.sequences.values() for path, digest in entry.tables.items()}
     expected = {path: digest for path, digest in digests.items() if path.startswith(f"{part}/")}

@@ -47,7 +47,7 @@ def step_counter(progress: Progress | None, what: str, total: int) -> Callable[[
 
 
 def list_columns(rows: _Rows) -> list[str]:
-    """Return the names of all columns in the given rows, in the order in which the names first appear."""
+    """Return the names of all columns in the given rows, in the order of their first appearance."""
     return list(dict.fromkeys(name for row in rows for name in row))
 
 

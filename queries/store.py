@@ -202,7 +202,7 @@ class Store(Displayed):
         return {name: self.interval("sequence", name)["visibility"][0].as_py() for name in names}
 
     def without_occlusion(self) -> list[str]:
-        """Return the sequences with 2D boxes in which no degree of occlusion decides who is in clear view."""
+        """Return the sequences with 2D boxes but without degrees of occlusion that decide about clear views."""
         unclear = [name for name, evidence in self.visibility().items() if evidence != "attributes"]
         return [name for name in unclear if len(self.interval("sightings", name, ["frame"]))]
 

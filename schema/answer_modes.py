@@ -69,7 +69,7 @@ class Mode:
         same: Scoring rule. It is called with the given answer, the true answer and the number of frames per second, and
             returns whether the given answer is right.
         asks: Name of the requested value, such as "seconds", as tables show it.
-        words: Format string that shows an answer to a person. The names of the struct's fields are in braces.
+        phrase: Format string that shows an answer to a person. The names of the struct's fields are in braces.
         aim: Maximum share of right answers that a blind guesser should reach, 0 to 1.
         guessers: Names of the blind guessers that can give an answer of this mode.
         smallest_read: Value that the fallback plan requests. This plan is used if no other plan could be made.
@@ -82,7 +82,7 @@ class Mode:
     parts: tuple[Part, ...]
     same: Callable[[Any, Any, int], bool]
     asks: str
-    words: str
+    phrase: str
     aim: float
     guessers: tuple[Guesser, ...]
     smallest_read: Read
@@ -192,7 +192,7 @@ MODES: Final[Mapping[str, Mode]] = {
             (Part("choice", "choice", "choice"),),
             same=lambda given, truth, _second: given == truth,
             asks="choice",
-            words="{choice}",
+            phrase="{choice}",
             aim=0.35,
             guessers=("uniform", "constant"),
             smallest_read="action",
@@ -203,7 +203,7 @@ MODES: Final[Mapping[str, Mode]] = {
             (_FRAME,),
             same=_same_frame,
             asks="frame",
-            words="{frame}",
+            phrase="{frame}",
             aim=0.25,
             guessers=("constant", "offset"),
             smallest_read="start",
@@ -215,7 +215,7 @@ MODES: Final[Mapping[str, Mode]] = {
             (Part("start_frame", "frame", "first frame"), Part("end_frame", "frame", "last frame")),
             same=lambda given, truth, _second: frames_iou(given, truth) >= 0.5,
             asks="span",
-            words="from {start_frame} to {end_frame}",
+            phrase="from {start_frame} to {end_frame}",
             aim=0.25,
             guessers=("constant", "offset"),
             smallest_read="span",
@@ -227,7 +227,7 @@ MODES: Final[Mapping[str, Mode]] = {
             (_FRAME, Part("angle_deg", "angle", "angle in degrees")),
             same=_same_viewpoint,
             asks="frame and angle",
-            words="{frame}, angle {angle_deg}",
+            phrase="{frame}, angle {angle_deg}",
             aim=0.25,
             guessers=("constant", "offset"),
             smallest_read="start_view",
@@ -241,7 +241,7 @@ MODES: Final[Mapping[str, Mode]] = {
                 given.value > 0 and truth.value > 0 and 0.5 <= given.value / truth.value <= 2.0
             ),
             asks="seconds",
-            words="{value}",
+            phrase="{value}",
             aim=0.58,
             guessers=("constant",),
             smallest_read="count",

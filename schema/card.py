@@ -22,7 +22,7 @@ SUMMARY: Final = (
 
 
 class Source(NamedTuple):
-    """Data set from which questions are made.
+    """Data set that questions are made from.
 
     Attributes:
         name: Name of the data set.
@@ -100,8 +100,8 @@ RAI: Final[dict[str, str]] = {
     ),
     "dataLimitations": (
         "The answers are as good as the annotations. Wording comes from templates. Without occlusion attributes"
-        " clear views are derived from boxes, so a person may be hidden. Questions can be guessed better than by "
-        "chance; publish the score of a guesser beside results."
+        " clear views are derived from boxes and groups, so a person may be hidden. Questions can be guessed "
+        "better than by chance; publish the score of a guesser beside results."
     ),
     "dataBiases": (
         "One campus and one robot: places, clothes and habits of few people. Gender and age are impressions of "

@@ -1,4 +1,4 @@
-"""Actions as choices of questions: which may be choices, which may be called the same, and which a text implies."""
+"""Actions as choices: which actions may be choices, which overlap in meaning, and which ones a text implies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CHOICE_LABELS: Final = tuple(
         *("reading", "pulling"),
     }
 )
-"""Actions that may be choices. The labels of the others are too often missing or last for one second only."""
+"""Actions that may be choices. The labels of the excluded actions are often missing, or last only one second."""
 
 _ALSO_AS_CHOICES: Final = {
     "looking into sth": ("holding sth", "reading"),
@@ -34,13 +34,13 @@ _ALSO_AS_CHOICES: Final = {
     "skating": ("scootering",),
     "sitting": ("looking into sth", "typing", "reading", "writing"),
 }
-"""For choices and proofs only: further actions whose words fit a person with the label."""
+"""Further actions that a reader may see in a person with the label, beside `ALSO`. Only choices and proofs use them."""
 
 CALLED: Final[dict[str, frozenset[str]]] = {
     label: frozenset(name for name in ACTIONS if (label, name) in ALSO or name in _ALSO_AS_CHOICES.get(label, ()))
     for label in ACTIONS
 }
-"""For choices and proofs: the other actions whose words fit a person with the label, too."""
+"""All other actions that a reader may see in a person with the label. Choices and proofs use them."""
 
 _IMPLIED: Final = {
     "conversation": ("talking to someone", "listening to someone"),
@@ -57,16 +57,16 @@ _IMPLIED: Final = {
     **dict.fromkeys(("holding", "carrying", "transporting", "handling/manipulating"), ("holding sth",)),
     **dict.fromkeys(("using", "utilizing", "drinking"), ("holding sth",)),
 }
-"""For interactions and verbs of things: the actions that their words state, if a verb is not itself the action."""
+"""Actions that the words of an interaction or of a verb state. A verb with the name of an action states that action."""
 
 
 class ListedActions(NamedTuple):
-    """The written action labels of a person in a frame.
+    """The action labels of a person in a frame.
 
     Attributes:
-        certain: Actions that the annotators were certain about.
-        hard: Actions that may be true.
-        complete: Whether the whole list was read, so that an action without a label is false.
+        certain: Actions with an easy or medium label. A pose must also be the only pose of a complete list.
+        hard: All other actions with a label. They are possible.
+        complete: Whether the whole list was read. If it was, an action without a label is false.
     """
 
     certain: frozenset[str] = frozenset()
@@ -75,10 +75,10 @@ class ListedActions(NamedTuple):
 
 
 def list_actions(labels: Mapping[str, bool], complete: bool) -> ListedActions:
-    """Return the written action labels of a person in a frame.
+    """Sort the action labels of a person in a frame by certainty.
 
     Args:
-        labels: The actions. The value is False for an action with a hard or unreadable difficulty.
+        labels: For each labelled action, whether its label is easy or medium.
         complete: Whether the whole list was read.
 
     Returns:
@@ -93,7 +93,7 @@ def list_actions(labels: Mapping[str, bool], complete: bool) -> ListedActions:
 
 
 def may_be_same(label: str, second: str) -> bool:
-    """Tell whether two actions may be called the same, in either direction. Then they are no choices of one question.
+    """Return whether a reader may see one of two actions in a person with the other. One question never has both.
 
     >>> may_be_same("typing", "sitting"), may_be_same("walking", "standing")
     (True, False)
@@ -103,13 +103,13 @@ def may_be_same(label: str, second: str) -> bool:
 
 @cache
 def implied_actions(word: str) -> frozenset[str]:
-    """Return the actions that a label in a question's text states or implies, so that none may be a choice.
+    """Return the actions that a label in a question's text states or implies. None of them may be a choice.
 
     Args:
         word: Label of an action or interaction, or verb of a thing.
 
     Returns:
-        The actions that the word states, and all actions that may be called so.
+        The actions that the word states, and all actions with a meaning that overlaps one of them.
 
     >>> sorted(implied_actions("sitting together"))
     ['bending', 'cycling', 'sitting']

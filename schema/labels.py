@@ -1,8 +1,8 @@
 """Vocabularies of the labels of people, with the phrases of questions and the tables for other spellings.
 
-Labels are identified by name, never by number, because projects number the last actions differently. Values are spelled
-as in the annotation format, so that "food-truck", "food truck" and "food_truck" are one value. The loader reports a
-label that no table has, and no question uses it. None means that the annotators could not decide.
+Labels are identified by name, never by number, because projects number the last actions differently. All spellings of
+a value, such as "food-truck", "food truck" and "food_truck", become the spelling of the annotation format. The loader
+reports a label that no table has, and no question uses it. None means that the annotators could not decide.
 
 Each phrase of an action or interaction begins with a verb in -ing, so that it fits after "is" and after "starts". All
 phrases differ. No phrase contains " and " or a comma, because lists of phrases are split there. The order of poses,
@@ -82,9 +82,10 @@ AGES: Final = ("childhood", "adolescence", "young adulthood", "middle adulthood"
 _NEIGHBORING_AGES: Final = [ages for pair in itertools.pairwise(AGES) for ages in (pair, pair[::-1])]
 
 FLICKERING: Final = frozenset(("looking at robot", "looking at sth", "pointing at sth", "interaction with door"))
-"""Actions that labels often miss between two seconds that have them.
+"""Actions with unsteady labels, which are often missing in one second between two seconds with the label.
 
-In a description such an action is unknown, and not false, of a person who has its label at a keyframe before or after.
+In a description, a missing label of such an action does not make the action false if the person has the label one
+keyframe earlier or later. The action is unknown instead.
 """
 
 ALSO: Final = {
@@ -134,14 +135,14 @@ ALSO: Final = {
     ("looking into", "looking at"): "one looks at what one looks into",
     **dict.fromkeys(_NEIGHBORING_AGES, "ages have no bounds that can be seen"),
 }
-"""Pairs (label, other label) with a reason why ordinary words for the other label also fit a person with the label."""
+"""Pairs (label, wider label) with the reason why the wider label may also be true of a person with the label."""
 
 
 def may_be_called(label: str) -> frozenset[str]:
-    """Return the labels of people to which the words of another label may also apply.
+    """Return the labels of people who may also be called by another label.
 
     Args:
-        label: Label with these words.
+        label: The other label.
 
     >>> sorted(may_be_called("sitting"))
     ['bending', 'cycling']
@@ -150,7 +151,7 @@ def may_be_called(label: str) -> frozenset[str]:
 
 
 def choice_text(answer: str) -> str:
-    """Return an answer as a choice says it: an action as its phrase.
+    """Return the text of a choice with a given answer. The text of an action is its phrase.
 
     >>> choice_text("bending"), choice_text("neither time")
     ('bending down', 'neither time')
@@ -159,7 +160,7 @@ def choice_text(answer: str) -> str:
 
 
 def choice_of(answer: str, choices: Sequence[str]) -> int | None:
-    """Return the position of an answer among choices, from 1, or None if no choice says the answer.
+    """Return the position of an answer among choices, counted from 1, or None if no choice has the answer.
 
     Args:
         answer: Answer.
@@ -171,7 +172,7 @@ def choice_of(answer: str, choices: Sequence[str]) -> int | None:
 
 
 def answer_of_choice(text: str) -> str:
-    """Return the answer that a choice says: the reverse of `choice_text`."""
+    """Return the answer of a choice with a given text. This is the reverse of `choice_text`."""
     return next((action for action, phrase in _CHOICE_PHRASES.items() if phrase == text), text)
 
 
@@ -200,14 +201,14 @@ CLEAR_OCCLUSIONS: Final = frozenset(OCCLUSIONS[:2])
 COVERED_OCCLUSIONS: Final = frozenset(OCCLUSIONS[2:])
 
 ROBOT_SECTORS: Final = {"ahead": 180.0, "right": 270.0, "behind": 0.0, "left": 90.0}
-"""Panorama angle in degrees of the axis of each direction that the robot sees."""
+"""Panorama angle, in degrees, of the axis of each sector that is seen from the robot."""
 
 
 class PersonSector(NamedTuple):
-    """Sector of a person, in degrees from the direction that the person faces to the side, or to either side.
+    """Sector around a person. Angles are in degrees from the direction that the person faces, towards `side`.
 
-    The sector is true of a direction from `low` to `high`. It is false of a direction that is not from `least` to
-    `most`. Between these ranges it is unknown, because some readers would call it true.
+    The sector is true for directions from `low` to `high`, and false for directions outside `least` to `most`. For all
+    other directions it is unknown, because readers disagree about them.
     """
 
     side: Literal["left", "right", "either"]
@@ -233,7 +234,7 @@ PERSON_SECTORS: Final = {
 
 DISTANCE_WORDS: Final = ("very close", "close", "moderate", "far", "very far")
 DISTANCE_BOUNDS_M: Final = (0.5, 1.5, 5.0, 10.0)
-"""Maximum distance in metres of each distance word except the last."""
+"""Maximum distance in metres for each distance word except the last."""
 
 ETHNICITIES: Final = ("caucasian/white", "negroid/black", "mongoloid/asian", "others")
 """Guesses of the annotators, in the annotation's own terms."""
@@ -255,7 +256,7 @@ BODY_PLACES: Final = (
     *("floor", "chair", "stairs", "ground", "platform", "grass", "bike", "scooter", "balcony", "sofa", "skateboard"),
     *("sidewalk", "pathway", "desk", "street", "crosswalk", "bench", "road"),
 )
-"""Things that carry the people of a group, such as a floor or a chair (`BPC` in the files)."""
+"""Things that support the bodies of the people of a group, such as a floor or a chair (`BPC` in the files)."""
 
 SURROUNDINGS: Final = (
     *("counter", "pillar", "bin", "gate", "table", "wall", "stairs", "fence", "door", "trolley", "coffee_machine"),

@@ -14,8 +14,8 @@ RelationKind = Literal["social", "group", "first", "person", "window"]
 Use = Literal["hop", "join", "count"]
 """Use of a relation in a question.
 
-A hop leads to one person. Two joins together lead to one person. With count, the people who have the relation are
-counted.
+hop: the relation leads to one person. join: two relations together lead to one person. count: the question counts the
+people who have the relation.
 """
 
 KINDS_OF_USE: Final[dict[Use, tuple[RelationKind, ...]]] = {
@@ -27,7 +27,7 @@ KINDS_OF_USE: Final[dict[Use, tuple[RelationKind, ...]]] = {
 SAME_GROUP: Final = "in the same group as"
 WINDOW_DEGREES: Final = (30, 45, 60, 90)
 PAIR_REACH_M: Final = 5.0
-"""Distance in metres. Relations of the kind "person" have only distance words that begin below it."""
+"""Distance in metres. A question uses a relation of the kind "person" only if its distance word begins below it."""
 
 
 class Relation(NamedTuple):
@@ -36,9 +36,8 @@ class Relation(NamedTuple):
     Attributes:
         label: Name of the relation.
         kind: social: a labelled interaction, which holds in both directions. group: both people are members of one
-            social
-            group. first: the target is the first person on a side of the source. window: the target is within some
-            degrees on a side. person: the target is in a sector of the source, at a distance.
+            social group. first: the target is the first person on a side of the source. window: the target is within
+            some degrees on a side. person: the target is in a sector of the source, at a distance.
         side: Side of the kinds "first" and "window", otherwise "".
         degrees: Maximum angle of the kind "window", otherwise 0.
         sector: Sector of the kind "person", otherwise "".

@@ -1,8 +1,8 @@
 """All thresholds of the benchmark.
 
 The command `load` applies `LoadRules`. The graph stores a hash of them, and questions are generated only from a graph
-with the same load rules. `Rules` adds the thresholds of generation. Each row of `answers` has a hash of `Rules`. Fields
-have seconds if a person would say seconds. The program compares frames, and `frames` converts seconds.
+with the same load rules. `Rules` adds the thresholds of generation. Each row of `answers` has a hash of `Rules`. Most
+lengths of time are in seconds. The program compares frames, and `frames` converts seconds to frames.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ def training_rules(rules: Rules) -> Rules:
 
 
 def rules_hash(rules: Rules | LoadRules) -> str:
-    """Return 16 hexadecimal digits that change with any threshold.
+    """Return a hash of the rules as 16 hexadecimal digits. Rules with different thresholds have different hashes.
 
     Args:
         rules: Rules.

@@ -1,8 +1,8 @@
-"""The question templates: one row each, with plan, layers, proofs and words.
+"""The question templates. Each form of a template is one row with its plan, layers, proofs and paraphrases.
 
-To add a template, see "Add" in `docs/architecture.md`. In paraphrases, `{who}` is the description, `{t0}` a stated
-time, `{action1}` an action, and `{says1}`, `{the1}` and `{holds1}` are phrases of the first relation, `{Says1}` at the
-start of a sentence. `{At}`, `{at}`, `{When}`, `{How}` and `{about}` say "about" if a time is approximate.
+See "Add" in `docs/architecture.md` to add a template. A paraphrase has slots. `{who}` is the description, `{t0}` is a
+stated time, and `{action1}` is an action. `{says1}`, `{the1}` and `{holds1}` are phrases of the first relation.
+`{Says1}` has a capital letter. `{At}`, `{at}`, `{When}`, `{How}` and `{about}` say "about" if a time is approximate.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time
 from jrdb_avr.schema.relations import Use
 
 TimeProof = Literal["times", "program", "construction"]
-"""Part that the proofs about time change: the stated times after the description, for the same person; the whole
-program, description and hops included; or nothing, because the answer is itself a time."""
+"""Part of a question that the proofs about time move.
+
+times: the stated times after the description. The person stays the same. program: the time of the description, so that
+all people are found again. construction: nothing, because the answer is itself a time.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,15 +46,24 @@ class Slots:
 
 @dataclass(frozen=True)
 class Template:
-    """A kind of question, or one of several forms of a kind. Its plan describes person a.
+    """A form of a question template. Node a of its plan is the described person.
 
-    spec: how the answer is read from the plan; read: names of the frames where it is read (see
-    `engine.generate.propose.Proposal`), without which they are the times of `spec`. decisive: the frames whose boxes of
-    the target decide, without which they are those of `read`; if the target is absent at all of them, the box at t0
-    decides. stated: names of the stated times, that of the description first; events: the other times, with `{1}` and
-    `{2}` for the question's actions. edges: source and target of each relation. single_view: whether one fixed view may
-    answer the question. form: name of a form, which is also that of its generator query; the forms of a template are
-    judged together. seeks: what a scene must hold for a candidate; the first form states it for all.
+    Attributes:
+        name: Name of the template. All forms of a template have the same name and are judged together.
+        family: Family of the template.
+        spec: Read of the answer.
+        paraphrases: Texts of the question with slots.
+        stated: Names of the stated times. The first is the time of the description.
+        events: Other times by name. Their actions are `{1}` and `{2}`, the first and second action of the question.
+        edges: Source and target of each relation.
+        layers: Annotation layers that the template needs.
+        time_proof: Part of the question that the proofs about time move.
+        single_view: Whether one fixed view may show all that is needed for the answer.
+        read: Names of the frames with the answer, as in `propose.Proposal`. The default is the times of `spec`.
+        decisive: Names of the frames in which the target's boxes are decisive evidence. The default is `read`. If the
+            target is absent from all of these frames, its box at the time of the description is decisive.
+        form: Name of the form and of its generator query, or "" if it is the name of the template.
+        seeks: Events that make a candidate. The first form of a template names the events of all forms.
     """
 
     name: str
@@ -95,7 +107,7 @@ class Template:
 
     @property
     def joins(self) -> bool:
-        """Whether two branches of relations meet in the target."""
+        """Whether two branches of relations lead to the target."""
         return len(self.edges) >= len(self.people)
 
     @property
@@ -117,12 +129,12 @@ class Template:
 
     @property
     def asks_action(self) -> bool:
-        """Whether the answer is an action, so that the text may not state it."""
+        """Whether the answer is an action. The text of the question must not state this action."""
         return self.spec.read in ("action", "next_action")
 
     @property
     def answer(self) -> tuple[str, ...] | None:
-        """The stored answer's JSON as pieces and columns; None for an answer that is one of `choices`."""
+        """JSON of the stored answer as a sequence of texts and columns. None if the answer is a choice."""
         return MODES[self.spec.mode].stored_json
 
     @property
@@ -137,9 +149,7 @@ class Template:
             slots: Slots of the text.
         """
         named = {f"{{{i}}}": action for i, action in enumerate(slots.actions, 1)}
-        events = {
-            t: replace(time, action=named[time.action]) if time.action else time for t, time in self.events.items()
-        }
+        events = {t: replace(e, action=named[e.action]) if e.action else e for t, e in self.events.items()}
         return Plan(
             root="a",
             target=self.target,
@@ -153,17 +163,13 @@ class Template:
         )
 
     def slots(self, plan: Plan) -> Slots | None:
-        """Return the slots of a plan's text, or None if the plan lacks a part, because it is of another template.
+        """Return the slots of a plan's text. Return None if the plan lacks a part, so that it has another form.
 
         Args:
             plan: Plan.
         """
         frames = {name: plan.times[name].frame for name in self.stated if name in plan.times}
-        actions = {
-            time.action: plan.times[name].action
-            for name, time in self.events.items()
-            if time.action is not None and name in plan.times
-        }
+        actions = {e.action: plan.times[t].action for t, e in self.events.items() if e.action and t in plan.times}
         relations = (plan.answer.relation,) if self.counts else tuple(edge.relation for edge in plan.edges)
         root = next(node for node in plan.nodes if node.id == plan.root)
         slots = Slots(
@@ -421,13 +427,13 @@ _ROWS: Final = (
 )
 
 TEMPLATES: Final[dict[str, Template]] = {row.query: row for row in _ROWS}
-"""Templates by name of the form, in the order of the search. The forms of a template are neighbours."""
+"""Rows by the name of the form, in the order of the search. The forms of a template follow each other."""
 
 FORMS: Final = {name: tuple(rows) for name, rows in groupby(_ROWS, key=lambda row: row.name)}
-"""Forms of each template, by name of the template."""
+"""Forms of each template by the name of the template."""
 
 FAMILIES: Final = {name: forms[0].family for name, forms in FORMS.items()}
-"""Family of each template, by name of the template."""
+"""Family of each template by the name of the template."""
 
 
 def forms_of(name: str) -> tuple[Template, ...]:

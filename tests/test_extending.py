@@ -56,7 +56,7 @@ HEADING = """
         (Part("angle_deg", "angle", "direction of movement"),),
         same=lambda given, truth, _second: float(angle_error(given.angle_deg, truth.angle_deg)) <= 20.0,
         asks="angle",
-        words="towards {angle_deg}",
+        phrase="towards {angle_deg}",
         aim=0.25,
         guessers=("constant",),
         smallest_read="action",

@@ -32,7 +32,7 @@ DUPLICATE_DEG: Final = 1.0
 
 
 class ImageFrame(NamedTuple):
-    """The pictures to which a box of a reply may refer.
+    """The pictures that a box of a reply may refer to.
 
     frames: the frames of the pictures. width, height: the size of each picture in pixels. left: the column of the
     panorama at the left edge of each picture.
@@ -350,7 +350,7 @@ class Attempt:
 
         Args:
             value: The part.
-            image: The pictures to which the box may refer.
+            image: The pictures that the box may refer to.
 
         Returns:
             The evidence.
@@ -368,7 +368,7 @@ class Attempt:
 
         Args:
             reply: The object of the reply.
-            image: The pictures to which the box may refer.
+            image: The pictures that the box may refer to.
 
         Returns:
             The parsed parts, and the faults of parts that could not be read.

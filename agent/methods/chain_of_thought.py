@@ -61,7 +61,7 @@ def read_facts(reply: dict[str, Any]) -> tuple[str, ...]:
         reply: The object `{"reasoning": [...]}`.
 
     Returns:
-        The facts. Each is one line, in which words are separated by single blanks.
+        The facts. Each fact is one line with single blanks between its words.
 
     Raises:
         DecodeError: If there are no facts or too many facts, or if a fact is empty or too long.

@@ -97,7 +97,7 @@ class Calibration(msgspec.Struct, frozen=True):
             declared: The convention of the model's family.
 
         Returns:
-            The declared convention, in which the readings of this calibration replace the declared readings.
+            The declared convention with the readings of this calibration instead of the declared readings.
         """
         return replace(
             declared, boxes={**declared.boxes, **self.boxes}, scales={**declared.scales, **self.scales}, calibrated=True

@@ -23,7 +23,7 @@ after the model has resized it ("resized").
 
 SCALE: Final = 1000
 TOLERANCE: Final = 0.02
-"""Maximum distance from the image, as a share of its side, at which a coordinate outside the image is clipped."""
+"""Maximum distance from the image, as a share of its side, of a coordinate that is clipped to the image."""
 
 CONTRACT_KEY: Final = "bbox"
 

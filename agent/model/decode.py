@@ -367,7 +367,7 @@ def read_evidence(value: object, frames: Collection[int], size: Size, convention
 
     Args:
         value: The part of the reply.
-        frames: The frames of the images to which the box may refer.
+        frames: The frames of the images that the box may refer to.
         size: Width and height of these images in pixels.
         convention: The convention of the model.
 

@@ -37,10 +37,10 @@ def command(model: str, endpoint: Any, form: RowFormat) -> None:
     for check in checks:
         remedy = "" if check.passed else check.remedy
         if form:
-            row = {"passed": check.passed, "needed": check.needed, "seen": check.seen, "remedy": remedy}
+            row = {"passed": check.passed, "needed": check.needed, "seen": check.result, "remedy": remedy}
         else:
             result = "passed" if check.passed else "failed" if check.needed else "warning"
-            row = {"result": result, "seen": check.seen, "what to do": remedy}
+            row = {"result": result, "seen": check.result, "what to do": remedy}
         rows.append({"check": check.name, **row})
     print_rows(rows, title=f"Preflight of {model}", form=form)
     try:

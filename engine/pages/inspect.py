@@ -109,7 +109,7 @@ class Inspected:
         people: Track id of each person of the plan, by role. The role of a person is the id of the person's node.
         counted: Track id of each person that the answer counts and that the plan does not name, by role.
         moments: Frame of each time that the plan names, by the name of the time.
-        annotated: Frame at which the page shows a time (see `nearest_annotated`), by the name of the time.
+        annotated: Frame that the page shows for a time (see `nearest_annotated`), by the name of the time.
         decisive: The box that shows the answer. If the answer is a count, the first of the boxes that the answer needs.
         boxes: Boxes of people in each frame that the page shows, by frame. Each frame has a list of pairs. A pair is
             the role and the box of a person.
@@ -164,7 +164,7 @@ def _box(row: Record) -> Box:
 
 
 def nearest_annotated(frame: int, frames: Sequence[int], step: int) -> int:
-    """Return the frame at which the page shows an event. If possible, this frame is annotated.
+    """Return the frame that the page shows for an event. If possible, this frame is annotated.
 
     Args:
         frame: Index of the frame of the event.
@@ -277,7 +277,7 @@ def _times(plan: Plan) -> list[str]:
 
 
 def _reads(plan: Plan) -> str:
-    """Return in words which property of which person answers the question of a plan, and at which times."""
+    """Return the read of a plan in words: the property, the person, and the times."""
     counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
     return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 

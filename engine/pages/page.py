@@ -152,7 +152,7 @@ def readable(mode: str, text: str | None, choices: Sequence[str], fps: float, un
         "decimal": lambda value: f"{value:.2f}".removesuffix(".00") + (f" {unit}" if unit else ""),
     }
     record = MODES[mode]
-    return record.words.format_map({name: write[kind](getattr(answer, name)) for name, kind in record.fields})
+    return record.phrase.format_map({name: write[kind](getattr(answer, name)) for name, kind in record.fields})
 
 
 def unit_of(plan: Plan) -> str:

@@ -53,7 +53,7 @@ def rederive(annotations: Annotations, plan: Plan, template: str, rules: Rules, 
 def _needed_boxes(resolved: ResolvedPlan, reading: Reading) -> tuple[NeededBox, ...]:
     """Return the boxes that must be seen: of all people at t0, and of the target in the frames of the answer.
 
-    The target's boxes in the frames of the answer are decisive. If it has none, its box at t0 is.
+    The target's boxes in the frames of the answer are decisive. If there are none, its box at t0 is decisive.
     """
     annotations, decisive_frames = resolved.annotations, set(reading.decisive)
     needed = []

@@ -25,13 +25,13 @@ GridFacts = npt.NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Stable stretch of an action.
+    """Stable segment of an action: one stretch of time with certain labels and clear edges.
 
     Attributes:
         first: First frame with the action.
         last: Last frame with the action.
-        start: Frame at which the action starts, as questions mean it.
-        end: Frame at which the action ends, as questions mean it.
+        start: Start of the action as the answers of questions have it.
+        end: End of the action as the answers of questions have it.
         closed: Whether the end is certain.
     """
 
@@ -47,7 +47,7 @@ class ActionList:
     """Action labels of one person in one frame.
 
     Attributes:
-        codes: Difficulty of each action. An action without a label has the code 3 if a label's words fit it, too.
+        codes: Difficulty of each action. An action without a label has the code 3 if `also_said` of a label has it.
         written: Actions with a label.
         poses: Poses with a label.
     """
@@ -115,12 +115,12 @@ class ActionFacts(PersonBoxes):
         return self._actions.get(track, {}).get(frame, EMPTY_LIST)
 
     def _is_complete(self, track: int, frame: int) -> bool:
-        """Return whether the person has a box whose whole list was read."""
+        """Return whether the person has a box, and the whole list of the person's actions was read."""
         person = self._people.get(frame, {}).get(track)
         return person is not None and person.listed
 
     def pose(self, track: int, frame: int) -> str | None:
-        """Return the only, certain pose of the person. None if it is unknown, as for covered people."""
+        """Return the certain pose of the person. None if the pose is unknown or the person is covered."""
         certain = self._is_complete(track, frame) and not self.covered(track, frame)
         return self._list(track, frame).pose if certain else None
 
@@ -139,10 +139,11 @@ class ActionFacts(PersonBoxes):
         return frozenset(action for action in easy if action == pose or action not in POSE_NAMES)
 
     def performs(self, track: int, action: str, frame: int) -> int:
-        """Return whether the person performs an action, as choices and proofs judge it: by the labels of this frame.
+        """Return whether the person performs an action, by the rules of choices and proofs.
 
-        It is false only if the list is complete and no label of it may be called so. A pose is false only beside one
-        certain pose. It is unknown if the person is covered.
+        Only the labels of this frame count. The action is false only if the list is complete and has no label that
+        overlaps the action in meaning (`CALLED`). A pose is false only beside one certain pose. For a covered person,
+        every action is unknown.
         """
         if self.box(track, frame) is None or self.covered(track, frame):
             return UNKNOWN
@@ -215,7 +216,7 @@ class ActionFacts(PersonBoxes):
             return UNKNOWN
         if (track, action) in self._states:
             return int(self._states[track, action][0][self.grid.index(frame)])
-        # Because most facts are needed at one frame only, and all frames of the person take far longer.
+        # Because most facts are needed at one frame only, and computing all frames takes far longer.
         return UNKNOWN if self._in_gap(track, action, frame) else self._state_by_labels(track, frame, action)
 
     def _in_gap(self, track: int, action: str, frame: int) -> bool:

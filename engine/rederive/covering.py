@@ -15,7 +15,7 @@ _ROUND = WIDTH * _PARTS
 
 
 class Outline(NamedTuple):
-    """Box in whole length units, cut to the rows of the panorama and to one turn. Both ends are outside the box."""
+    """Box in whole length units, cut to the panorama's rows and to one turn. `right` and `bottom` are exclusive."""
 
     left: int
     right: int
@@ -29,7 +29,7 @@ class Outline(NamedTuple):
 
 
 def outline_of(box: Box) -> Outline:
-    """Return the outline of a box. Its left edge is inside the panorama, and its right edge may be beyond the seam."""
+    """Return the outline of a box. Its left edge is in the panorama. Its right edge may be beyond the seam."""
     left, right = round(box.x * _PARTS), round((box.x + box.w) * _PARTS)
     start = left % _ROUND
     top, bottom = (min(max(round(row * _PARTS), 0), HEIGHT * _PARTS) for row in (box.y, box.y + box.h))
@@ -37,7 +37,7 @@ def outline_of(box: Box) -> Outline:
 
 
 def is_nearer(outline: Outline, rival: Outline) -> bool:
-    """Return whether a rival box is nearer: its bottom is lower, or its top higher if both reach the last rows."""
+    """Return whether a rival is nearer: its bottom is lower. If the image cuts off both boxes, its top is higher."""
     cut_off = (HEIGHT - 2) * _PARTS
     if outline.bottom >= cut_off and rival.bottom >= cut_off:
         return outline.top - rival.top > 4 * _PARTS

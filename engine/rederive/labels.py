@@ -28,14 +28,14 @@ _COLUMNS: Final = {
     "handles": ("frame", "track", "object", "category_id", "verb", "difficulty"),
     "categories": ("category_id", "category"),
 }
-"""Columns that are read of each layer. They have half of the bytes of all columns."""
+"""Columns of each layer that are read. They have half of the bytes of all columns."""
 
 
 class _LayerTables(Mapping[str, pa.Table]):
-    """Annotation tables of a sequence by layer. Each is read when it is used, and not kept.
+    """Annotation tables of a sequence by layer. Each access reads the table from its file.
 
-    `load` writes a table for every layer, empty if the sequence lacks it. A missing file is therefore an error of the
-    store, and not an empty layer, which would refute most questions.
+    `load` writes a file for every layer, even if the sequence lacks the layer. A missing file is therefore an error of
+    the store. If it counted as an empty layer, most questions would fail.
     """
 
     def __init__(self, store: Store, sequence: str) -> None:
@@ -120,7 +120,7 @@ class Annotations(RelationFacts):
         return self._held[key]
 
     def could_match(self, conditions: Iterable[Condition], frame: int) -> list[int]:
-        """Return all people at the frame for whom no condition is false."""
+        """Return all people at the frame who could match a description: no condition is false."""
         facts = [self.held(condition, frame) for condition in conditions]
         return [track for track in self.uncovered_people(frame) if all(fact[track] != FALSE for fact in facts)]
 
@@ -169,7 +169,7 @@ class Annotations(RelationFacts):
                 return self.within(track, partner, row.degrees, frame, row.side == "left")
 
     def step_to(self, relation: str, track: int, frame: int) -> tuple[OutcomeKind, int | None]:
-        """Find the only person at the frame to whom a relation leads from a person. Results are those of `find`."""
+        """Find the only person at the frame who is the target of a relation. `find` describes the results."""
         partners = [partner for partner in self.uncovered_people(frame) if partner != track]
         return only({partner: self.related(relation, track, partner, frame) for partner in partners})
 
@@ -181,7 +181,7 @@ def conjunction(facts: Iterable[int]) -> int:
 
 
 def only(facts: dict[int, int]) -> tuple[OutcomeKind, int | None]:
-    """Find the only person for whom a fact is true.
+    """Find the only person with a true fact.
 
     Args:
         facts: Facts by track.

@@ -17,7 +17,7 @@ from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules
 
 ViewClass = Literal["clear", "covered", "uncertain"]
-"""Class of a person with a box in a frame: in clear view, certainly not in clear view, or neither."""
+"""Class of a person with a box in a frame. "covered": certainly not in clear view. "uncertain": all other people."""
 
 
 class _Person2D(NamedTuple):
@@ -73,7 +73,7 @@ class PersonBoxes:
         numbers = sorted(self.layers.get(leading, []))
         if numbers and step_of(numbers) == 1:
             numbers = [f for f in range(numbers[0], numbers[-1] + 1) if f % KEYFRAME_STEP == 0]
-        # Because a frame with boxes that the 2D layer does not list may have more people, who could not be read.
+        # Because a frame with boxes that the 2D layer does not list may have more people with unreadable boxes.
         return frozenset(f for f in numbers if self.knows(f) or not self._people.get(f))
 
     def knows(self, frame: int, layer: str = "2d") -> bool:
@@ -108,7 +108,7 @@ class PersonBoxes:
         return self.box(track, frame) is not None and self.view(track, frame) == "clear"
 
     def covered(self, track: int, frame: int) -> bool:
-        """Return whether the person is certainly not in clear view, and is ignored. False without a 2D box."""
+        """Return whether the person is covered, so that questions ignore the person. False without a 2D box."""
         return self.box(track, frame) is not None and self.view(track, frame) == "covered"
 
     def uncovered_people(self, frame: int) -> list[int]:
@@ -145,7 +145,7 @@ class PersonBoxes:
         return "clear" if visible and self._has_certain_group(track, frame) else "uncertain"
 
     def _has_certain_group(self, track: int, frame: int) -> bool:
-        """Return whether the nearest frame with group labels, at most a second away, has an easy one of the person."""
+        """Return whether the nearest frame with group labels, up to a second away, has an easy label of the person."""
         labelled = self._grouped_frames
         index = bisect_left(labelled, frame)
         near = [at for at in labelled[max(index - 1, 0) : index + 1] if abs(at - frame) <= KEYFRAME_STEP]

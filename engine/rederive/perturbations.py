@@ -1,8 +1,8 @@
 """Prove a question again: evaluate every perturbation of its plan from the annotation tables.
 
-A perturbation is another plan: with another target, without a hop, at other times, or without a condition. Its people
-are found and its answer is read as for any plan. Its outcome compares that answer with the answer of the question.
-Kinds and variants have the names that questions store.
+A perturbation changes a plan: it takes another target, omits a hop or a condition, or moves the times. The people of
+the changed plan are found and its answer is read as for any plan. The outcome compares this answer with the answer of
+the question. Kinds and variants have the names that questions store.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jrdb_avr.schema.questions import NeededBox, Proof
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, frames
 
 _PROVING: Final = ("different", "ambiguous", "empty")
-"""Outcomes of a perturbed plan that certainly does not give the answer of the question."""
+"""Outcomes of perturbed plans that certainly do not lead to the answer of the question."""
 
 _AHEAD_DEG: Final = 180.0
 """Panorama angle of the direction straight ahead of the robot."""
@@ -44,10 +44,10 @@ def prove_again(
         plan: Plan of the question.
         template: Name of the template.
         rules: Thresholds.
-        result: What `rederive` returns for the question.
+        result: Result of `rederive` for the question.
 
     Returns:
-        The proofs in the order in which questions store them.
+        The proofs in the order of the stored questions.
     """
     perturbed = _Perturbed(find_people(annotations, plan, template, rules), result)
     clear = all(annotations.clear(box.track, box.frame) for box in result.needed)
@@ -64,13 +64,13 @@ def prove_again(
 
 @dataclass(frozen=True, slots=True)
 class _Perturbed:
-    """A plan with its people, and its result, with which the results of its perturbations are compared."""
+    """A plan with its people, and the result that the results of its perturbations are compared with."""
 
     resolved: ResolvedPlan
     result: Outcome
 
     def conditions(self) -> Iterator[Proof]:
-        """Yield the proofs without a condition: two people or more could match the other conditions."""
+        """Yield one proof per condition: without it, two people or more could match the other conditions."""
         plan, annotations = self.resolved.plan, self.resolved.annotations
         stated = next(node.conditions for node in plan.nodes if node.id == plan.root)
         for condition in stated:
@@ -85,7 +85,7 @@ class _Perturbed:
             return
         for index, node in enumerate(list(self.resolved.people)[:-1]):
             yield self._prove("hop.stop", str(index), partial(_stopped, self.resolved, node))
-        # Because a path without its last hop is the path stopped one person early. A fork has two last hops.
+        # Because a path without its last hop equals the path that stops one person early. A fork has two last hops.
         joins = sum(edge.target == target for edge in edges) > 1
         for index, edge in enumerate(edges, start=1):
             if joins or edge.target != target:
@@ -94,8 +94,8 @@ class _Perturbed:
     def times(self) -> Iterator[Proof]:
         """Yield the proofs at other times: shifted both ways, and at every keyframe.
 
-        The times after the description move, and the people stay. Without such times the description's time moves, and
-        all people are found anew. If the answer is itself a time, no time is moved.
+        The times after the description move, and the people stay the same. If there are no such times, the time of the
+        description moves, and all people are found again. If the answer is itself a time, no time moves.
         """
         resolved, stated = self.resolved, self.resolved.stated
         answer = resolved.plan.answer
@@ -120,7 +120,7 @@ class _Perturbed:
         yield Proof("time.drop", "all keyframes", outcome in _PROVING, outcome)
 
     def views(self) -> Iterator[Proof]:
-        """Yield two proofs: whether the forward view shows all decisive boxes, and a single view all needed boxes."""
+        """Yield two proofs: the forward view lacks a decisive box, and every single view lacks a needed box."""
         share, needed = self.resolved.rules.visible_share, self.result.needed
         ahead = all(_shows(box, share)[int(crop_left(_AHEAD_DEG))] for box in needed if box.decisive)
         yield Proof("view.ahead", "180", not ahead, "same" if ahead else "empty", self.result.answer if ahead else None)
@@ -129,9 +129,10 @@ class _Perturbed:
         yield Proof("view.single", "any angle", not single, outcome, answer)
 
     def _prove(self, kind: str, variant: str, perturb: Callable[[], ResolvedPlan]) -> Proof:
-        """Return the proof by the plan that `perturb` makes, with its answer if that is a choice.
+        """Return the proof with the plan that `perturb` makes, and with the answer of that plan.
 
-        For actions there is an answer only if the outcome is "same", because a person performs several actions.
+        If the answer is an action, the proof has it only if the outcome is "same", because a person may perform several
+        actions.
         """
         outcome, answer = "unknown", None
         try:
@@ -149,7 +150,7 @@ class _Perturbed:
         return Proof(kind, variant, outcome in _PROVING, outcome, answer)
 
     def _compare_starts(self, perturbed: ResolvedPlan) -> str:
-        """Compare two starts. Without a certain start, the outcome is unknown only if a start could score."""
+        """Compare two starts. Without a certain start, the outcome is "unknown" if a possible start could score."""
         stored = decode_answer("frame_viewpoint", self.result.answer or "")
         try:
             again = decode_answer("frame_viewpoint", reading_of(perturbed).answer)
@@ -163,7 +164,7 @@ class _Perturbed:
 
 
 def _stopped(resolved: ResolvedPlan, node: str) -> ResolvedPlan:
-    """Return the plan with another person of it as target."""
+    """Return the plan with the person at `node` as its target."""
     plan = resolved.plan
     times = {name: changed(time, of=node) if time.of == plan.target else time for name, time in plan.times.items()}
     return replace(resolved, plan=changed(plan, target=node, times=times, answer=changed(plan.answer, of=node)))
@@ -185,7 +186,7 @@ def _skipped(resolved: ResolvedPlan, skipped: Edge) -> ResolvedPlan:
 
 
 def _moved(resolved: ResolvedPlan, by: int) -> ResolvedPlan:
-    """Return the plan with later times, or without such times the whole plan, moved to another keyframe."""
+    """Return the plan with moved times: the times after the description, or all times if there is only one."""
     whole = len(resolved.stated) == 1
     stated = {name: at + by if whole or name != resolved.described else at for name, at in resolved.stated.items()}
     if not resolved.annotations.keyframes.issuperset(stated.values()):
@@ -219,7 +220,7 @@ def _could_start(perturbed: ResolvedPlan, stored: FrameViewpoint) -> bool:
 
 
 def _shows(box: NeededBox, share: float) -> Bools:
-    """Return, for each column of the panorama, whether the crop from it shows at least this share of a box's width."""
+    """Return for each column whether a crop that begins at it shows at least `share` of the box's width."""
     begin = (box.x - np.arange(WIDTH)) % WIDTH
     # Because the box may begin in the crop, or before the crop and reach across its left edge.
     shown = np.clip(CROP - begin, 0, box.w) + np.clip(begin - WIDTH + box.w, 0, CROP)

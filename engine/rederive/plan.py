@@ -1,4 +1,4 @@
-"""Find the people of a plan: the described person, and the people to whom relations lead."""
+"""Find the people of a plan: the described person, and the targets of the relations."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def find_people(annotations: Annotations, plan: Plan, template: str, rules: Rule
         except Undefined as reason:
             failures.append(reason)
     if failures:
-        # Branches have no order. If one certainly leads to no person, an unknown fact of another one does not matter.
+        # Branches have no order. If one branch certainly leads nowhere, unknown facts of others do not matter.
         raise min(failures, key=lambda reason: ("empty", "ambiguous", "unknown").index(reason.outcome))
     return resolved
 
@@ -130,7 +130,7 @@ def _edges_by_target(plan: Plan) -> dict[str, list[Edge]]:
 
 
 def _follow(resolved: ResolvedPlan, edge: Edge) -> int:
-    """Return the only person to whom a relation leads. It may not lead back to a person of the plan."""
+    """Return the only target of a relation. The target must not be an earlier person of the plan."""
     outcome, person = resolved.annotations.step_to(edge.relation, resolved.people[edge.source], resolved.t0)
     if person is None:
         raise Undefined(outcome, f"{edge.source} does not certainly have one single person {edge.relation!r}")
@@ -140,14 +140,14 @@ def _follow(resolved: ResolvedPlan, edge: Edge) -> int:
 
 
 def join(resolved: ResolvedPlan, edges: list[Edge]) -> int:
-    """Find the person to whom several relations lead.
+    """Find the common target of several relations.
 
     Args:
-        resolved: Plan whose people do not count.
+        resolved: Plan with its people. These people cannot be the target.
         edges: Edges to one node.
 
     Returns:
-        Track of the only person to whom all edges lead.
+        Track of the only person who is the target of all edges.
 
     Raises:
         Undefined: If they do not certainly lead to one single person.

@@ -59,7 +59,7 @@ def reading_of(resolved: ResolvedPlan, choices: Sequence[str] = ()) -> Reading:
 
 
 def read_action(resolved: ResolvedPlan) -> Reading:
-    """Read the only choice that is true at one time. If that is not the description's time, it is false at that one."""
+    """Read the only true choice at a time. If this is a later time, the choice must be false at the description."""
     annotations, target = resolved.annotations, resolved.target
     frame, rules = resolved.frame(0), resolved.rules
     later = resolved.plan.answer.times[0] != resolved.described
@@ -142,8 +142,8 @@ def read_distance_change(resolved: ResolvedPlan) -> Reading:
 def read_count(resolved: ResolvedPlan) -> Reading:
     """Read how many different people are in a relation with the target at any frame between two times.
 
-    The number is known if the target has a box at each keyframe, and if each person who could be in the relation in one
-    frame certainly is in it in some frame.
+    The number is known if the target has a box at each keyframe, and if each person who may be in the relation in some
+    frame is certainly in the relation in at least one frame.
     """
     annotations, target = resolved.annotations, resolved.target
     first, last, relation = resolved.frame(0), resolved.frame(1), resolved.plan.answer.relation or ""
@@ -170,7 +170,7 @@ def read_count(resolved: ResolvedPlan) -> Reading:
 
 
 def _counts(annotations: Annotations, relation: str, target: int, partner: int, frame: int) -> int:
-    """Return whether a person is in a relation with the target in clear view: unknown if one of both is not clear."""
+    """Return whether a partner counts: in the relation with the target, while both are in clear view."""
     fact = annotations.related(relation, target, partner, frame)
     if fact == FALSE or not annotations.judges_views:
         return fact
@@ -226,7 +226,7 @@ def read_span(resolved: ResolvedPlan) -> Reading:
 
 
 def read_start_view(resolved: ResolvedPlan) -> Reading:
-    """Read the start of an action and the direction of the person then. It differs from that at the description."""
+    """Read the start of an action, and the direction of the person at the start. The person must have moved."""
     name, annotations = resolved.plan.answer.times[0], resolved.annotations
     segment = _first_segment(resolved, name)
     resolved.wait(resolved.t0, segment.start, resolved.rules.search_wait_s)
@@ -241,7 +241,7 @@ def read_start_view(resolved: ResolvedPlan) -> Reading:
 
 
 def read_next_action(resolved: ResolvedPlan) -> Reading:
-    """Read the pose that follows the pose at the description's time. That one is read at every keyframe until then."""
+    """Read the next pose of a person. The pose at the description must be certain at every keyframe until then."""
     annotations, target, name = resolved.annotations, resolved.target, resolved.plan.answer.times[0]
     event = resolved.plan.times[name]
     if event.action is not None or event.after != resolved.described:
@@ -311,14 +311,14 @@ def _absence(resolved: ResolvedPlan, leaves: str, returns: str) -> dict[str, int
 
 
 def _first_segment(resolved: ResolvedPlan, name: str) -> Segment:
-    """Return the stable segment that begins in the first frame after t0 in which the action is not certainly false."""
+    """Return the first stable segment after t0. Before its first frame, the action must be false since t0."""
     event, annotations, target = resolved.plan.times[name], resolved.annotations, resolved.target
     if event.event != "start" or event.of != resolved.plan.target or event.after != resolved.described:
         raise Undefined("unknown", f"{name} is not the start of an action after a stated time")
     after, action = resolved.t0, event.action or ""
     if annotations.state(target, action, after) != FALSE:
         raise Undefined("unknown", f"the action is not certainly absent at frame {after}")
-    # Compute them first, because this computes the states of all frames at once.
+    # Compute the segments first, because this computes the states of all frames at once.
     segments = annotations.segments(target, action)
     for frame in annotations.grid:
         if frame <= after or annotations.state(target, action, frame) == FALSE:

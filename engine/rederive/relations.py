@@ -52,7 +52,7 @@ class SocialFacts(ActionFacts):
         self._together: dict[tuple[int, int, str], _Labels] = defaultdict(dict)
         columns = ("frame", "track", "partner", "label", "difficulty")
         for frame, track, partner, label, difficulty in rows(tables["interactions"], *columns):
-            # A label of one of two people holds for both. A partner without a box in the frame gives no fact.
+            # A label of one person holds for both people. If a partner has no box in the frame, there is no fact.
             present = self._people.get(frame, ())
             if track in present and partner in present:
                 pair = min(track, partner), max(track, partner)
@@ -60,7 +60,7 @@ class SocialFacts(ActionFacts):
                 for wider in also_said(label):
                     _add_label(self._together[*pair, wider], frame, None)
             else:
-                # Because labels with a missing person may leave further labels out, the list is not complete.
+                # Because further labels of a missing person may be missing too, the list is not complete.
                 self._listed["interactions"] -= {(frame, track), (frame, partner)}
         names = dict(rows(tables["categories"], "category_id", "category"))
         self._handled: dict[tuple[int, str], dict[tuple[int, int], _Labels]] = defaultdict(lambda: defaultdict(dict))
@@ -77,9 +77,9 @@ class SocialFacts(ActionFacts):
         self._steps = {layer: step_of(sorted(self.layers.get(layer, []))) for layer in layers}
 
     def _find_unread(self, numbers: list[int]) -> frozenset[int]:
-        """Return the frames that the 2D layer lacks, up to one second before its first and after its last frame.
+        """Return the missing frames of the 2D layer, from a second before its first frame to a second after its last.
 
-        Frames before the first or after the last frame of all boxes and of the layer of groups do not count.
+        Only frames between the first and the last frame with a box or a group label count.
         """
         labelled = set(self._people).union(numbers, self.layers.get("groups", ()))
         first, last = min(labelled), max(labelled)
@@ -136,7 +136,7 @@ class SocialFacts(ActionFacts):
         return range(least, most + 1)
 
     def _size_of_all(self, track: int, frame: int) -> int | None:
-        """Return the size of the person's group if all people count. None if a membership that matters is unknown."""
+        """Return the size of the person's group if all people count. None if an unknown membership could change it."""
         membership = self._groups.get((frame, track))
         if membership is None or not self.knows(frame):
             return None
@@ -201,7 +201,7 @@ class SocialFacts(ActionFacts):
         return TRUE if TRUE in facts else UNKNOWN if UNKNOWN in facts else FALSE
 
     def handles(self, track: int, verb: str, category: str, frame: int) -> int:
-        """Return whether a person does this with a thing of the category. A thing of unknown category could be one.
+        """Return whether a person handles a thing of a category. A thing of unknown category may be of any category.
 
         Unknown for verbs that are poses, and for things that are people.
         """
@@ -292,7 +292,7 @@ class RelationFacts(SocialFacts):
     # -- from the robot -----------------------------------------------------------------------------------------
 
     def distance(self, track: int, frame: int) -> float | None:
-        """Return the metres from the robot, or None without a 2D box, or a 3D box with lidar points."""
+        """Return the metres from the robot. None if the person lacks a 2D box, or a 3D box with lidar points."""
         solid = self._solid(track, frame)
         return None if solid is None else solid.distance
 
@@ -307,7 +307,7 @@ class RelationFacts(SocialFacts):
         return UNKNOWN if off <= load.sector_false_deg + SLACK else FALSE
 
     def distance_words(self, track: int, frame: int) -> list[str]:
-        """Return the distance words that could be true: two near a bound, and all if the distance is unknown."""
+        """Return the distance words that may be true: two words near a bound, all words of an unknown distance."""
         metres = self.distance(track, frame)
         return list(DISTANCE_WORDS) if metres is None else self._distance_words(metres)
 
@@ -345,14 +345,14 @@ class RelationFacts(SocialFacts):
         return (360.0 - apart if apart > 0 else 0.0) if left else apart
 
     def first_beside(self, track: int, partner: int, frame: int, left: bool) -> int:
-        """Return whether another person is the first one met when turning from a person to one side."""
+        """Return whether `partner` is the first person beside a person, at one side in the robot's view."""
         key = (track, frame, int(left))
         if key not in self._firsts:
             self._firsts[key] = self._find_first(track, frame, left)
         return self._firsts[key].get(partner, FALSE)
 
     def _find_first(self, track: int, frame: int, left: bool) -> dict[int, int]:
-        """Return all people who are or could be the first one met: one for certain, or several possible ones."""
+        """Return the facts of all people who may be the first person at a side. The fact is TRUE if only one may be."""
         margin, reach = self.rules.load.neighbor_margin_deg, self.rules.load.neighbor_max_deg
         people = [person for person in self.uncovered_people(frame) if person != track]
         turns = {person: self.turn(track, person, frame, left) for person in people}

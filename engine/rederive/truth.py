@@ -21,7 +21,7 @@ FALSE, TRUE, UNKNOWN = 0, 1, 2
 """Values of a fact."""
 
 SLACK: Final = 1e-9
-"""Tolerance at bounds, so that a decimal such as 0.55 counts as equal to the bound that it names."""
+"""Tolerance of comparisons with bounds, because decimals such as 0.55 have no exact float."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Outcome:
         answer: An action or a fixed answer for a question with choices, else the stored JSON. None if not defined.
         target: Track of the target.
         people: Names of the plan's nodes with their tracks.
-        times: Names of the plan's times with their frames. The frame of an event is the frame that the question means.
+        times: Names of the plan's times with their frames. The frame of an event is its frame in answers.
         needed: Boxes that must be seen.
         faults: Rules that the question breaks.
     """
@@ -57,7 +57,7 @@ class Undefined(Exception):  # noqa: N818 - not an error: the plan's answer has 
 
 @functools.cache
 def also_said(label: str) -> tuple[str, ...]:
-    """Return the labels with words that fit a person with `label`, too. They are unknown of that person, not false."""
+    """Return the labels that may also be true of a person with `label`. They are unknown, not false."""
     return tuple(wider for narrow, wider in ALSO if narrow == label)
 
 
@@ -89,13 +89,13 @@ def step_of(numbers: list[int]) -> int:
 
 
 def in_closed_gap(has_label: Callable[[int], bool], frame: int, longest: int) -> bool:
-    """Return whether a frame without a label is between two frames with it that enclose at most `longest` frames."""
+    """Return whether a frame is in a gap of at most `longest` frames between two frames with a label."""
     before = next((back for back in range(1, longest + 1) if has_label(frame - back)), None)
     return before is not None and any(has_label(frame + on) for on in range(1, longest + 2 - before))
 
 
 def among(value: object, possible: Sequence[object]) -> int:
-    """Return whether a value is the true one of some possible values: unknown if it is one of several."""
+    """Return whether a value is the true value, if only the values in `possible` may be true."""
     if value not in possible:
         return FALSE
     return TRUE if len(possible) == 1 else UNKNOWN

@@ -268,7 +268,7 @@ class RunDifference(Displayed):
         ]
 
     def questions(self, score: str = "combined") -> list[Line]:
-        """Return the questions for which one run scores 1 and the other run scores 0.
+        """Return the questions that one run has right and the other run has wrong.
 
         Args:
             score: The kind of score to compare, a name of `SCORES`.
@@ -276,7 +276,7 @@ class RunDifference(Displayed):
         Returns:
             One row per question. A row has the id, the template and the sequence of the question. The column `only` has
             the id of the run that scores 1. A column for each run says what is right in this run: "answer", "evidence",
-            "both" or "none". Questions for which the first run scores 1 come first.
+            "both" or "none". Questions that the first run has right come first.
 
         Raises:
             InputError: If no score has this name.

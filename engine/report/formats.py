@@ -93,7 +93,7 @@ def for_paper(name: str, rows: Rows) -> list[dict[str, Any]]:
 
     Returns:
         The rows with all values as text. If the table is `main`, the macro averages are left out, and the rows are
-        grouped by model. The groups are in the order in which their models first occur.
+        grouped by model. The groups are in the order of the first rows of their models.
     """
     printed: list[dict[str, Any]] = with_intervals(rows)
     if name != "main":

@@ -25,9 +25,9 @@ def agreement_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[dict
 
     Returns:
         One row per pair of runs that have common questions. Shares are in percent of the `n` common questions.
-        `same_answer` is the share of questions to which both people gave equal answers. Two answers are equal
-        if each answer scores 1 when it is compared with the other answer as the true answer. `answer`, `evidence` and
-        `combined` are the shares of questions for which both runs have an equal score of this kind (0 or 1).
+        `same_answer` is the share of questions with equal answers of both people. Two answers are equal if each
+        answer scores 1 when it is compared with the other answer as the true answer. `answer`, `evidence` and
+        `combined` are the shares of questions with an equal score of this kind (0 or 1) in both runs.
     """
     people = sorted((run for run in runs if run.manifest.method == HUMAN), key=lambda run: run.manifest.run_id)
     rows = []

@@ -40,7 +40,7 @@ class Labels(NamedTuple):
     """One label per question.
 
     Attributes:
-        names: The distinct labels, in the order in which tables list the labels.
+        names: The distinct labels, in the order of rows in tables.
         numbers: For each question, the index of its label in `names`.
     """
 

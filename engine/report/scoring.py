@@ -142,7 +142,7 @@ def find_target_boxes(truth: Truth, rows: Ints, frame: Ints) -> tuple[Bools, Flo
     Args:
         truth: The true answers and evidence.
         rows: For each question, its row number in `truth`. Shape: (n,).
-        frame: Index of the frame in which the target's box is sought, for each question. Shape: (n,).
+        frame: Index of the frame of the evidence, for each question. Shape: (n,).
 
     Returns:
         Two arrays. The first says whether the target has a box in the frame. Shape: (n,). The second has the box as x,

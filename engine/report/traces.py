@@ -78,7 +78,7 @@ class Transcript:
         fps: Frames per second of the question's sequence.
         steps: The question's rows of the table `steps`, sorted by step.
         looks: The looks that the steps record, in the order of the steps.
-        writes: All writes to the world model, in the order in which they were made.
+        writes: All writes to the world model, in the order of time.
         refused: The writes that the world model refused. These are also in `writes`.
     """
 

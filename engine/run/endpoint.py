@@ -1,6 +1,6 @@
 """Connect to the server of a model: check it before a run, start the simulated model, and store calibrations.
 
-STORE/conventions/<model>.json    the calibration of a model, in which `calibrate` stores how the model writes boxes
+STORE/conventions/<model>.json    the calibration of a model: how the model writes boxes, as `calibrate` found out
 """
 
 from __future__ import annotations

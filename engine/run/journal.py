@@ -247,7 +247,7 @@ def journal_lock(folder: Path, doing: str) -> Iterator[None]:
 class Journal(contextlib.ExitStack):
     """Journal of a run, with one file per sequence. Each file has one line per finished question.
 
-    The lines are in the order in which the questions finished. If a question has several lines, the last line counts.
+    The question that finished first has the first line. If a question has several lines, the last line counts.
     """
 
     def __init__(self, folder: Path, sequence_of: Mapping[str, str]) -> None:

@@ -106,7 +106,7 @@ def _shard(manifest: RunManifest) -> tuple[QuestionSelection, tuple[int, int]]:
 
 
 def _rename_world(entry: Finished, old: str, new: str) -> Finished:
-    """Return a copy of an entry in which all facts have the run id `new` instead of the run id `old`."""
+    """Return a copy of an entry with the run id `new` instead of `old` in all facts."""
     world = [{**row, "fact": _rename_fact(row["fact"], old, new)} for row in entry.world]
     return msgspec.structs.replace(entry, world=world)
 

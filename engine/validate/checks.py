@@ -1,6 +1,6 @@
 """Checks of a benchmark: of the question files, of each question, and of all questions together.
 
-A question is compared with the annotation tables, and the second program derives its answer and proofs again. On
+The second program (`rederive`) derives the answer and the proofs of each question again from the annotation tables. On
 request, statements over the graph repeat the proofs too (`replay`).
 """
 
@@ -54,7 +54,7 @@ def validate(
     Args:
         store: Store, or its folder.
         rules: Rules of the generation, or None for the default rules.
-        replay_proofs: Whether statements over the graph repeat all proofs, and each plan runs as Cypher too.
+        replay_proofs: Whether statements over the graph also repeat all proofs, and each plan runs as Cypher.
         progress: Function that receives the progress.
 
     Returns:
@@ -330,7 +330,7 @@ def _check_selection(report: Validation, records: Sequence[QuestionRecord], rule
 
 
 def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:
-    """Check that no two questions are about one start of a person, or have one template and read at near times."""
+    """Check for near-duplicates: questions about the same start, and questions of one template with near times."""
     starts: dict[tuple[str, int, str | None, int], list[str]] = defaultdict(list)
     reads: dict[tuple[str, int, str], list[tuple[str, tuple[int, ...]]]] = defaultdict(list)
     for record in records:

@@ -68,7 +68,7 @@ class Explanation(NamedTuple):
         store: Folder of the store.
         record: Record of the question.
         proofs: Each proof with the ids of its statements.
-        statements: Statements in the order of their ids. A fact that several proofs use is in one statement.
+        statements: Statements in the order of their ids. A fact that several proofs need is in one statement only.
     """
 
     store: Path
@@ -147,7 +147,7 @@ def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Pro
 
 
 def _fold(text: str) -> str:
-    """Divide a long line at spaces outside of JSON texts. Each line has room for a space and a backslash."""
+    """Divide a long line at spaces outside of JSON texts. Each line leaves room for a space and a backslash."""
     guarded = _JSON_TEXT.sub(lambda quoted: quoted[0].replace(" ", "\0"), text)
     lines = textwrap.wrap(guarded, _WIDTH - 2, break_long_words=False, break_on_hyphens=False)
     return "\n".join(lines).replace("\0", " ")

@@ -65,7 +65,7 @@ class StoredPlan(NamedTuple):
 
     @property
     def answer(self) -> Answer:
-        """Answer of the question, as programs return it."""
+        """Answer of the question in the form that proofs compare."""
         answer = decode_answer(self.record.answer_mode, self.record.answer)
         return answer if isinstance(answer, FrameViewpoint) else self.record.answer_text
 
@@ -80,8 +80,9 @@ def compare_record(stored: QuestionRecord, again: Mapping[str, Any]) -> Iterator
         stored: Stored record.
         again: Values by column. An answer is a text. A set is compared with the items of the stored list.
 
-    Yields: A line per column that differs, and per proof that is missing, surplus or different. The line begins with
-    the id of the question and the name of the column or proof.
+    Yields:
+        A line per column that differs, and per proof that is missing, additional or different. The line begins with the
+        id of the question and the name of the column or proof.
     """
     for column, now in again.items():
         before: Any = stored.answer_text if column == "answer" else getattr(stored, column)
@@ -120,7 +121,7 @@ def read_plans(records: Iterable[QuestionRecord]) -> tuple[list[StoredPlan], lis
         records: Records of the questions.
 
     Returns:
-        The plans that programs and the compiler can run, and a line per question with another plan.
+        The plans that can be proved and compiled, and one line for each other question.
     """
     plans, unreadable = [], []
     for record in records:
@@ -151,7 +152,7 @@ def _find_form(name: str, plan: Plan) -> Template:
 def replay(
     store: Store, plans: Sequence[StoredPlan], rules: Rules, advance: Callable[[int], None] = lambda count: None
 ) -> list[str]:
-    """Prove questions again by statements over the graph, each statement for all questions at a time.
+    """Prove questions again by statements over the graph. A statement runs for many questions together.
 
     Args:
         store: Store with the graph.
@@ -188,19 +189,20 @@ def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[s
 
 
 def iterate_stored_proofs(stored: StoredPlan, setting: Setting) -> Iterator[Proof | None]:
-    """Yield all proofs of a stored question, None for one that lacks facts.
+    """Yield all proofs of a stored question. A proof that lacks facts is None.
 
-    The second program does not run here. Its proof is the one that each question has.
+    The second program does not run here. The proof "rederive" is repeated as it is stored with every question.
 
     Args:
         stored: Question with its plan.
         setting: Source of facts, keyframes of the sequence, and rules of the question.
 
-    Yields: The proofs.
+    Yields:
+        The proofs.
 
     Raises:
-        NoAnswerError: If the plan finds no single person.
-        MissingFactsError: If the facts that find the people are missing.
+        NoAnswerError: If the plan does not lead to one single person.
+        MissingFactsError: If facts that are needed to find the people are missing.
     """
     record, program = stored.record, stored.program
     people = find_tracks(program, setting.source)
@@ -213,7 +215,7 @@ def iterate_stored_proofs(stored: StoredPlan, setting: Setting) -> Iterator[Proo
 
 
 def _prove_views_clear(record: QuestionRecord, source: FactSource) -> Proof | None:
-    """Prove that each needed box is a clear view. Return None if facts are missing."""
+    """Return the proof that each needed box is a clear view. Return None if facts are missing."""
     try:
         views_of_boxes = source.ask([("seen", record.sequence, box.track, box.frame) for box in record.needed])
     except MissingFactsError:

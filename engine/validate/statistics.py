@@ -13,11 +13,12 @@ from jrdb_avr.engine.generate.blind import QuestionText, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, lacking_layers, tallies
 from jrdb_avr.engine.generate.scene_guessers import check_store
 from jrdb_avr.engine.generate.selection import PROFILES
-from jrdb_avr.engine.generate.views import min_crops
+from jrdb_avr.engine.validate.crops import min_crops
 from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.panorama import angle_error, center_angle
 from jrdb_avr.schema.questions import QuestionRecord
 from jrdb_avr.schema.tables import LAYERS
@@ -42,7 +43,7 @@ TITLES: Final = {
 
 _MEASURED: Final = pa.schema(
     [(name, pa.string()) for name in ("question_id", "sequence", "family", "template", "answer_mode", "asks", "answer")]
-    + [("target_track", pa.int32()), ("position", pa.int32())]
+    + [("target_track", pa.int32()), ("position", pa.int32()), ("choices", pa.list_(pa.string()))]
     + [(name, pa.float64()) for name in ("time_gap_s", "separation_deg", "apart_deg", "hops", "words")]
     + [(name, pa.float64()) for name in ("people_in_scene", "crops")]
 )
@@ -50,13 +51,14 @@ _MEASURED: Final = pa.schema(
 
 - answer: text of the true choice, or the bin of another answer.
 - position: number of the true choice, from 1.
+- choices: answers of all choices.
 - time_gap_s: seconds from the description to the last time that the question is about.
 - separation_deg: angle at the robot between the target at the description and the target's decisive boxes.
 - apart_deg: largest angle between two needed boxes, at any times.
 - hops: number of relations on the path to the target (`Template.hops`).
 - words: number of words in the text of the question.
 - people_in_scene: number of people with a box at the time of the description.
-- crops: smallest number of looks that show all needed boxes (`views.min_crops`).
+- crops: smallest number of looks that show all needed boxes (`crops.min_crops`).
 """
 
 _SHORTFALL: Final = ("family", "template", "candidates", "proven", "questions", "why")
@@ -155,6 +157,7 @@ def _measured(record: QuestionRecord, text: QuestionText) -> _Row:
         "asks": text.asks,
         "answer": text.bin if position is None else record.answer_text,
         "position": position,
+        "choices": [answer_of_choice(choice) for choice in record.choices],
         "apart_deg": float(angle_error(angles[:, None], angles).max()),
         "hops": forms_of(record.template)[0].hops,
         "words": len(record.question.split()),

@@ -21,13 +21,13 @@ CHECKS: Final = {
     "selection": "the number of questions per person obeys the rules; no two questions are alike",
     "rederive": "the second program finds the same person, answer, needed boxes, measures and proofs",
 }
-"""Names of the checks of stored questions, each with what it checks, in the order of the report."""
+"""Meanings of the checks of stored questions by name, in the order of the report."""
 
 REPLAY_CHECKS: Final = {
     "replay": "statements over the graph, run for each proof again, give the stored proofs",
     "compiled": "the plan, compiled to Cypher, finds the stored people and answer in the graph",
 }
-"""Names of the further checks of `--replay`, each with what it checks."""
+"""Meanings of the additional checks of `--replay` by name."""
 
 
 class Validation(Displayed):
@@ -75,10 +75,11 @@ class Validation(Displayed):
         return not self.faults
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row per kind of check: its name, the numbers of checks and faults, the first fault, what it checks.
+        """Return one row per kind of check.
 
         Returns:
-            The rows in the order of CHECKS. Those of REPLAY_CHECKS follow if they ran.
+            Name, number of checks, number of faults, first fault, and meaning. The rows have the order of CHECKS. The
+            rows of REPLAY_CHECKS follow if those checks ran.
         """
         replayed = REPLAY_CHECKS if REPLAY_CHECKS.keys() & self.checked.keys() else {}
         return [

@@ -26,7 +26,7 @@ from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import ANNOTATIONS, INTERVALS
 
 _LABELS: Final = {"actions": "action", "interactions": "label", "handles": "verb"}
-"""Layers with labels that may also mean other labels in ordinary words, with the column of the label."""
+"""Column of the label, by layer. A person with a label of these layers may also have the labels that `ALSO` names."""
 
 
 def derive(sequence: str, annotations: Mapping[str, pa.Table], rules: LoadRules) -> dict[str, pa.Table]:

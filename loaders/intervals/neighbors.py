@@ -56,9 +56,9 @@ def beside_table(
         rules: Thresholds.
 
     Returns:
-        The table, sorted by source, label, first frame, target and certainty. And a pair that says whether the
-        relations of the robot view and those in the person frame are listed. A view with more than `MAX_BESIDE` facts
-        is not listed.
+        The table, sorted by source, label, first frame, target and certainty. The second result is a pair: whether the
+        table has the relations of the robot view, and those of the person frame. A view with more than `MAX_BESIDE`
+        facts has no relations in the table.
     """
     # Facts of the robot view get one row per keyframe.
     (frame, source, target, certain, label), robot_listed = _joined(robot_view(line, boxes, rules))
@@ -117,10 +117,10 @@ def _joined(blocks: Iterator[_Facts]) -> tuple[list[Ints], bool]:
 def robot_view(line: Timeline, boxes: Boxes, rules: LoadRules) -> Iterator[_Facts]:
     """Find the first person to the left and right of each person at each keyframe. Covered people are left out.
 
-    One turns from a person to a side, up to `neighbor_max_deg`. The first person in clear view who is at least
-    `neighbor_margin_deg` away decides. All people before this person, and less than the margin behind it, may be the
-    first one too. The fact is certain if there is no such other person. If no person decides, everyone within reach may
-    be the first one.
+    The search turns from a person to a side, up to `neighbor_max_deg`. The first person in clear view at least
+    `neighbor_margin_deg` away may be the first person. All people before, or less than the margin behind, may be the
+    first person too. The fact is certain if there are no such people. If no person in clear view is within reach, all
+    people within reach may be the first person.
 
     Args:
         line: Frames of the sequence.
@@ -164,12 +164,12 @@ def person_frame(line: Timeline, located: Located, rules: LoadRules) -> Iterator
         Blocks of facts.
     """
     reach = rules.pair_max_m + rules.pair_margin_m + SLACK
-    # The relation has only distance words that begin within its reach.
+    # Relations exist only for distance words that begin below the maximum distance.
     words_within = 1 + sum(bound < rules.pair_max_m for bound in DISTANCE_BOUNDS_M)
     ahead = np.ascontiguousarray(located.center[:, 0])
     rows = np.flatnonzero(np.isin(located.frame, line.keyframes))
     for a, b in pairs_of_equal(located.frame, rows):
-        # Because most pairs are far apart along one axis, this cheap test leaves few pairs.
+        # This cheap test comes first, because most pairs are far apart along one axis.
         close = np.flatnonzero(np.abs(ahead[b] - ahead[a]) <= reach)
         a, b = a[close], b[close]
         offset = located.center[b] - located.center[a]

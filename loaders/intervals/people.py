@@ -24,9 +24,9 @@ from jrdb_avr.schema.rules import LoadRules
 
 HARD = 3
 UNREADABLE = 9
-"""Number that replaces an unreadable difficulty in arrays. It is harder than hard."""
+"""Difficulty in arrays of a label with an unreadable difficulty. It is greater than the code for hard."""
 UNWRITTEN = 10
-"""Number that replaces the difficulty of a fact without a label. It is harder than unreadable."""
+"""Difficulty in arrays of a fact without a label. It is greater than all other codes."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class People:
 
 
 def with_other_words(table: pa.Table, column: str) -> pa.Table:
-    """Add rows for labels that also apply to a person, because the words of another label may mean them.
+    """Add a row for each label that may also be true because of another label (`ALSO`).
 
     Args:
         table: Table of labels.

@@ -1,12 +1,12 @@
 """Attributes of people and groups by majority, and the things of a sequence.
 
-A frame votes for a value if it states the value with difficulty 1 or 2. An undecided label is not a vote. A
-person has the value with more than half of the person's votes. A group has every value that more than half of the
-records with the attribute state. A venue counts only if it is the only such venue of the group.
+A frame votes for a value if it states the value with difficulty 1 or 2. An undecided label is not a vote. A person has
+the value that got more than half of the person's votes. A group has every value that is in more than half of the
+group's records with the attribute. A group has a venue only if there is exactly one such venue.
 
 The interval table `objects` has the things with a track in the panoptic or the reasoning layer. The interval table
 `object_sightings` has the boxes of the things. The track and the category together identify a thing. People are left
-out, because the layers of boxes count them.
+out, because other tables have them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Interval tables `presences` and `absences`: times with a person in the picture, and times between them.
+"""Interval tables `presences` and `absences`: intervals with boxes of a person, and intervals between them.
 
-A person is present at a frame with a box. The presence is certain if the box is a clear view. A person is absent at an
-annotated frame without a box, if the person has boxes before and after. The absence is certain if the frames one second
-before and after are annotated without a box too. A frame that is not annotated ends both.
+A person is present at a frame with a box of the person. The presence is certain if the box is a clear view. A person is
+absent at an annotated frame without a box, if the person has boxes before and after the frame. The absence is certain
+if the frames one second before and after are annotated too, and have no box of the person. Presences and absences end
+at frames that are not annotated.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Stable segments of actions. A person visibly begins the action, continues it, and (in a closed segment) ends it.
 
-At each frame of the action layer's grid, an action of a person is true, false or unknown. A run is a longest possible
-sequence of consecutive grid frames. At each frame of a run, the action is true and the person in clear view, or the
-frame is in a closed gap. A run is a stable segment if it is long enough, if the action is false and the person in clear
-view for a second before, and if the action is false for three seconds before and after. A grid frame that is not
-annotated is unknown. Frames outside the grid do not exist.
+At each frame of the action layer's grid, an action of a person is true, false or unknown. It is unknown at grid frames
+that are not annotated. A run is a sequence of consecutive grid frames that cannot be extended. At each frame of a run,
+the action is true and the person is in clear view, or the frame is in a closed gap. A run is a stable segment if three
+conditions hold. The run is long enough. During the second before the run, the action is false and the person is in
+clear view. During three seconds before and after the run, the action is false. Frames outside the grid do not count.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from jrdb_avr.schema.tables import INTERVALS
 HALF_STEP = KEYFRAME_STEP // 2
 """Half of the step between keyframes.
 
-With one label per second, an action begins up to half a step before the first label, and ends up to half a step after
-the last label.
+With one label per second, answers state that an action begins half a step before its first label, and that it ends
+half a step after its last label.
 """
 
 _BLOCK: Final = 500_000
-"""Approximate maximum of cells that are processed together. The many actions of one person may have more cells."""
+"""Approximate maximum number of cells in a block. All actions of one person are in one block, even if it is larger."""
 
 
 def segments_table(line: Timeline, people: People, runs: Runs, rules: LoadRules) -> pa.Table:
@@ -94,10 +94,11 @@ class _Facts:
 
 
 class _Cells:
-    """Cells of a block of facts: the pairs of a fact and a grid frame with a box of the person, or in a closed gap.
+    """Cells of a block of facts. A cell is a pair of a fact and a grid frame.
 
-    At all other grid frames, the fact is unknown. The block has the facts from `begin` to before `end`. The cells are
-    sorted by `key`, which is fact * span + index of the frame on the grid.
+    A pair is a cell if the person has a box at the frame, or if the frame is in a closed gap. In all other pairs, the
+    fact is unknown. The block has the facts from `begin` to `end - 1`. The cells are sorted by `key`, which is
+    fact * span + index of the frame on the grid.
     """
 
     def __init__(self, facts: _Facts, begin: int, end: int) -> None:
@@ -162,7 +163,7 @@ def _find(cells: _Cells, keys: Ints, grid: Grid, rules: LoadRules) -> _Segments:
         & all_of(cells.false, last + 1, last + 1 + quiet, False)
     )
     closed = all_of(cells.false_clear, last + 1, last + 1 + edge, True)
-    # For each cell with a false fact, the first cell of its sequence of false facts without gaps.
+    # The first cell of the stretch of consecutive false facts, for each cell with a false fact.
     chain = np.maximum.accumulate(
         np.where(cells.false & ~(next_to & np.append(False, cells.false[:-1])), np.arange(len(key)), 0)
     )

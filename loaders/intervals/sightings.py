@@ -125,13 +125,13 @@ def sightings_table(line: Timeline, people: People, rules: LoadRules, views_list
 def group_sizes(
     line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints, rules: LoadRules
 ) -> tuple[Ints, Ints, Bools]:
-    """Return the minimum and the maximum of the size of each person's group, and whether they are known.
+    """Return the minimum and the maximum size of each person's group, and whether they are known.
 
-    The person counts one, and so does every other member in clear view. Uncertain members add to the maximum only.
-    A person who is not covered is an uncertain member of every group if the person's membership is hard or missing.
+    The person and every other member in clear view count for the minimum. The maximum also counts uncertain members. A
+    person who is not covered is an uncertain member of every group if the person's group label is hard or missing.
 
-    If the rules do not judge views, every member with a box counts, also by a hard label. A size is then known only if
-    all people of the frame have memberships, if the group has no hard one, and if no member may be absent for a moment.
+    If the rules do not judge views, every member with a box counts. A size is then known only if all people of the
+    frame have a group label, if no label of the group is hard, and if no member may be absent for a moment.
 
     Args:
         line: Frames of the sequence.
@@ -161,10 +161,10 @@ def group_sizes(
 
 
 def _may_lack_members(line: Timeline, boxes: Boxes, groups: Facts, cluster_row: Ints) -> Bools:
-    """Return for each box whether some member of the person's group may be absent for a moment.
+    """Return for each box whether a member of the person's group may be absent for a moment.
 
-    Such a member is seen within a second. People without a membership may be such members of any group, and so may
-    people in frames that could not be read.
+    Such a member has no box at the frame, but a box within one second of it. A person without a group label may be such
+    a member of any group. A frame that could not be read may have such members of any group.
     """
     annotated, bare = line.frames_of("2d"), np.flatnonzero(cluster_row < 0)
     _, code = rank_values(groups.value)

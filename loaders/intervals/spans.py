@@ -1,10 +1,11 @@
-"""Intervals of facts: consecutive frames with a fact become one row, and rows of their own close short gaps.
+"""Intervals of facts. Consecutive frames with a fact become one row, and each closed gap becomes another row.
 
-If a layer has every frame, a gap of up to `gap_frames` frames between two frames with a label is closed. Inside the
-gap, the fact is unknown. If a layer has one frame per second, consecutive keyframes are joined, and no gap is closed.
+If a layer has labels at every frame, a gap of up to `gap_frames` frames between two frames with a label is closed. In a
+closed gap, the fact is unknown. If a layer has one frame per second, consecutive keyframes are joined, and no gap is
+closed.
 
-A table of labels, such as `actions`, has only facts with a label. Closed gaps, and facts that follow from the words of
-other labels (`ALSO`), are rows of a second table, such as `possible_actions`.
+A table of labels, such as `actions`, has only facts with a label. A second table, such as `possible_actions`, has the
+closed gaps, and the facts that may be true because of other labels (`ALSO`).
 
 A relation is true if a file states it with difficulty 1 or 2. It is unknown if a file states it only with other codes.
 An interaction holds in both directions. Only people with a 2D box in the frame have relations.
@@ -61,11 +62,11 @@ def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
         gap_frames: Maximum number of missing frames in a gap that is closed. 0 closes no gap.
 
     Returns:
-        The intervals, with a row of its own for each closed gap.
+        The intervals. Each closed gap is an interval too.
     """
     facts = facts.at(ascending(facts.track, facts.value, facts.frame))
     frame, track, value, certain = facts.frame, facts.track, facts.value, facts.certain
-    # Certain, doubtful, hard, not written: frames of one kind make one run.
+    # Frames with equal certainty and difficulty are joined to one run.
     kind = certain.astype(np.int64) + 2 * (facts.difficulty >= HARD) + 4 * (facts.difficulty == UNWRITTEN)
     starts = np.flatnonzero(begins(track, value, kind, frame - step * np.arange(len(frame))))
     ends = np.append(starts, len(frame))[1:] - 1
@@ -73,7 +74,7 @@ def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
     solid = Runs(
         track[starts], value[starts], frame[starts], frame[ends], certain[starts], np.zeros_like(starts, bool), highest
     )
-    # A gap follows row i when the next row of the same fact is a few frames off.
+    # A gap follows row i if the next row of the same fact begins a few frames later.
     off = np.diff(frame)
     holes = np.flatnonzero(~begins(track, value)[1:] & (off > step) & (off <= gap_frames + step))
     no, yes = np.zeros_like(holes, bool), np.ones_like(holes, bool)
@@ -103,7 +104,7 @@ def layer_runs(line: Timeline, layer: str, facts: Facts, rules: LoadRules) -> Ru
 def runs_table(
     line: Timeline, kind: str, runs: Runs, keys: Mapping[str, Ints], names: Sequence[str] | None = None
 ) -> pa.Table:
-    """Return the interval table of intervals.
+    """Return a table of intervals.
 
     Args:
         line: Frames of the sequence.
@@ -185,7 +186,7 @@ def absent_partners(table: pa.Table, boxes: pa.Table) -> int:
 def handles_tables(
     line: Timeline, table: pa.Table, categories: pa.Table, boxes: Boxes, rules: LoadRules
 ) -> dict[str, pa.Table]:
-    """Derive the interval tables of handled things. People are not things, so handled people are left out.
+    """Derive the interval tables of handled things. Handled people are left out, because people are not things.
 
     Args:
         line: Frames of the sequence.

@@ -23,10 +23,10 @@ UNIT: Final = 256
 """Number of length units in a pixel."""
 _TURN: Final = WIDTH * UNIT
 _LOWEST: Final = (HEIGHT - 2) * UNIT
-"""Minimum bottom of two boxes that are compared by their tops, because the image cuts off both people."""
+"""Minimum bottom edge of a box that the image cuts off. Two such boxes are compared by their top edges."""
 
 Source = Literal["attributes", "geometry", "nothing"]
-"""Evidence for the classes of a sequence: degrees of occlusion, nearer boxes and group labels, or none of them."""
+"""Evidence for the classes of a sequence. "geometry" means nearer boxes and group labels."""
 
 
 def classify_boxes(boxes: pa.Table, groups: pa.Table, rules: LoadRules) -> tuple[Source, Bools, Bools]:

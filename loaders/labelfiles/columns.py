@@ -107,12 +107,12 @@ def annotation_table(name: str, sequence: str, table: pa.Table) -> pa.Table:
 
 
 def nullable(values: npt.NDArray[Any], missing: Bools, kind: pa.DataType) -> pa.Array:
-    """Return `values` as an Arrow array of the type `kind`, with null in each row for which `missing` is True."""
+    """Return `values` as an Arrow array of the type `kind`, with null in the rows of the mask `missing`."""
     return pa.array(values, mask=missing).cast(kind)
 
 
 class Distinct(dict[Any, int]):
-    """Dictionary from distinct values to codes 0, 1, 2, ... in the order in which the values are first looked up.
+    """Dictionary from distinct values to codes 0, 1, 2, ... in the order of the first look-ups.
 
     A lookup of an unknown value adds the value. If there are `MAX_DISTINCT` values already, such a lookup raises
     InputError. Because of this limit, a broken file cannot fill the memory.
@@ -179,7 +179,7 @@ class LayerTables:
     A comparison of these boxes with the 2D layer shows whether both files number their frames alike."""
 
     def of(self, sequence: str) -> LayerTables:
-        """Return a copy in which every annotation table has the column `sequence` and the types of its schema."""
+        """Return a copy. Every annotation table in it has the column `sequence` and the types of its schema."""
         return replace(self, tables={name: annotation_table(name, sequence, t) for name, t in self.tables.items()})
 
 

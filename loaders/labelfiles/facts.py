@@ -280,7 +280,7 @@ def count_issues(codes: Ints, issues: dict[int, list[Issue]], refusals: Refusals
     Args:
         codes: code of the raw value in each row.
         issues: issues of each raw value, by the code of the value.
-        refusals: counter to which the issues are added.
+        refusals: counter that receives the issues.
     """
     if not issues:
         return

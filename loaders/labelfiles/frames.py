@@ -37,7 +37,7 @@ BATCH: Final = 1000
 """Number of records that are turned into columns together. A batch fits into the processor's cache."""
 
 LENIENT: Final = frozenset(("file_id", "attributes.truncated", "attributes.interpolated", "attributes.no_eval"))
-"""Fields for which an unusable value does not cause the refusal of the record."""
+"""Fields that may have an unusable value. All other unusable values cause the refusal of the record."""
 _LIST: Final = msgspec.json.Decoder(list[msgspec.Raw])
 _MEMBERS: Final = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _MISSING: Final = re.compile("Object missing required field `(.*)`")

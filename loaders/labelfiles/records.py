@@ -119,7 +119,7 @@ def read_difficulty(value: object) -> int:
 
 @functools.lru_cache(maxsize=10_000)
 def read_text(value: str) -> str:
-    """Return a text in which unprintable characters are replaced by blanks, without blanks at its ends.
+    """Return a text with blanks instead of unprintable characters, and without blanks at its ends.
 
     Raise ValueError if the resulting text is empty or too long.
     """

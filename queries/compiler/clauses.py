@@ -41,9 +41,8 @@ def in_rows(
         nullable: The same for columns with a null if any value is possible.
         may: Relationship with further rows that make the fact possible, or "".
         span: Variable of the row, which has the columns `first`, `last` and `certain`.
-        then: Clause of a row that must follow this row, or None. It is a separate pattern, because the two rows would
-            form
-            a cycle, and the engine loses rows of cycles.
+        then: Clause of a second row that must exist too, or None. It is a separate pattern, because one pattern of both
+            rows would be a cycle, and the engine loses rows of cycles.
     """
     same = [f"{column} = {{{variable}}}" for column, variable in (equal or {}).items()]
     optional = (nullable or {}).items()
@@ -58,16 +57,16 @@ def in_rows(
     return Clause(*(f"EXISTS {{{{ MATCH {match} WHERE {' AND '.join(parts)} }}}}" for match, parts in texts))
 
 
-def in_column(value: str, other: str = "", rows: Clause | None = None, near: str = "") -> Clause:
+def in_column(value: str, second_value: str = "", rows: Clause | None = None, near: str = "") -> Clause:
     """Return the clause of a fact that is one value, or null if the value is unknown.
 
     Args:
         value: Column of the value.
-        other: Column of a second possible value, or "".
-        rows: Clause that makes another value possible, or None.
-        near: Condition that makes another value possible, or "".
+        second_value: Column of a second possible value, or "".
+        rows: Clause of facts that make `v` possible beside another value, or None.
+        near: Condition that makes `v` possible beside another value, or "".
     """
-    alone, second = (f" AND {other} IS NULL", f" OR {other} = {{v}}") if other else ("", "")
+    alone, second = (f" AND {second_value} IS NULL", f" OR {second_value} = {{v}}") if second_value else ("", "")
     listed = f" OR {rows.could}" if rows else ""
     also = f" OR {near}" if near else ""
     could = f"({value} IS NULL OR {value} = {{v}}{second}{listed}{also})"
@@ -86,7 +85,7 @@ def in_range(least: str, most: str) -> Clause:
 
 
 def unless_listed(rows: Clause, listed: str) -> Clause:
-    """Return the clause of facts that are rows. Without a row, the fact is false if the list of the person is complete.
+    """Return the clause of facts that are rows. A fact without a row is false if the person's list is complete.
 
     Args:
         rows: Clause of the rows.
@@ -96,9 +95,10 @@ def unless_listed(rows: Clause, listed: str) -> Clause:
 
 
 def unless_labelled_near(fact: Clause, pattern: str) -> Clause:
-    """Return the clause of a condition that is unknown, not false, if a flickering label is near.
+    """Return the clause of a condition that is unknown, not false, if an unsteady label is near.
 
-    The label `v` flickers if it is one of `$flickering`. It is near if the person has it one keyframe before or after.
+    The label `v` is unsteady if it is in the list `$flickering`. It is near if the person has it one keyframe before or
+    after.
 
     Args:
         fact: Clause of the condition.
@@ -121,16 +121,16 @@ def unless_both_listed(rows: Clause, listed: str) -> Clause:
     return unless_listed(rows, f"({listed} AND {listed.replace('{n}', '{m}').replace('{s}', '{z}')})")
 
 
-def within(here: str, there: str) -> Clause:
-    """Return the clause of an edge by panorama angles: the other person is less than `v` degrees to the left.
+def within(source: str, target: str) -> Clause:
+    """Return the clause of an edge by panorama angles: the target is less than `v` degrees to the left of the source.
 
-    The edge is unknown if the other person is within a margin of the limit, or of the direction of the person.
+    The edge is unknown if the target is within a margin of the limit, or within a margin of the source's direction.
 
     Args:
-        here: Angle of the person, to which one turns left.
-        there: Angle of the other person, from which one turns.
+        source: Angle of the source. For the right side, angle of the target.
+        target: Angle of the target. For the right side, angle of the source.
     """
-    turn = f"({here} - {there})"
+    turn = f"({source} - {target})"
     left = f"({turn} - 360.0 * floor({turn} / 360.0))"
     return Clause(
         f"({left} > $margin AND 360.0 - {left} > $margin AND {left} < {{v}} AND {{v}} - {left} > $margin)",
@@ -138,19 +138,19 @@ def within(here: str, there: str) -> Clause:
     )
 
 
-def seen_with(pattern: str, there: str, edge: Clause) -> Clause:
-    """Return the clause of an edge to a thing, which holds with a sighting of the thing.
+def seen_with(pattern: str, present: str, edge: Clause) -> Clause:
+    """Return the clause of an edge to a thing. The edge needs a sighting of the thing.
 
     Args:
         pattern: Pattern of a sighting `z` of the thing.
-        there: Condition that the sighting is at the time.
+        present: Condition that the sighting is at the time.
         edge: Clause of the edge with the sighting.
     """
-    return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {there} AND {text} }}}}" for text in edge))
+    return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {present} AND {text} }}}}" for text in edge))
 
 
 def towards(angle: str) -> Clause:
-    """Return the clause of a condition that a person is near the axis `v` of a sector.
+    """Return the clause of a condition that a person is in the sector with the axis `v`.
 
     Args:
         angle: Panorama angle of the person.
@@ -161,9 +161,9 @@ def towards(angle: str) -> Clause:
 
 
 def to_anybody(edge: Clause, pattern: str) -> Clause:
-    """Return the clause of a condition that holds if an edge leads to anybody else who matches a pattern.
+    """Return the clause of a condition that holds if an edge leads to any other person who matches a pattern.
 
-    The condition is certain only if such a person is in clear view, or if the rules do not judge views (`$in_view`).
+    The condition is certain only if that person is in clear view, or if the rules do not judge views (`$in_view`).
 
     Args:
         edge: Clause of the edge.

@@ -1,4 +1,4 @@
-// fork_join: two relations lead from a described person to two others, who may single out a fourth.
+// fork_join: two relations lead from a described person to two others, who may both lead to one fourth person.
 MATCH (n:Name)-[:Describes]->(a:Moment)-[s1:Leads]->(b:Moment), (a)-[s2:Leads]->(c:Moment)
 WHERE a.sequence = $sequence AND s1.relation < s2.relation AND b.id <> c.id AND a.clear AND b.clear
   AND c.clear AND a.image

@@ -1,4 +1,4 @@
-// gap_starts: a described person later starts two different actions, which the person has not done since.
+// gap_starts: a described person later starts two actions. Each is false from the description to its start.
 MATCH (n:Name)-[:Describes]->(m0:Moment)<-[:At]-(p:Person)-[:Acts]->(s:Segment), (p)-[:Acts]->(u:Segment)
 WHERE s.sequence = $sequence AND n.general AND s.action <> u.action AND s.quiet_from <= m0.frame AND m0.clear
   AND s.start >= m0.frame + $wait AND u.quiet_from <= m0.frame AND u.start >= s.start + $gap AND m0.image

@@ -1,4 +1,4 @@
-// later_action: two relations lead to a person who does something ten seconds later or more, but not at first.
+// later_action: two relations lead to a person who does something at least ten seconds later, but not at first.
 MATCH (n:Name)-[:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)
       <-[:At]-(p:Person)-[:At]->(m1:Moment)-[:Doing]->(x:Action) WHERE b.sequence = $sequence AND c.id <> a.id
   AND m1.frame >= c.frame + $later AND a.clear AND b.clear AND c.clear AND m1.clear AND a.image AND m1.image

@@ -1,4 +1,4 @@
-// Return the people in a frame who may perform an action: by a label (one that flickers also a second away) or no list.
+// Return the people in a frame who may do an action by a label (an unsteady one also a second away) or without a list.
 UNWIND $asked AS q WITH q.id AS id, q.at AS at, q.t AS t, q.v AS v
 MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at AND NOT s.covered
 OPTIONAL MATCH (n)-[r:Performs|MayPerform]->(x:Action)

@@ -1,4 +1,4 @@
-// Return the written actions of a person who is not covered, which are easy or medium, and whether the list was read.
+// Return the action labels of a person who is not covered, whether each is easy or medium, and whether a list was read.
 UNWIND $asked AS q WITH q.id AS id, q.at AS at, q.t AS t, q.person AS person
 MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at AND n.id = person AND NOT s.covered
 OPTIONAL MATCH (n)-[r:Performs]->(x:Action) WHERE r.first <= t AND r.last >= t

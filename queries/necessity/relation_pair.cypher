@@ -1,4 +1,4 @@
-// Return the people who may have a relation with a person: by a label, or if one of both lists of labels was not read.
+// Return the people who may have a relation with a person: by a label, or because a list of labels was not read.
 UNWIND $asked AS q WITH q.id AS id, q.at AS at, q.t AS t, q.v AS v, q.kind AS kind, q.person AS person
 MATCH (n:Person)-[s:SeenIn]->(f:Frame) WHERE f.id = at AND n.id = person WITH id, t, v, kind, n, s, f
 MATCH (m:Person)-[z:SeenIn]->(f) WHERE m.id <> n.id AND NOT z.covered

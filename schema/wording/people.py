@@ -1,7 +1,7 @@
 """Descriptions of people: conversion of conditions into a noun phrase, and the reverse conversion.
 
-Left and right in a description are seen from the robot, and the phrase says so. The conditions are in the order of
-`in_order`, not in the order of preference among descriptions.
+Left and right in a description are seen from the robot, and the phrase says so. A description has its conditions in
+the order of `in_order`. This order differs from `Rules.condition_order`, which chooses among descriptions.
 """
 
 from __future__ import annotations

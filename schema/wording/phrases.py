@@ -15,7 +15,7 @@ _PAIR_PHRASES: Final[dict[tuple[str, str], str]] = {
     # "using a door" is the action "interaction with door"; this is a verb and a thing.
     ("using", "door"): "making use of a door",
 }
-"""Phrases for pairs (verb, category), if the separate phrases do not fit together."""
+"""Phrases of pairs (verb, category), if the phrases of the verb and the category do not fit together."""
 
 POSES_OF_VERBS: Final[dict[str, tuple[str, ...]]] = {
     "sitting": ("sitting",),

@@ -1,9 +1,9 @@
 """Phrases for relations between two people, and the reverse conversion.
 
-A hop is certain and leads to one person. Its phrase is a sentence with both people (`says`), or a noun phrase for the
-target (`the`). If several people may have the relation, the phrase is a predicate of the target (`holds`), after "is".
-A phrase with left or right always names the point of view. No phrase says "next to", because the order of angles
-does not show the depth.
+A hop leads to exactly one person. Its phrase is a sentence about both people (`says`), or a noun phrase for the target
+(`the`). If several people may have the relation, the phrase is a predicate of the target (`holds`), which follows "is".
+A phrase with left or right always names the point of view. No phrase says "next to", because people at neighbouring
+angles can be at very different distances.
 """
 
 from __future__ import annotations
@@ -69,11 +69,11 @@ def _words(relation: Relation) -> Words:
             front_and_back = {"front": "in front of {x}", "back": "behind {x}"}
             direction = front_and_back.get(relation.sector, f"to {{x}}'s {relation.sector}")
             both = f"{FAR_AWAY[relation.distance]} and {direction}"
-            whose = "from {x}'s own point of view"
+            view = "from {x}'s own point of view"
             return Words(
-                f"{{y}} is the only person who is {both}, {whose}",
-                f"the only person who is {both}, {whose}",
-                f"{both} ({whose})",
+                f"{{y}} is the only person who is {both}, {view}",
+                f"the only person who is {both}, {view}",
+                f"{both} ({view})",
             )
 
 

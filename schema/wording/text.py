@@ -1,6 +1,6 @@
-"""Text of questions from plans (`render`), and the reverse conversion (`parse`). Both use the table of templates.
+"""Conversion of plans into texts of questions (`render`), and the reverse conversion (`parse`).
 
-The module also computes the id of a question and the facts that its text states.
+Both use the table of templates. The module also computes the id of a question, and the actions that its text implies.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from jrdb_avr.schema.wording.relations import Style, read_relations, relate
 
 _EXACT: Final = {"At": "At", "at": "at", "When": "When", "How": "How", "about": ""}
 _ABOUT: Final = {"At": "At about", "at": "at about", "When": "About when", "How": "About how", "about": "about "}
-"""Words for events. The second table is used if actions are annotated once per second."""
+"""Words of the slots for approximate times. The second table is used if actions are annotated once per second."""
 
 _SIDES: Final = " For left and right, go by the middle of each person."
-"""Sentence after questions with a side that the robot sees.
+"""Sentence that follows a question with left or right as seen from the robot.
 
-Without it, the order of two overlapping boxes would have two readings.
+Without this sentence, a reader could order two overlapping people in either way.
 """
 
 _IN_VIEW: Final = " Only people in clear view count (at least half of the person can be seen)."
@@ -46,19 +46,18 @@ _VIEW_WORDS: Final = (
     (". How many are there?", ", in clear view at that moment. How many are there?"),
     (" are at some moment ", " are at some moment, in clear view at that moment, "),
 )
-"""Phrases without and with the last sentence about clear view.
+"""Pairs of a phrase and its replacement in a question that ends with `_IN_VIEW`.
 
-The order matters, because the first pairs contain later ones.
+They are replaced in this order, because earlier phrases contain later ones.
 """
 
 _COUNTED: Final = "that person"
-"""Name of the described person in questions that count people, which have no letters."""
-
+"""Name of the described person in questions that count people. These questions name no person by a letter."""
 
 LONGEST: Final = 4000
 """Maximum number of characters of a question.
 
-It is several times what any question needs, and small enough to read any text quickly.
+The longest questions need a fraction of it. The limit keeps `parse` fast for texts of any length.
 """
 
 
@@ -84,9 +83,9 @@ def render(template: str, plan: Plan, key: str, about: bool = False, in_view: bo
         template: Name of the template.
         plan: Plan of the question.
         key: Hexadecimal digits of `question_key`, which choose the paraphrase.
-        about: Whether the time in the answer is approximate, because actions are annotated once per second. It does not
-            change templates that ask for no event.
-        in_view: Whether only people in clear view count, because the load rules judge views. The text says so.
+        about: Whether the time in the answer is approximate, because actions are annotated once per second. Templates
+            without a time in the answer ignore it.
+        in_view: Whether the text says that only people in clear view count. This is so if the load rules judge views.
 
     Raises:
         PlanError: If the plan is not of the template, or has no phrase for a part.
@@ -121,7 +120,7 @@ def form_of(template: str, plan: Plan) -> tuple[Template, Slots]:
 
 
 def _check(row: Template, slots: Slots) -> None:
-    """Refuse plans with the same meaning as another plan, and plans without a meaning. A question has only one plan."""
+    """Raise PlanError if the slots have no meaning, or if other slots are the normal form of the same question."""
     if in_order(slots.conditions) != slots.conditions:
         raise PlanError("nodes[0].conditions", "must stand in the order that in_order gives")
     if any(condition.at not in (None, row.described) for condition in slots.conditions):
@@ -141,9 +140,9 @@ def _check(row: Template, slots: Slots) -> None:
 
 @cache
 def _pieces(paraphrase: str, about: bool) -> tuple[tuple[str, str], ...]:
-    """Split a paraphrase into pairs of a text and the slot after it. The last slot is "".
+    """Split a paraphrase into pairs of a text and the slot that follows it. The last slot is "".
 
-    Words for events are part of the texts.
+    The words of slots for approximate times are part of the texts.
     """
     phrases = _ABOUT if about else _EXACT
     pieces, text = [], ""
@@ -161,7 +160,7 @@ _STYLES: Final[dict[str, Style]] = {"says": "says", "Says": "says", "the": "the"
 
 
 def _numbered(slot: str) -> tuple[str, int]:
-    """Split the name of a slot with a number. `says2` gives ("says", 1)."""
+    """Split the name of a slot into its kind and its index from 0. `says2` gives ("says", 1)."""
     return slot[:-1], int(slot[-1]) - 1
 
 
@@ -277,7 +276,7 @@ def _readings(row: Template, pieces: tuple[tuple[str, str], ...], text: str) -> 
 
 
 def _ends(text: str, literal: str) -> Iterator[int]:
-    """Yield each possible end of a slot's words: the positions before the text that follows the slot."""
+    """Yield each possible end of a slot's words. An end is a position of the text that follows the slot."""
     end = text.find(literal, 1) if literal else len(text)
     while end > 0:
         yield end
@@ -286,7 +285,7 @@ def _ends(text: str, literal: str) -> Iterator[int]:
 
 @lru_cache(maxsize=1024)
 def _person(phrase: str, at: str) -> tuple[Condition, ...] | None:
-    """Return the conditions of a description, or None. Results are cached, because many paraphrases begin alike."""
+    """Return the conditions of a description, or None. The cache helps, because many paraphrases begin alike."""
     try:
         return read_description(phrase, at)
     except PlanError:
@@ -310,7 +309,7 @@ def _read(row: Template, slot: str, phrase: str) -> Any:
 
 
 def question_key(sequence: str, target: int, plan: Plan) -> str:
-    """Return 64 hexadecimal digits that choose among paraphrases and near-duplicates.
+    """Return 64 hexadecimal digits that choose a question's paraphrase, and one question among near-duplicates.
 
     Args:
         sequence: Name of the sequence.

@@ -148,7 +148,7 @@ def reasoning(field):
 def test_a_server_that_is_refused(change, check, remedy):
     found, _ = checks(changed(change))
     assert failed(found)[0] == check
-    assert len(failed(found)) == 1 or "reasoning" in found["text"].seen, "where it only thinks, that is told as well"
+    assert len(failed(found)) == 1 or "reasoning" in found["text"].result, "where it only thinks, that is told as well"
     with pytest.raises(EndpointError) as caught:
         require(list(found.values()))
     line = str(caught.value)
@@ -227,7 +227,7 @@ def test_a_server_that_takes_no_schema_from_a_model_that_thinks():
 def test_a_reply_that_was_cut_off_is_not_blamed_on_the_server(cut, name):
     found, _ = checks(changed(lambda q, r: completion('{"a', "length", "fake") if cut in texts(q) else r))
     assert failed(found) == [name]
-    assert "cut off" in found[name].seen and found[name].remedy == "give a larger --max-tokens"
+    assert "cut off" in found[name].result and found[name].remedy == "give a larger --max-tokens"
 
 
 def test_a_chat_template_without_a_system_role():
@@ -239,7 +239,7 @@ def test_a_chat_template_without_a_system_role():
 
     found, _ = checks(script)
     assert failed(found) == ["system"]
-    assert "System role not supported" in found["system"].seen
+    assert "System role not supported" in found["system"].result
     with pytest.raises(EndpointError, match="chat template"):
         require(list(found.values()), "monolithic")
 
@@ -260,7 +260,7 @@ def test_a_server_without_json_schema_is_refused_at_once():
 def test_a_server_that_takes_no_pictures():
     found, _ = checks(lambda request, n: Status(400, "no images") if is_picture(request) else seeing(request))
     assert failed(found) == ["picture"]
-    assert "no images" in found["picture"].seen
+    assert "no images" in found["picture"].result
 
 
 def test_one_corner_may_be_missed():
@@ -270,7 +270,7 @@ def test_one_corner_may_be_missed():
 
     found, _ = checks(one_wrong)
     assert found["picture"].passed
-    assert "3 of 4" in found["picture"].seen
+    assert "3 of 4" in found["picture"].result
 
 
 @pytest.mark.parametrize("corner", ["left", 5, None, ["upper left"]])

@@ -69,8 +69,8 @@ def test_no_question_uses_facts_that_are_left_out(monkeypatch, small_demo, tmp_p
     store = Store(shutil.copytree(small_demo.folder / "store", tmp_path / "store"))
     plans = plans_of(store, [*FIRST, *PLACES])
     assert plans_of(store, FIRST) and plans_of(store, PLACES)
-    monkeypatch.setattr(neighbors, "MAX_BESIDE", 400)
-    with pytest.warns(AvrWarning, match="more than 400 facts of the (first person|place of a person)") as warned:
+    monkeypatch.setattr(neighbors, "MAX_BESIDE", 200)
+    with pytest.warns(AvrWarning, match="more than 200 facts of the (first person|place of a person)") as warned:
         rebuild(store, LoadRules(), 1)
     assert len(warned) == 2
     with Graph.open(store.graph_path) as graph:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,18 @@ DOCS = ROOT / "docs"
 SNAPSHOTS = TESTS / "snapshots"
 REAL = Path(os.environ.get("JRDB_REAL", ROOT.parent / "shared" / "jrdb-real"))
 """Real annotations, which are not part of the repository: tests that need them are skipped where they are absent."""
+
+
+needs_real = pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")
+
+
+def copy_real(folder, first=0, last=None):
+    """Copy the 2D labels of some real sequences, in the order of their size, into the root `folder`/root."""
+    target = folder / "root" / "labels" / "labels_2d_stitched"
+    target.mkdir(parents=True)
+    every = sorted((REAL / "labels" / target.name).glob("*.json"), key=lambda path: path.stat().st_size)
+    for path in every[first:last]:
+        shutil.copy(path, target)
 
 
 DEEP = os.environ.get("HYPOTHESIS_PROFILE") == "deep"

@@ -143,10 +143,10 @@ def test_the_first_to_the_left_is_unknown_until_the_way_there_is_seen():
 
 def test_the_deciding_arc_is_where_the_target_can_stand():
     source = Box(toward(45), 100, 50, 150)
-    assert deciding_arc(FIRST_LEFT, source) == Arc(345.0, 60.0)
+    assert deciding_arc(FIRST_LEFT, source) == Arc(315.0, 90.0)
     assert deciding_arc("within 90 degrees to the right of (robot view)", source) == Arc(45.0, 90.0)
     assert deciding_arc("conversation", source) == CIRCLE
-    assert deciding_arc(FIRST_RIGHT, source).middle == 75.0
+    assert deciding_arc(FIRST_RIGHT, source).middle == 90.0
     assert {RELATIONS[label].kind for label in DERIVED} == {"first", "window"}
 
 

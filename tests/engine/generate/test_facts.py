@@ -1,11 +1,10 @@
 """The facts of generation are those of the brute-force oracle, whether or not the rules judge who is in clear view."""
 
 import random
-import shutil
 from collections import Counter
 
 import pytest
-from environment import REAL
+from environment import copy_real, needs_real
 from keyframe_layers import memory_graph
 from loaded_stores import MemoryStore, memory_store
 from oracle_candidates import MAYBE, NO, NOWHERE, OTHERS, PLACES, POSES, RELATIONS, TOGETHER, WINDOWS, YES, People
@@ -129,13 +128,9 @@ def test_facts_of_random_worlds_equal_those_of_the_oracle(tmp_path, visibility):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")
+@needs_real
 def test_facts_of_real_sequences_equal_those_of_the_oracle(tmp_path):
-    folder = tmp_path / "root" / "labels" / "labels_2d_stitched"
-    folder.mkdir(parents=True)
-    every = sorted((REAL / "labels" / "labels_2d_stitched").glob("*.json"), key=lambda path: path.stat().st_size)
-    for path in every[:4]:
-        shutil.copy(path, folder)
+    copy_real(tmp_path, last=4)
     store = Store(tmp_path / "store")
     load(find_root(tmp_path / "root"), store, LoadRules(), 1)
     for oracle, facts in read_facts(store, tmp_path / "root", LoadRules()):

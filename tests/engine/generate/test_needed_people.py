@@ -2,11 +2,10 @@
 
 import json
 import random
-import shutil
 from fractions import Fraction
 
 import pytest
-from environment import REAL
+from environment import copy_real, needs_real
 from keyframe_layers import layers_in_memory
 from loaded_stores import without_graph
 from oracle_covering import hidden_share
@@ -66,10 +65,16 @@ def write_crowds(folder, attributes):
 
 # With the rule off some are hidden, so that the test shows the difference.
 @pytest.mark.parametrize(("visibility", "hidden"), [("clear", False), ("any", True)])
-def test_no_needed_person_of_a_crowd_is_half_covered(tmp_path, visibility, hidden):
-    write_crowds(tmp_path, attributes=False)
+@pytest.mark.parametrize(
+    "real", [0, pytest.param(3, marks=needs_real), pytest.param(9, marks=(needs_real, pytest.mark.slow))]
+)
+def test_no_needed_person_is_half_covered(tmp_path, real, visibility, hidden):
+    if real:
+        copy_real(tmp_path, 3, 3 + real)
+    else:
+        write_crowds(tmp_path, attributes=False)
     for profile, needed in needed_people(tmp_path, visibility):
-        assert len(needed) > 30
+        assert len(needed) > 20
         assert bool(half_covered(needed)) == hidden, profile
 
 
@@ -81,17 +86,3 @@ def test_no_needed_person_is_occluded_by_the_attributes(tmp_path):
         # Others in the same frames are, and boxes do not decide.
         assert [one for _, others in needed for one in others if one["attributes"]["occlusion"] in HIDDEN]
         assert half_covered(needed)
-
-
-@pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")
-@pytest.mark.parametrize("number", [3, pytest.param(9, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("visibility", "hidden"), [("clear", False), ("any", True)])
-def test_no_needed_person_is_half_covered(tmp_path, number, visibility, hidden):
-    folder = tmp_path / "root" / "labels" / "labels_2d_stitched"
-    folder.mkdir(parents=True)
-    every = sorted((REAL / "labels" / "labels_2d_stitched").glob("*.json"), key=lambda path: path.stat().st_size)
-    for path in every[3 : 3 + number]:
-        shutil.copy(path, folder)
-    for profile, needed in needed_people(tmp_path, visibility):
-        assert len(needed) > 20
-        assert bool(half_covered(needed)) == hidden, profile

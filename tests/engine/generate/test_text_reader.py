@@ -7,11 +7,10 @@ way: a question passes when all of them single out the stored person and score a
 import ast
 import json
 import random
-import shutil
 from dataclasses import replace
 
 import pytest
-from environment import REAL, SUPPORT
+from environment import SUPPORT, copy_real, needs_real
 from keyframe_layers import ANY_VIEW, layers_in_memory
 from loaded_stores import graphless_store
 from msgspec.structs import replace as replace_fields
@@ -21,6 +20,9 @@ from text_reader import Found, Reader, differs
 from text_reader_language import Reading, parse
 
 from jrdb_avr.engine.generate.run import generate
+from jrdb_avr.loaders.load import load
+from jrdb_avr.loaders.root import find_root
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import decode_answer, same_answer
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.rules import Rules
@@ -122,35 +124,16 @@ def test_every_paraphrase_of_a_question_is_read_alike(sample_benchmark):
             assert unjudged == replace(read, judged=False)
 
 
-def real_benchmark(folder, sequences, rules):
-    from jrdb_avr.loaders.load import load
-    from jrdb_avr.loaders.root import find_root
-    from jrdb_avr.queries.store import Store
-
-    labels = folder / "root" / "labels" / "labels_2d_stitched"
-    labels.mkdir(parents=True)
-    for path in sequences:
-        shutil.copy(path, labels)
-    store = Store(folder / "store")
-    load(find_root(folder / "root"), store, rules.load, 1)
+@needs_real
+@pytest.mark.parametrize(
+    ("rules", "most"), [(Rules(), 2), (ANY_VIEW, 2), pytest.param(Rules(), None, marks=pytest.mark.slow)]
+)
+def test_reader_finds_every_answer_of_real_sequences(tmp_path, rules, most):
+    copy_real(tmp_path, last=most)
+    store = Store(tmp_path / "store")
+    load(find_root(tmp_path / "root"), store, rules.load, 1)
     generate(store, rules, workers=1)
-    return Benchmark(store, folder / "root")
-
-
-real = pytest.mark.skipif(not REAL.exists(), reason="the real annotations are not here")
-
-
-@real
-@pytest.mark.parametrize("rules", [Rules(), ANY_VIEW], ids=["clear", "any"])
-def test_reader_finds_every_answer_of_two_real_sequences(tmp_path, rules):
-    labels = sorted((REAL / "labels" / "labels_2d_stitched").glob("*.json"), key=lambda path: path.stat().st_size)
-    check(real_benchmark(tmp_path, labels[:2], rules))
-
-
-@real
-@pytest.mark.slow
-def test_reader_finds_every_answer_of_the_real_annotations(tmp_path):
-    check(real_benchmark(tmp_path, (REAL / "labels" / "labels_2d_stitched").glob("*.json"), Rules()))
+    check(Benchmark(store, tmp_path / "root"))
 
 
 def test_reader_shares_no_code_with_the_program():
