@@ -139,16 +139,16 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int) 
 
     def cost(one: Candidate) -> tuple[int, int, int]:
         contexts = sum(weight * numbers[name] for name, weight in one.contexts)
-        return numbers[one.template], contexts + numbers[one.moment[:2]], numbers[one.sequence]
+        return numbers[one.template], contexts + numbers[one.person], numbers[one.sequence]
 
     while len(chosen) < quota:
-        alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one.subject)]
+        alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one)]
         if not alive:
             break
         best = min(alive, key=cost)
         chosen.append(best)
-        taken.add(best.subject)
-        numbers.update([best.template, best.moment[:2], best.sequence, *(name for name, _ in best.contexts)])
+        taken.add(best)
+        numbers.update([best.template, best.person, best.sequence, *(name for name, _ in best.contexts)])
     shortage = None if len(chosen) == quota else f"caps and near-duplicates leave {len(chosen)} of {total} candidates"
     return Selected([Question(one, ()) for one in chosen], shortage)
 
@@ -159,9 +159,9 @@ def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) 
     chosen: list[Candidate] = []
     while queues and (n is None or len(chosen) < n):
         queue = queues.popleft()
-        candidate = next((one for one in queue if taken.admits(one.subject)), None)
+        candidate = next((one for one in queue if taken.admits(one)), None)
         if candidate is not None:
             chosen.append(candidate)
-            taken.add(candidate.subject)
+            taken.add(candidate)
             queues.append(queue)
     return chosen
