@@ -45,7 +45,7 @@ from jrdb_avr.queries.graph.handle import build_graph, remove_graph
 from jrdb_avr.queries.manifest import Manifest, SequenceEntry, refuse_newer, refuse_public
 from jrdb_avr.queries.runs import run_ids
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.workers import Executor, map_sequences, without_collector
+from jrdb_avr.queries.workers import Executor, map_in_order, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.rules import LoadRules, rules_hash
 from jrdb_avr.schema.tables import ANNOTATIONS
@@ -113,10 +113,8 @@ def load(
     refuse_newer(store.path)
     with store.writing("load"), _staging(store) as staging:
         shards = [Shard(files, str(staging.path), rules) for files in root.sequences]
-        results: dict[str, ShardResult] = {}
-        for i, result in map_sequences(load_shard, shards, workers, lambda shard: shard.files.weight):
-            results[root.sequences[i].sequence] = result
-            advance(1)
+        loaded = map_in_order(load_shard, shards, workers, lambda shard: shard.files.weight, advance)
+        results = dict(zip((files.sequence for files in root.sequences), loaded, strict=True))
         reports = _reports(root, results)
         entries = {name: result.entry for name, result in sorted(results.items()) if result.entry is not None}
         if not entries:
@@ -164,11 +162,9 @@ def rebuild(
             for name, entry in sorted(manifest.sequences.items())
         ]
         advance = step_counter(progress, "rebuilding", len(shards))
-        entries: dict[str, SequenceEntry] = {}
-        for i, entry in map_sequences(rebuild_shard, shards, workers, lambda shard: shard.weight):
-            entries[shards[i].sequence] = entry
-            advance(1)
-        left_out = _finish(store, staging, manifest.image_root, rules, dict(sorted(entries.items())), PARTS[1:])
+        rebuilt = map_in_order(rebuild_shard, shards, workers, lambda shard: shard.weight, advance)
+        entries = dict(zip(sorted(manifest.sequences), rebuilt, strict=True))
+        left_out = _finish(store, staging, manifest.image_root, rules, entries, PARTS[1:])
     sightings = {name: store.interval("sightings", name) for name in entries}
     views = [f"{name}: {line}" for name, table in sightings.items() for line in beside_warnings(table)]
     for line in [*left_out, *views]:

@@ -73,6 +73,24 @@ def map_sequences(
     return _map_in_processes(function, sequences, order, executor)
 
 
+def map_in_order(
+    function: Callable[[A], R],
+    sequences: Sequence[A],
+    executor: Executor,
+    weight: Callable[[A], float],
+    advance: Callable[[int], None],
+) -> list[R]:
+    """Call a function once for each sequence, and return the results in the order of the sequences.
+
+    `advance` is called with 1 after each result. `map_sequences` describes the other arguments and the errors.
+    """
+    results: dict[int, R] = {}
+    for index, result in map_sequences(function, sequences, executor, weight):
+        results[index] = result
+        advance(1)
+    return [results[index] for index in range(len(sequences))]
+
+
 def _map_in_processes(
     function: Callable[[A], R], sequences: Sequence[A], order: Sequence[int], workers: int
 ) -> Iterator[tuple[int, R]]:

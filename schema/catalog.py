@@ -9,11 +9,8 @@ from typing import Final
 
 from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import InputError, did_you_mean
-from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS
+from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS, column_types
 from jrdb_avr.schema.tables import column, views
-
-_NESTED: Final = re.compile(r",\s*(?![^()]*\))")
-"""Pattern of a comma between two columns. A comma inside the type of a struct does not match."""
 
 
 @dataclass(frozen=True)
@@ -46,16 +43,11 @@ def graph_tables() -> list[CatalogTable]:
     }
     tables = []
     for part, (nodes, relations) in parts.items():
-        tables += [CatalogTable(name, part, _columns(_NESTED.split(text)), {}) for name, text in nodes.items()]
+        tables += [CatalogTable(name, part, column_types(text), {}) for name, text in nodes.items()]
         for name, (start, end, columns) in relations.items():
             ends = tuple(start.split(":")), tuple(end.split(":"))
-            tables.append(CatalogTable(name, part, _columns(columns), {}, ends))
+            tables.append(CatalogTable(name, part, column_types(columns), {}, ends))
     return tables
-
-
-def _columns(texts: Iterable[str]) -> dict[str, str]:
-    pairs = (text.replace(" PRIMARY KEY", "").strip().split(" ", 1) for text in texts)
-    return {name.strip("`"): kind for name, kind in pairs}
 
 
 def store_tables() -> list[CatalogTable]:

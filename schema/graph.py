@@ -18,7 +18,7 @@ the column `gap` of these tables.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 import pyarrow as pa
@@ -98,17 +98,13 @@ LAYER_RELS: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "Leaves": ("Person", "Absence", ()),
 }
 
-_ARROW_TYPES: Final[dict[str, pa.DataType]] = {
-    "STRING": pa.string(),
+_ARROW: Final[dict[str, pa.DataType]] = {
     "STRING[]": pa.list_(pa.string()),
-    "INT64": pa.int64(),
-    "DOUBLE": pa.float64(),
-    "BOOLEAN": pa.bool_(),
     # As text, which the engine reads.
     "UUID": pa.string(),
     "STRUCT(x DOUBLE, y DOUBLE, w DOUBLE, h DOUBLE)": pa.struct([(name, pa.float64()) for name in "xywh"]),
 }
-_KEY: Final = re.compile(r"(\w+) PRIMARY KEY")
+"""Types of columns that Arrow does not know by the same name."""
 
 STORAGE_VERSION: Final = 11
 """Version of the tables of the graph. A graph with another version must be built again."""
@@ -136,21 +132,29 @@ def table_ddl(nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple
     return statements
 
 
+def column_types(columns: str | Iterable[str]) -> dict[str, str]:
+    """Return the type of each column by name, from columns in the form of `SCENE_NODES` or of `SCENE_RELS`."""
+    # A comma inside the type of a struct separates no columns.
+    texts = re.split(r",\s*(?![^()]*\))", columns) if isinstance(columns, str) else columns
+    pairs = (text.replace(" PRIMARY KEY", "").strip().split(" ", 1) for text in texts)
+    return {name.strip("`"): kind for name, kind in pairs}
+
+
 def row_schema(table: str, nodes: Mapping[str, str], rels: Mapping[str, tuple[str, str, tuple[str, ...]]]) -> pa.Schema:
     """Return the columns of the rows that are copied into a table of the graph.
 
     Args:
         table: Name of the table.
-        nodes: Columns of node tables, in the form of `SCENE_NODES`.
+        nodes: Columns of node tables, in the form of `SCENE_NODES`. The first column is the key.
         rels: Ends and columns of relationship tables, in the form of `SCENE_RELS`, each between two tables of `nodes`.
 
     Returns:
         The names and types. Rows of edges begin with the keys of both ends.
     """
-    if table in rels:
-        source, target, more = rels[table]
-        first, last = (_KEY.findall(nodes[name])[0] for name in (source, target))
-        columns = [f"from {first}", f"to {last}", *more]
+    if table in nodes:
+        types = column_types(nodes[table])
     else:
-        columns = nodes[table].replace("`", "").replace(" PRIMARY KEY", "").split(", ")
-    return pa.schema([(name, _ARROW_TYPES[kind]) for name, kind in (column.split(" ", 1) for column in columns)])
+        source, target, columns = rels[table]
+        keys = (next(iter(column_types(nodes[name]).values())) for name in (source, target))
+        types = dict(zip(("from", "to"), keys, strict=True)) | column_types(columns)
+    return pa.schema([(name, _ARROW.get(kind) or pa.type_for_alias(kind.lower())) for name, kind in types.items()])

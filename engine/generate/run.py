@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import pyarrow as pa
@@ -31,15 +31,13 @@ from jrdb_avr.queries.files import file_hash
 from jrdb_avr.queries.graph.handle import hold_graph, open_worker_graph
 from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.workers import Executor, map_sequences, without_collector
+from jrdb_avr.queries.workers import Executor, map_in_order, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
 from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
 from jrdb_avr.schema.templates import FAMILIES, FORMS
-
-_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,7 +118,8 @@ def generate(
             if job.sequence in layers
         ]
         with hold_graph(store.graph_path, workers):
-            found = _map(search_sequence, jobs, workers, step_counter(progress, "searching", len(jobs)))
+            advance = step_counter(progress, "searching", len(jobs))
+            found = map_in_order(search_sequence, jobs, workers, Job.weigh, advance)
             counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
             questions, report, left, faults = _choose(
                 [candidate for one in found for candidate in _CANDIDATES.decode(one.pool)],
@@ -322,17 +321,7 @@ def _make(
     for question in questions:
         by_sequence[question.candidate.sequence].append(question)
     own = [replace(job, questions=tuple(by_sequence[job.sequence])) for job in jobs if job.sequence in by_sequence]
-    results = _map(make_questions, own, workers, step_counter(progress, "confirming", len(own)))
+    advance = step_counter(progress, "confirming", len(own))
+    results = map_in_order(make_questions, own, workers, Job.weigh, advance)
     faults = {key: fault for _, refused in results for key, fault in refused.items()}
     return pa.concat_tables([COLUMNS.empty_table(), *(table for table, _ in results)]), faults
-
-
-def _map(
-    work: Callable[[Job], _Result], jobs: Sequence[Job], workers: Executor, advance: Callable[[int], None]
-) -> list[_Result]:
-    """Let workers do all jobs; return the results in the order of the jobs."""
-    results: dict[int, _Result] = {}
-    for index, result in map_sequences(work, jobs, workers, lambda job: job.weight):
-        results[index] = result
-        advance(1)
-    return [results[index] for index in range(len(jobs))]

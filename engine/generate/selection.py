@@ -5,7 +5,7 @@ The result depends on the candidates alone, never on their order. Hashes of the 
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
@@ -90,11 +90,11 @@ def select(
         shortage and guessers (the share of right answers of each guesser that counts).
     """
     quotas, taken = PROFILES[profile], Taken(rules)
-    dealt = {} if quotas else _deal(pool, taken, n)
+    dealt = [one for some in pool.values() for one in some] if quotas else _deal(pool, taken, n)
     questions: list[Question] = []
     rows: dict[str, TableRow] = {}
     for names in STAGES:
-        candidates = [one for name in names for one in (pool if quotas else dealt).get(name, ())]
+        candidates = [one for one in dealt if one.template in names]
         quota = shortage = None
         if quotas:
             quota = quota_of(names[0], quotas, {name: row["reached"] for name, row in rows.items()})
@@ -106,9 +106,18 @@ def select(
         else:
             selected = [Question(one, tuple(sorted(one.wrong))) for one in candidates]
         for name in names:
-            own = [one for one in selected if one.candidate.template == name]
-            share = None if quota is None else quota // len(names)
-            rows[name] = _report(name, share, len(pool.get(name, ())), own, shortage, counts)
+            form, own = forms_of(name)[0], [one for one in selected if one.candidate.template == name]
+            shares = guesser_shares([offer_of(one, counts) for one in own] if form.answer is None else [])
+            rows[name] = {
+                "family": form.family,
+                "template": name,
+                "quota": None if quota is None else quota // len(names),
+                "proven": len(pool.get(name, ())),
+                "reached": len(own),
+                "twins": sum(one.twin is not None for one in own) // 2,
+                "shortage": shortage if pool.get(name) else f"nowhere is it certain that {form.seeks}",
+                "guessers": {guesser: float(share) for guesser, share in shares.items()},
+            }
         questions += selected
     return questions, [rows[name] for name in FAMILIES]
 
@@ -144,38 +153,15 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int) 
     return Selected([Question(one, ()) for one in chosen], shortage)
 
 
-def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) -> dict[str, list[Candidate]]:
+def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) -> list[Candidate]:
     """Let the templates choose in turn, in the order of a hash, what caps and near-duplicates allow."""
-    queues = {name: iter(sorted(some, key=lambda one: hash_of(one.key))) for name, some in sorted(pool.items())}
-    chosen: dict[str, list[Candidate]] = {name: [] for name in queues}
-    while queues and (n is None or sum(map(len, chosen.values())) < n):
-        for name in list(queues):
-            candidate = next((one for one in queues[name] if taken.admits(one.subject)), None)
-            if candidate is None:
-                del queues[name]
-            elif n is None or sum(map(len, chosen.values())) < n:
-                chosen[name].append(candidate)
-                taken.add(candidate.subject)
+    queues = deque(iter(sorted(some, key=lambda one: hash_of(one.key))) for _, some in sorted(pool.items()))
+    chosen: list[Candidate] = []
+    while queues and (n is None or len(chosen) < n):
+        queue = queues.popleft()
+        candidate = next((one for one in queue if taken.admits(one.subject)), None)
+        if candidate is not None:
+            chosen.append(candidate)
+            taken.add(candidate.subject)
+            queues.append(queue)
     return chosen
-
-
-def _report(
-    template: str,
-    quota: int | None,
-    proven: int,
-    questions: Sequence[Question],
-    shortage: str | None,
-    counts: LabelCounts,
-) -> TableRow:
-    form = forms_of(template)[0]
-    offers = [offer_of(question, counts) for question in questions] if form.answer is None else []
-    return {
-        "family": FAMILIES[template],
-        "template": template,
-        "quota": quota,
-        "proven": proven,
-        "reached": len(questions),
-        "twins": sum(question.twin is not None for question in questions) // 2,
-        "shortage": shortage if proven else f"nowhere is it certain that {form.seeks}",
-        "guessers": {name: float(share) for name, share in guesser_shares(offers).items()},
-    }

@@ -28,7 +28,7 @@ from jrdb_avr.queries.graph.file import is_as_built
 from jrdb_avr.queries.graph.handle import Graph, build_graph, hold_graph, open_worker_graph
 from jrdb_avr.queries.keyframes import layer_stamp
 from jrdb_avr.queries.store import Store
-from jrdb_avr.queries.workers import Executor, map_sequences
+from jrdb_avr.queries.workers import Executor, map_in_order
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, table_ddl
 from jrdb_avr.schema.rules import Rules, rules_hash
@@ -60,9 +60,8 @@ class Job:
     held_out: tuple[Extent, ...] = ()
     questions: tuple[Question, ...] = ()
 
-    @property
-    def weight(self) -> int:
-        """Number of 2D boxes of the sequence. Larger sequences start first."""
+    def weigh(self) -> int:
+        """Return the number of 2D boxes of the sequence. Larger sequences start first."""
         return int(pq.read_metadata(Store(self.store).interval_path("sightings", self.sequence)).num_rows)
 
     def layer(self, graph: Graph) -> Layer:
@@ -100,8 +99,7 @@ def ensure_layer(store: Store, rules: Rules, workers: Executor, progress: Progre
         advance = step_counter(progress, "keyframes", len(jobs))
         try:
             with hold_graph(store.graph_path, workers):
-                for _ in map_sequences(_stage, jobs, workers, lambda job: job.weight):
-                    advance(1)
+                map_in_order(_stage, jobs, workers, Job.weigh, advance)
             write_graph(store, partial(_copy, jobs))
         finally:
             shutil.rmtree(stage, ignore_errors=True)

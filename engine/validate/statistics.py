@@ -13,7 +13,7 @@ from jrdb_avr.engine.generate.blind import QuestionText, question_texts
 from jrdb_avr.engine.generate.diagnostics import REFUSALS, lacking_layers, tallies
 from jrdb_avr.engine.generate.scene_guessers import check_store
 from jrdb_avr.engine.generate.selection import PROFILES
-from jrdb_avr.engine.generate.views import min_crops
+from jrdb_avr.engine.validate.crops import min_crops
 from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
@@ -58,7 +58,7 @@ _MEASURED: Final = pa.schema(
 - hops: number of relations on the path to the target (`Template.hops`).
 - words: number of words in the text of the question.
 - people_in_scene: number of people with a box at the time of the description.
-- crops: smallest number of looks that show all needed boxes (`views.min_crops`).
+- crops: smallest number of looks that show all needed boxes (`crops.min_crops`).
 """
 
 _SHORTFALL: Final = ("family", "template", "candidates", "proven", "questions", "why")

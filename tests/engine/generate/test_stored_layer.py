@@ -120,7 +120,7 @@ def no_new_layer(monkeypatch):
     def refuse(*_):
         raise NewLayerError
 
-    monkeypatch.setattr(stored_layer, "map_sequences", refuse)
+    monkeypatch.setattr(stored_layer, "map_in_order", refuse)
 
 
 def test_a_layer_of_any_other_rule_is_not_reused(made, no_new_layer):

@@ -8,7 +8,8 @@ from environment import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.views import min_crops, min_crops_of_frame, single_view
+from jrdb_avr.engine.generate.views import single_view
+from jrdb_avr.engine.validate.crops import min_crops, min_crops_of_frame
 
 WIDTH = 3760
 COLUMNS = st.one_of(
