@@ -12,18 +12,21 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
+from functools import cached_property
 from itertools import pairwise, product, takewhile
-from typing import Any
+from typing import Any, Final
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
-from jrdb_avr.engine.generate.describe import conditions_json, describe, find_leads
+from jrdb_avr.engine.generate.describe import describe, find_leads
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, row_schema
 from jrdb_avr.schema.labels import ACTIONS, POSES
@@ -32,6 +35,8 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
 TableRow = dict[str, Any]
 
+_CONDITIONS: Final = msgspec.json.Decoder(tuple[Condition, ...])
+
 
 class Layer:
     """The layer of one sequence.
@@ -39,9 +44,7 @@ class Layer:
     Attributes:
         facts: Facts of the sequence.
         head: Row of the interval table `sequence`.
-        rows: Rows by table, with the columns of the table.
-        names: Conditions of each name by id.
-        segments: Rows of `Segment` by id, each with the column `track`.
+        segments: Rows of the interval table `segments` by id, each with its id and the angle of its first box.
         boxes: Columns of sightings by track and frame. `ahead` is whether the view straight ahead shows the box.
         present: Actions that a person in clear view certainly does at a keyframe.
         low: First id of a node.
@@ -64,11 +67,9 @@ class Layer:
             store.interval(name, sequence).to_pylist() for name in ("sequence", "frames", "segments")
         )
         boxes = store.interval("sightings", sequence, ["track", "frame", *"xywh", "angle", "clear"]).to_pylist()
-        self.low = low
+        self.low, self._graph, self._rules = low, graph, rules
         self.facts = Facts(graph, sequence, rules.load, with_faces="pose" in self.head["layers"])
-        self.rows: dict[str, list[TableRow]] = defaultdict(list)
-        self.names: dict[int, tuple[Condition, ...]] = {}
-        self.segments: dict[int, TableRow] = {}
+        self._rows: dict[str, list[TableRow]] = defaultdict(list)
         self.present = frozenset().union(*self.facts.counts.values())
         self._images = {row["frame"] for row in frames_of if row["image"]}
         x, w = (np.array([row[side] for row in boxes], dtype=np.float64) for side in "xw")
@@ -76,20 +77,32 @@ class Layer:
         self.boxes = {
             (row["track"], row["frame"]): row | {"ahead": shown} for row, shown in zip(boxes, ahead, strict=True)
         }
-        ids = self._add_moments(rules)
-        self._add_names(ids, rules)
-        self._add_segments(segments)
-        self._add_absences(sorted(row["frame"] for row in frames_of if row["annotated"]))
+        some = [row for row in segments if row["action"] in ACTIONS]
+        some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
+        self.segments = {
+            number: row | {"id": number, "angle": self._shown(row["track"], row["first"])["angle"]}
+            for number, row in enumerate(some, start=low)
+        }
+        self._annotated = sorted(row["frame"] for row in frames_of if row["annotated"])
+
+    @cached_property
+    def names(self) -> dict[int, tuple[Condition, ...]]:
+        """Conditions of each name by id, from the stored layer."""
+        rows = self._graph.query(read_statement("reads/names.cypher"), {"sequence": self.head["sequence"]}).to_pylist()
+        return {row["id"]: _CONDITIONS.decode(row["conditions"]) for row in rows}
 
     def has_image(self, frame: int) -> bool:
         """Return whether a frame has an image, or the sequence has no images at all."""
         return not self._images or frame in self._images
 
     def tables(self) -> Iterator[tuple[str, pa.Table]]:
-        """Yield the name and the rows of each table that has rows, nodes first."""
+        """Make the rows of the layer. Yield the name and the rows of each table that has rows, nodes first."""
+        self._add_names(self._add_moments())
+        self._add_segments()
+        self._add_absences()
         nodes = {**SCENE_NODES, **LAYER_NODES}
         for name in (*LAYER_NODES, *LAYER_RELS):
-            if rows := self.rows[name]:
+            if rows := self._rows[name]:
                 yield name, pa.Table.from_pylist(rows, row_schema(name, nodes, LAYER_RELS))
 
     def _shown(self, who: int, frame: int) -> TableRow:
@@ -97,9 +110,9 @@ class Layer:
         box = self.boxes.get((who, frame), {"clear": False, "ahead": False, "angle": None})
         return {"image": self.has_image(frame)} | {name: box[name] for name in ("clear", "ahead", "angle")}
 
-    def _add_moments(self, rules: Rules) -> dict[tuple[int, int], int]:
+    def _add_moments(self) -> dict[tuple[int, int], int]:
         """Add the moments of all people; return their ids by track and frame."""
-        facts, sequence, step = self.facts, self.head["sequence"], frames(rules.shift_s)
+        facts, sequence, step = self.facts, self.head["sequence"], frames(self._rules.shift_s)
         tracks = sorted({who for people in facts.people.values() for who in people})
         ids, seen = {}, {}
         for number, (who, frame) in enumerate(product(tracks, facts.keyframes), start=self.low):
@@ -111,43 +124,39 @@ class Layer:
             row = {"id": number, "sequence": sequence, "track": who, "frame": frame, "seen": seen[who, frame]}
             row |= {"earlier": seen.get((who, frame - step)), "later": seen.get((who, frame + step))}
             row |= {"not_doing": different_labels(facts.labels(who, frame)), **self._shown(who, frame)}
-            self.rows["Moment"].append(row | {"distance": facts.seen(who, frame).distance})
-            self.rows["At"].append({"from": f"{sequence}/{who}", "to": number})
-            self.rows["Doing"] += [{"from": number, "to": label} for label in true_labels(facts.lists[who], frame)]
+            self._rows["Moment"].append(row | {"distance": facts.seen(who, frame).distance})
+            self._rows["At"].append({"from": f"{sequence}/{who}", "to": number})
+            self._rows["Doing"] += [{"from": number, "to": label} for label in true_labels(facts.lists[who], frame)]
         return ids
 
-    def _add_names(self, ids: dict[tuple[int, int], int], rules: Rules) -> None:
+    def _add_names(self, ids: dict[tuple[int, int], int]) -> None:
         """Add the descriptions of people who are not covered, and the people to whom relations lead from them."""
         facts, sequence = self.facts, self.head["sequence"]
         for (who, frame), number in ids.items():
             if who not in facts.uncovered[frame]:
                 continue
-            for conditions, general in describe(facts, sequence, who, frame, rules).items():
-                name = self.low + len(self.names)
-                self.names[name] = conditions
-                row = {"id": name, "sequence": sequence, "conditions": f"[{conditions_json(conditions)}]"}
-                self.rows["Name"].append(row | {"general": general})
-                self.rows["Describes"].append({"from": name, "to": number})
+            for conditions, general in describe(facts, sequence, who, frame, self._rules).items():
+                name = self.low + len(self._rows["Name"])
+                row = {"id": name, "sequence": sequence, "conditions": msgspec.json.encode(conditions).decode()}
+                self._rows["Name"].append(row | {"general": general})
+                self._rows["Describes"].append({"from": name, "to": number})
             for relation, target in find_leads(facts, who, frame).items():
-                self.rows["Leads"].append({"from": number, "to": ids[target, frame], "relation": relation})
+                self._rows["Leads"].append({"from": number, "to": ids[target, frame], "relation": relation})
 
-    def _add_segments(self, segments: Iterable[TableRow]) -> None:
-        some = [row for row in segments if row["action"] in ACTIONS]
-        some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
-        for number, row in enumerate(some, start=self.low):
+    def _add_segments(self) -> None:
+        for number, row in self.segments.items():
             who = row["track"]
             held = _held_before(self.facts, who, row["action"], row["first"])
-            own = {"id": number, "held_from": held[0], "held_to": held[1]}
+            own = {"held_from": held[0], "held_to": held[1]}
             for edge in ("last", "first"):
                 shown = self._shown(who, row[edge])
                 own |= {f"{edge}_{name}": shown[name] for name in ("clear", "image", "ahead")}
-            self.segments[number] = row | own | {"angle": shown["angle"]}
-            self.rows["Acts"].append({"from": f"{row['sequence']}/{who}", "to": number})
-        self.rows["Segment"] += self.segments.values()
+            self._rows["Segment"].append(row | own)
+            self._rows["Acts"].append({"from": f"{row['sequence']}/{who}", "to": number})
 
-    def _add_absences(self, annotated: Sequence[int]) -> None:
+    def _add_absences(self) -> None:
         """Add the absences: between two boxes no frame is unannotated, and the person is absent at a keyframe."""
-        facts, sequence = self.facts, self.head["sequence"]
+        facts, sequence, annotated = self.facts, self.head["sequence"], self._annotated
         step = KEYFRAME_STEP if all((later - frame) % KEYFRAME_STEP == 0 for frame, later in pairwise(annotated)) else 1
         for (who, leaves), (same, returns) in pairwise(sorted(self.boxes)):
             known = bisect_left(annotated, returns) - bisect_right(annotated, leaves)
@@ -156,12 +165,12 @@ class Layer:
             if not any(facts.is_absent(who, frame) for frame in facts.keyframes if leaves < frame < returns):
                 continue
             present = {frame: facts.seen(who, frame).present for frame in facts.keyframes if frame < leaves}
-            row = {"id": self.low + len(self.rows["Absence"]), "sequence": sequence, "leaves": leaves}
+            row = {"id": self.low + len(self._rows["Absence"]), "sequence": sequence, "leaves": leaves}
             row |= {"returns": returns, "present_from": min(takewhile(present.get, reversed(present)), default=None)}
             first, last = self._shown(who, leaves), self._shown(who, returns)
             row |= {name: first[name] and last[name] for name in ("clear", "image", "ahead")}
-            self.rows["Absence"].append(row)
-            self.rows["Leaves"].append({"from": f"{sequence}/{who}", "to": row["id"]})
+            self._rows["Absence"].append(row)
+            self._rows["Leaves"].append({"from": f"{sequence}/{who}", "to": row["id"]})
 
 
 def _held_before(facts: Facts, who: int, action: str, first: int) -> tuple[int | None, int | None]:

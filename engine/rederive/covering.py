@@ -49,21 +49,20 @@ def covered_area(outline: Outline, rivals: Iterable[Outline]) -> int:
 
     Args:
         outline: The box.
-        rivals: The boxes of the other people in the frame.
+        rivals: The boxes of the people in the frame. No box is nearer than itself.
 
     Returns:
         Area in square length units.
     """
-    hiding = [
-        Outline(
-            max(outline.left, box.left + turn), min(outline.right, box.right + turn), max(outline.top, box.top), bottom
-        )
-        for box in rivals
-        if is_nearer(outline, box)
-        for bottom in [min(outline.bottom, box.bottom)]
-        for turn in (-_ROUND, 0, _ROUND)
-    ]
-    hiding = sorted(box for box in hiding if box.left < box.right and box.top < box.bottom)
+    hiding = []
+    for box in rivals:
+        top, bottom = max(outline.top, box.top), min(outline.bottom, box.bottom)
+        if top >= bottom or not is_nearer(outline, box):
+            continue
+        for turn in (-_ROUND, 0, _ROUND):
+            left, right = max(outline.left, box.left + turn), min(outline.right, box.right + turn)
+            hiding += [Outline(left, right, top, bottom)] if left < right else []
+    hiding.sort()
     rows = sorted({row for box in hiding for row in (box.top, box.bottom)})
     area = 0
     for top, bottom in pairwise(rows):

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.engine.rederive.covering import covered_area, outline_of
+from jrdb_avr.engine.rederive.covering import Outline, covered_area, outline_of
 from jrdb_avr.engine.rederive.truth import rows, step_of
 from jrdb_avr.schema.labels import CLEAR_OCCLUSIONS, COVERED_OCCLUSIONS
 from jrdb_avr.schema.panorama import HEIGHT, Box, center_angle
@@ -57,6 +57,7 @@ class PersonBoxes:
             self._groups[frame, track] = (cluster, difficulty in (1, 2))
         self._grouped_frames = sorted({frame for frame, _ in self._groups})
         self._views: dict[tuple[int, int], ViewClass] = {}
+        self._outlines: dict[int, dict[int, Outline]] = {}
         self._people: dict[int, dict[int, _Person2D]] = defaultdict(dict)
         columns = ("frame", "track", "x", "y", "w", "h", "occlusion", "no_eval", "has_actions")
         for frame, track, x, y, w, h, occlusion, no_eval, listed in rows(boxes, *columns):
@@ -132,11 +133,12 @@ class PersonBoxes:
             return "clear" if usable and person.occlusion in CLEAR_OCCLUSIONS else "uncertain"
         if not self.judges_views:
             return "clear" if usable else "uncertain"
-        outline = outline_of(box)
+        if frame not in self._outlines:
+            self._outlines[frame] = {rival: outline_of(other.box) for rival, other in self._people[frame].items()}
+        outline = self._outlines[frame][track]
         if outline.area <= 0:
             return "uncertain"
-        rivals = (outline_of(rival.box) for rival_track, rival in self._people[frame].items() if rival_track != track)
-        thousandths = 1000 * covered_area(outline, rivals)
+        thousandths = 1000 * covered_area(outline, self._outlines[frame].values())
         if thousandths >= round(1000 * load.min_covered) * outline.area:
             return "covered"
         visible = usable and thousandths < round(1000 * load.max_covered) * outline.area

@@ -139,13 +139,13 @@ class BeliefReader(Reader):
         found = {}
         for person, frame, name, offered in queries:
             self._add_evidence(person, [frame])
-            rows = [row for row in self.all("attributes") if (row["who"], row["name"]) == (person.who, name)]
+            rows = [row for row in self.all("attributes") if (row["who"], row["name"]) == (person.name, name)]
             values = {row["value"] for row in rows if row["first"] <= frame <= row["last"]}
             values &= {*offered} if name == "action" else values
             if self._at(person, frame) is None:
-                self._note(person, "value", f"{person.who} is not seen at {_at(frame)}")
+                self._note(person, "value", f"{person.name} is not seen at {_at(frame)}")
             elif len(values) != 1:
-                self._note(person, "value", f"the {name} of {person.who} at {_at(frame)} is not known")
+                self._note(person, "value", f"the {name} of {person.name} at {_at(frame)} is not known")
             else:
                 found[person.id] = values.pop()
         return found
@@ -158,9 +158,9 @@ class BeliefReader(Reader):
             present = True if seen is not None else False if frame in self.covered() else None
             if present is None:
                 how = "not seen, nor is the whole panorama observed"
-                self._note(person, "presence", f"{person.who} is {how}, at {_at(frame)}")
+                self._note(person, "presence", f"{person.name} is {how}, at {_at(frame)}")
             elif seen is not None and seen.distance is None:
-                self._note(person, "distance", f"distance_m of {person.who} at {_at(frame)} is not known")
+                self._note(person, "distance", f"distance_m of {person.name} at {_at(frame)} is not known")
             found[person.id, frame] = Seen(present, seen.distance if seen is not None else None)
         return found
 
@@ -169,59 +169,59 @@ class BeliefReader(Reader):
         return {number: segment for number, segment in found.items() if segment is not None}
 
     def _start(self, person: Person, action: str, after: int) -> Segment | None:
-        seen = [one for one in self.sightings(person.who) if one.frame >= after]
+        seen = [one for one in self.sightings(person.name) if one.frame >= after]
         does = [one.frame for one in seen if action in one.actions]
         without = [one.frame for one in seen if action not in one.actions]
         if not does:
-            self._note(person, "start", f"{person.who} is not seen {action} from {_at(after)} on")
+            self._note(person, "start", f"{person.name} is not seen {action} from {_at(after)} on")
             return None
         first = does[0]
         if not without or without[0] > first:
-            self._note(person, "start", f"{person.who} is not seen before it is {action}, from {_at(after)} on")
+            self._note(person, "start", f"{person.name} is not seen before it is {action}, from {_at(after)} on")
             return None
         begin = self._between(person, "start", f"the start of {action}", max(f for f in without if f < first), first)
         ended = next((frame for frame in without if frame > first), None)
         last = max(frame for frame in does if ended is None or frame < ended)
         if ended is None:
-            self._note(person, "end", f"{person.who} is not seen to have ended {action} after {_at(last)}")
+            self._note(person, "end", f"{person.name} is not seen to have ended {action} after {_at(last)}")
         end = None if ended is None else self._between(person, "end", f"the end of {action}", last, ended)
         self._add_evidence(person, [first])
         if begin is None:
             return None
-        angle = next(one.angle for one in reversed(self.moments(person.who)) if one.frame == first)
+        angle = next(one.angle for one in reversed(self.moments(person.name)) if one.frame == first)
         return Segment(first, last, begin, last if end is None else end, end is not None, angle)
 
     def absences(self, queries: Looks) -> dict[int, tuple[int | None, int | None]]:
         return {person.id: self._absence(person, after) for person, after in queries}
 
     def _absence(self, person: Person, after: int) -> tuple[int | None, int | None]:
-        seen = [one.frame for one in self.sightings(person.who) if one.frame >= after]
+        seen = [one.frame for one in self.sightings(person.name) if one.frame >= after]
         gone = [frame for frame in self.covered() if frame > after and frame not in seen]
         if not gone or not seen or seen[0] > gone[0]:
             how = "is at no frame known to be absent (the whole panorama observed, and not seen in it)"
-            self._note(person, "leaves", f"{person.who} {how} after {_at(after)}")
+            self._note(person, "leaves", f"{person.name} {how} after {_at(after)}")
             return None, None
         before = max(frame for frame in seen if frame < gone[0])
-        leaves = self._between(person, "leaves", f"when {person.who} leaves", before, gone[0])
+        leaves = self._between(person, "leaves", f"when {person.name} leaves", before, gone[0])
         back = next((frame for frame in seen if frame > gone[0]), None)
         self._add_evidence(person, [before] if back is None else [before, back])
         if back is None:
-            self._note(person, "returns", f"{person.who} is not seen to be back after {_at(gone[0])}")
+            self._note(person, "returns", f"{person.name} is not seen to be back after {_at(gone[0])}")
             return leaves, None
         last = max(frame for frame in gone if frame < back)
-        return leaves, self._between(person, "returns", f"when {person.who} is back", last, back)
+        return leaves, self._between(person, "returns", f"when {person.name} is back", last, back)
 
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
         found = {}
         for person, after in queries:
             held = self._at(person, after)
             if held is None or held.pose is None:
-                self._note(person, "next_action", f"the posture of {person.who} at {_at(after)} is not known")
+                self._note(person, "next_action", f"the posture of {person.name} at {_at(after)} is not known")
                 continue
-            later = [one for one in self.sightings(person.who) if one.frame > after and one.pose is not None]
+            later = [one for one in self.sightings(person.name) if one.frame > after and one.pose is not None]
             follows = next((one for one in later if one.pose != held.pose), None)
             if follows is None or follows.pose is None:
-                self._note(person, "next_action", f"no other posture of {person.who} is known after {_at(after)}")
+                self._note(person, "next_action", f"no other posture of {person.name} is known after {_at(after)}")
                 continue
             self._add_evidence(person, [follows.frame])
             held_last = max([after, *(one.frame for one in later if one.frame < follows.frame)])
@@ -231,23 +231,23 @@ class BeliefReader(Reader):
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
         found = {}
         for person, relation, first, last in queries:
-            seen = [one.frame for one in self.sightings(person.who) if first <= one.frame <= last]
+            seen = [one.frame for one in self.sightings(person.name) if first <= one.frame <= last]
             self._add_evidence(person, seen[::-1])
             rows = [row for row in self.all("relations") if row["name"] == relation]
             rows = [row for row in rows if row["first"] <= last and row["last"] >= first]
-            met = {row["target"] for row in rows if row["source"] == person.who}
+            met = {row["target"] for row in rows if row["source"] == person.name}
             if relation in SYMMETRIC:
-                met |= {row["source"] for row in rows if row["target"] == person.who}
+                met |= {row["source"] for row in rows if row["target"] == person.name}
             if met:
                 found[person.id] = len(met)
             else:
                 # A missing fact is unknown, and nobody is missing until somebody is met.
                 when = f"from {_at(first)} to {_at(last)}"
-                self._note(person, "count", f"nobody is known to be in '{relation}' with {person.who} {when}")
+                self._note(person, "count", f"nobody is known to be in '{relation}' with {person.name} {when}")
         return found
 
     def _at(self, person: Person, frame: int) -> Sighting | None:
-        return next((one for one in self.sightings(person.who) if one.frame == frame), None)
+        return next((one for one in self.sightings(person.name) if one.frame == frame), None)
 
     def _between(self, person: Person, kind: str, what: str, before: int, after: int) -> int | None:
         """The middle of two looks, None (and noted) where they are too far apart."""

@@ -1,9 +1,9 @@
 """Clauses: the Cypher of each kind of condition and edge of a plan, as two boolean expressions.
 
 Because facts have three values, each clause has two texts. `sure` is true if the fact is certain, and `could` is true
-if the fact is not certainly false. Both are templates over variables that the caller binds: a person `n` with the
-sighting `s` at the time, the other person `m` of an edge with the sighting `z`, the frame `t`, the sequence or episode
-`scope`, and the requested values `v` and `w`. Values are variables, so that no text of a plan is part of a statement.
+if the fact is not certainly false. Both are templates over variables that the caller binds. `n` is a person with the
+sighting `s`. `m` is the other person of an edge with the sighting `z`. `t` is the frame, and `scope` the sequence. `v`
+and `w` are the requested values. Values are variables, so that no text of a plan is part of a statement.
 """
 
 from __future__ import annotations
@@ -57,16 +57,16 @@ def in_rows(
     return Clause(*(f"EXISTS {{{{ MATCH {match} WHERE {' AND '.join(parts)} }}}}" for match, parts in texts))
 
 
-def in_column(value: str, other: str = "", rows: Clause | None = None, near: str = "") -> Clause:
+def in_column(value: str, second_value: str = "", rows: Clause | None = None, near: str = "") -> Clause:
     """Return the clause of a fact that is one value, or null if the value is unknown.
 
     Args:
         value: Column of the value.
-        other: Column of a second possible value, or "".
+        second_value: Column of a second possible value, or "".
         rows: Clause of facts that make `v` possible beside another value, or None.
         near: Condition that makes `v` possible beside another value, or "".
     """
-    alone, second = (f" AND {other} IS NULL", f" OR {other} = {{v}}") if other else ("", "")
+    alone, second = (f" AND {second_value} IS NULL", f" OR {second_value} = {{v}}") if second_value else ("", "")
     listed = f" OR {rows.could}" if rows else ""
     also = f" OR {near}" if near else ""
     could = f"({value} IS NULL OR {value} = {{v}}{second}{listed}{also})"
@@ -121,16 +121,16 @@ def unless_both_listed(rows: Clause, listed: str) -> Clause:
     return unless_listed(rows, f"({listed} AND {listed.replace('{n}', '{m}').replace('{s}', '{z}')})")
 
 
-def within(here: str, there: str) -> Clause:
+def within(source: str, target: str) -> Clause:
     """Return the clause of an edge by panorama angles: the target is less than `v` degrees to the left of the source.
 
     The edge is unknown if the target is within a margin of the limit, or within a margin of the source's direction.
 
     Args:
-        here: Angle of the source. For the right side, angle of the target.
-        there: Angle of the target. For the right side, angle of the source.
+        source: Angle of the source. For the right side, angle of the target.
+        target: Angle of the target. For the right side, angle of the source.
     """
-    turn = f"({here} - {there})"
+    turn = f"({source} - {target})"
     left = f"({turn} - 360.0 * floor({turn} / 360.0))"
     return Clause(
         f"({left} > $margin AND 360.0 - {left} > $margin AND {left} < {{v}} AND {{v}} - {left} > $margin)",
@@ -138,15 +138,15 @@ def within(here: str, there: str) -> Clause:
     )
 
 
-def seen_with(pattern: str, there: str, edge: Clause) -> Clause:
+def seen_with(pattern: str, present: str, edge: Clause) -> Clause:
     """Return the clause of an edge to a thing. The edge needs a sighting of the thing.
 
     Args:
         pattern: Pattern of a sighting `z` of the thing.
-        there: Condition that the sighting is at the time.
+        present: Condition that the sighting is at the time.
         edge: Clause of the edge with the sighting.
     """
-    return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {there} AND {text} }}}}" for text in edge))
+    return Clause(*(f"EXISTS {{{{ MATCH {pattern} WHERE {present} AND {text} }}}}" for text in edge))
 
 
 def towards(angle: str) -> Clause:

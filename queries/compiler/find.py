@@ -74,17 +74,17 @@ class _Pattern:
         bound = ["id", "scope", *self.row]
         lines = ["UNWIND $plans AS q", f"WITH {', '.join(f'q.{name} AS {name}' for name in bound)}"]
         sure: list[str] = []
-        for place, (match, where, sightings, holds) in enumerate(people):
-            bound += [f"n{place}", *sightings]
+        for index, (match, where, sightings, holds) in enumerate(people):
+            bound += [f"n{index}", *sightings]
             certain = [f"{text} AS {name}" for name, text in holds.items()]
             lines += [f"MATCH {match}", f"WHERE {where}", f"WITH {', '.join([*bound, *certain])}"]
             bound += holds
             sure += holds
         things = [i for i, node in enumerate(self.nodes) if node in self.things]
-        who = [f"{self._space(node).who.format(n=f'n{i}')} AS who{i}" for i, node in enumerate(self.nodes)]
+        keys = [f"{self._space(node).key.format(n=f'n{i}')} AS who{i}" for i, node in enumerate(self.nodes)]
         # Each result has a column of its own, because the engine cannot join the results of several EXISTS.
         certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
-        lines.append(f"RETURN {', '.join(['id', *who, *certain])}")
+        lines.append(f"RETURN {', '.join(['id', *keys, *certain])}")
         # Names of things come last, because the engine orders numbers after a string wrongly.
         order = [i for i in range(len(self.nodes)) if i not in things] + things
         lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in order)])}")
@@ -93,13 +93,13 @@ class _Pattern:
     def _person(self, node: str, edges: Edges) -> tuple[str, str, list[str], dict[str, str]]:
         """Return the parts of the MATCH of a node: pattern, conditions, sightings, and tests of certainty by name."""
         self.nodes.append(node)
-        place, space = len(self.nodes) - 1, self._space(node)
+        index, space = len(self.nodes) - 1, self._space(node)
         times = times_of(self.plan, node)
         # A thing has no sighting, so only the first time is needed.
         bound = [self._at(node, time) for time in (times[:1] if node in self.things else times)]
-        where = [space.there.format(**at) for at in reversed(bound)]
+        where = [space.present.format(**at) for at in reversed(bound)]
         where += [text for time, at in zip(times, bound, strict=False) for text in self._begun(node, time, at)]
-        where += [f"n{place}.id <> n{other}.id" for other in range(place)]
+        where += [f"n{index}.id <> n{earlier}.id" for earlier in range(index)]
         holds: dict[str, str] = {}
         for name, clause, at in self._clauses(node, edges):
             where.append(clause.could.format(**at))
@@ -131,8 +131,8 @@ class _Pattern:
             yield f"e{i}", self._space(edge.target).edges[kind], at
 
     def _at(self, node: str, time: str) -> Variables:
-        place, t = self.nodes.index(node), self.times[time]
-        bound = {"n": f"n{place}", "s": f"s{place}_{t}", "t": t, "scope": "scope"}
+        index, t = self.nodes.index(node), self.times[time]
+        bound = {"n": f"n{index}", "s": f"s{index}_{t}", "t": t, "scope": "scope"}
         if limits(self.plan, time) is None:
             self.row[t] = stated_frame(self.plan, time)
         elif node not in self.things or time in self.moments:
@@ -253,7 +253,7 @@ def people_of(find: Find, row: Mapping[str, Any]) -> dict[str, PersonId]:
         find: Statement.
         row: Row of the statement.
     """
-    return {node: row[f"who{place}"] for place, node in enumerate(find.nodes)}
+    return {node: row[f"who{index}"] for index, node in enumerate(find.nodes)}
 
 
 def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:

@@ -39,16 +39,16 @@ class NodeMapping:
 
     Attributes:
         pattern: Pattern of a node `n`. A person has the sighting `s`.
-        there: Condition that the sighting is at frame `t` of `scope` and that the person is not covered. A covered
+        present: Condition that the sighting is at frame `t` of `scope` and that the person is not covered. A covered
             person does not count. For things, the condition that the thing is in `scope`.
-        who: Track of the person, or key of the thing.
+        key: Track of the person, or key of the thing.
         conditions: Clauses of conditions by kind, as in `Condition.kind`. A thing has only the condition "kind".
         edges: Clauses of edges from a person to the node by kind, as in `edge_kind` and `thing_edge_kind`.
     """
 
     pattern: str
-    there: str
-    who: str
+    present: str
+    key: str
     conditions: Mapping[str, Clause]
     edges: Mapping[str, Clause]
 
@@ -143,8 +143,8 @@ _SOCIAL: Final = unless_both_listed(
 
 PEOPLE: Final = NodeMapping(
     pattern=_PATTERN,
-    there=f"{BOXED} AND NOT {{s}}.covered",
-    who="{n}.track",
+    present=f"{BOXED} AND NOT {{s}}.covered",
+    key="{n}.track",
     conditions={
         "gender": in_column("{n}.gender"),
         "age": in_column("{n}.age", near="list_contains({w}, {n}.age)"),
@@ -170,8 +170,8 @@ PEOPLE: Final = NodeMapping(
 
 THINGS: Final = NodeMapping(
     pattern="({n}:Object)",
-    there="{n}.sequence = {scope}",
-    who="{n}.id",
+    present="{n}.sequence = {scope}",
+    key="{n}.id",
     conditions={"kind": in_column("{n}.category")},
     edges={
         "handles": unless_listed(

@@ -1,4 +1,4 @@
-"""Reads of found people. One statement per kind of fact reads many people together.
+"""Reads of people who are found. One statement per kind of fact reads many people together.
 
 The statements are in `queries/reads/<namespace>/*.cypher`. Only counts are compiled here, from the clauses of an edge.
 Results are by id of the plan, and unknown results are missing. The solver uses a `Reader`: `SceneReader` reads the
@@ -40,16 +40,16 @@ class Person:
     Attributes:
         id: Id of the plan.
         scope: Name of the sequence, or key of the episode.
-        who: Track or name of the person in the scope.
+        name: Track or name of the person in the scope.
     """
 
     id: int
     scope: str
-    who: PersonId
+    name: PersonId
 
     def row(self, **more: Any) -> dict[str, Any]:
         """Return a row of `$plans` for the person, with further values."""
-        return {"id": self.id, "scope": self.scope, "who": self.who, **more}
+        return {"id": self.id, "scope": self.scope, "who": self.name, **more}
 
 
 @dataclass(frozen=True)
@@ -188,22 +188,22 @@ class SceneReader(Reader):
     def values_at(self, queries: Offers) -> dict[int, str]:
         """See `Reader.values_at`."""
         names = {person.id: name for person, _, name, _ in queries if name != "action"}
-        found = self._actions_at([query for query in queries if query[2] == "action"])
+        values = self._actions_at([query for query in queries if query[2] == "action"])
         for row in self._read("value", [person.row(t=t) for person, t, *_ in queries if person.id in names]):
             off = {word: angle_error(row["angle"], axis) for word, axis in ROBOT_SECTORS.items()}
             sector = next((word for word in off if off[word] <= self.values["sector_true"]), None)
             value = (row | {"sector": sector})[names[row["id"]]]
-            found |= {} if value is None else {row["id"]: str(value)}
-        return found
+            values |= {} if value is None else {row["id"]: str(value)}
+        return values
 
     def _actions_at(self, queries: Offers) -> dict[int, str]:
-        rows = [p.row(at=f"{p.scope}/{t:06d}", t=t, person=f"{p.scope}/{p.who}") for p, t, *_ in queries]
-        listed, found = self.listed_actions(rows), {}
+        rows = [p.row(at=f"{p.scope}/{t:06d}", t=t, person=f"{p.scope}/{p.name}") for p, t, *_ in queries]
+        listed, true = self.listed_actions(rows), {}
         for person, _, _, offered in queries:
             outcomes = [outcome_of_action(listed.get(person.id), label) for label in offered]
             if sorted(outcomes) == ["different"] * (len(offered) - 1) + ["same"]:
-                found[person.id] = offered[outcomes.index("same")]
-        return found
+                true[person.id] = offered[outcomes.index("same")]
+        return true
 
     def listed_actions(self, rows: Rows) -> dict[int, ListedActions]:
         """Return the action labels of people who are not covered, by id of the row.
@@ -216,15 +216,15 @@ class SceneReader(Reader):
         for row in self.query(read_statement("necessity/labels.cypher"), {"asked": list(rows)}) if rows else ():
             complete[row["id"]] = row["listed"]
             labels[row["id"]] |= {row["label"]: row["easy"]} if row["label"] in ACTIONS else {}
-        return {number: list_actions(labels[number], complete[number]) for number in complete}
+        return {row_id: list_actions(labels[row_id], complete[row_id]) for row_id in complete}
 
     def seen(self, queries: Looks) -> dict[tuple[int, int], Seen]:
         """See `Reader.seen`."""
-        found = {}
+        views = {}
         for row in self._read("seen", [person.row(t=frame) for person, frame in queries]):
             present = True if row["clear"] else False if row["absent"] else None
-            found[row["id"], row["t"]] = Seen(present, row["distance"])
-        return found
+            views[row["id"], row["t"]] = Seen(present, row["distance"])
+        return views
 
     def starts(self, queries: Sequence[tuple[Person, str, int]]) -> dict[int, Segment]:
         """See `Reader.starts`."""
@@ -239,8 +239,8 @@ class SceneReader(Reader):
     def next_poses(self, queries: Looks) -> dict[int, tuple[str, int]]:
         """See `Reader.next_poses`. The next posture must have a certain start."""
         people = {person.id: person for person, _ in queries}
-        found = self._read("next_action", [person.row(after=after) for person, after in queries])
-        follows = {row["id"]: (row["pose"], row["until"] - KEYFRAME_STEP) for row in found if row["pose"] is not None}
+        rows = self._read("next_action", [person.row(after=after) for person, after in queries])
+        follows = {row["id"]: (row["pose"], row["until"] - KEYFRAME_STEP) for row in rows if row["pose"] is not None}
         started = self.starts([(people[i], pose, last) for i, (pose, last) in follows.items()])
         return {
             i: (pose, last)
@@ -251,18 +251,18 @@ class SceneReader(Reader):
     def counts(self, queries: Sequence[tuple[Person, str, int, int]]) -> dict[int, int]:
         """See `Reader.counts`."""
         rows = self.rows_on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
-        known = {row["id"] for row in self._read("company", rows)}
+        complete = {row["id"] for row in self._read("company", rows)}
         by_text: dict[str, list[dict[str, Any]]] = defaultdict(list)
         for person, relation, first, last in queries:
-            if person.id in known:
+            if person.id in complete:
                 row = person.row(t1=first, t2=last, **edge_values(relation))
                 by_text[compile_count(relation)].append(row)
-        could: dict[int, set[int]] = {i: set() for i in known}
-        does: dict[int, set[int]] = {i: set() for i in known}
+        could: dict[int, set[int]] = {i: set() for i in complete}
+        does: dict[int, set[int]] = {i: set() for i in complete}
         for text, members in by_text.items():
             for row in self.run(text, members):
                 (does if row["clear"] and row["holds"] else could)[row["id"]].add(row["other"])
-        return {i: len(does[i]) for i in known if could[i] <= does[i]}
+        return {i: len(does[i]) for i in complete if could[i] <= does[i]}
 
     def _read(self, name: str, rows: Rows) -> list[dict[str, Any]]:
         return self.run(read_statement(f"reads/scene/{name}.cypher"), rows)
@@ -295,7 +295,7 @@ def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same
     if label in labels.certain:
         return "same"
     listed = labels.certain | labels.hard
-    called = label in listed or any(label in CALLED.get(other, ()) for other in listed)
+    called = label in listed or any(label in CALLED.get(name, ()) for name in listed)
     poses = listed.intersection(POSES)
     unsure = label in POSES and (len(poses) != 1 or poses & labels.hard)
     return "unknown" if called or unsure or not labels.complete else "different"
@@ -311,21 +311,21 @@ def compile_count(relation: str) -> str:
     clause = PEOPLE.edges[edge_kind(relation)]
     carried = ", ".join(["id", "scope", *values])
     at = {"n": "n", "s": "s", "m": "m", "z": "z", "t": "t", "scope": "scope"} | {name: name for name in values}
-    other = at | {"n": "m", "s": "z"}
+    partner = at | {"n": "m", "s": "z"}
     return "\n".join(
         [
             "UNWIND $plans AS q",
             f"WITH {', '.join(f'q.{name} AS {name}' for name in ('id', 'scope', 'who', 't1', 't2', *values))}",
             "UNWIND range(t1, t2) AS t",
             f"MATCH {PEOPLE.pattern.format(**at)}",
-            f"WHERE {BOXED.format(**at)} AND {PEOPLE.who.format(**at)} = who",
+            f"WHERE {BOXED.format(**at)} AND {PEOPLE.key.format(**at)} = who",
             f"WITH {carried}, t, n, s",
-            f"MATCH {PEOPLE.pattern.format(**other)}",
-            f"WHERE {PEOPLE.there.format(**other)} AND m.id <> n.id AND {clause.could.format(**at)}",
+            f"MATCH {PEOPLE.pattern.format(**partner)}",
+            f"WHERE {PEOPLE.present.format(**partner)} AND m.id <> n.id AND {clause.could.format(**at)}",
             f"WITH {carried}, t, n, s, m, z, s.clear AND z.clear OR NOT $in_view AS clear",
             # The engine cannot evaluate EXISTS together with columns.
             f"WITH id, m, clear, {clause.sure.format(**at)} AS holds",
-            f"RETURN DISTINCT id, {PEOPLE.who.format(n='m')} AS other, clear, holds",
+            f"RETURN DISTINCT id, {PEOPLE.key.format(n='m')} AS other, clear, holds",
             "ORDER BY id, other, clear, holds",
         ]
     )

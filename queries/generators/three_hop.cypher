@@ -1,6 +1,6 @@
 // three_hop: three relations lead from a described person to another one, who does something that the others do not do.
 MATCH (n:Name)-[:Describes]->(a:Moment)-[s1:Leads]->(b:Moment)-[s2:Leads]->(c:Moment)-[s3:Leads]->(d:Moment)
-      -[:Doing]->(x:Action) WHERE n.sequence = $sequence AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND a.clear
+      -[:Doing]->(x:Action) WHERE c.sequence = $sequence AND c.id <> a.id AND d.id <> a.id AND d.id <> b.id AND a.clear
   AND b.clear AND c.clear AND d.clear AND a.image AND NOT d.ahead AND list_contains(a.not_doing, x.name)
   AND list_contains(b.not_doing, x.name) AND list_contains(c.not_doing, x.name)
 RETURN n.id AS name, a.frame AS t0, a.track AS a, b.track AS b, c.track AS c, d.track AS d, s1.relation AS r1,

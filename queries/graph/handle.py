@@ -395,13 +395,23 @@ def open_worker_graph(path: Path) -> Iterator[Graph]:
 _left_open: dict[Path, Graph] = {}
 
 
-def hold_graph(path: Path, workers: Executor) -> contextlib.AbstractContextManager[object]:
-    """Return a context manager that keeps a graph open in this process if `workers` is 1.
+@contextlib.contextmanager
+def hold_graph(path: Path, workers: Executor) -> Iterator[None]:
+    """Keep the session of `open_worker_graph` open in this process if `workers` is 1.
 
-    This process then handles all sequences itself, and the file is opened only once. If there are several workers, the
-    context manager does nothing, because an open graph takes 150 MB of memory. Raises the errors of `Graph.open`.
+    This process then handles all sequences itself. The file is opened once, and each statement is parsed once. If there
+    are several workers, the context manager does nothing, because an open graph takes 150 MB of memory. Raises the
+    errors of `Graph.open`.
     """
-    return Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext()
+    if workers != 1:
+        yield
+        return
+    with Graph.open(path, read_only=True, prepares=True) as graph:
+        _left_open[path] = graph
+        try:
+            yield
+        finally:
+            del _left_open[path]
 
 
 @contextlib.contextmanager
