@@ -55,6 +55,11 @@ class Candidate(NamedTuple):
         return self.sequence, self.track, self.asked
 
     @property
+    def event_of_person(self) -> tuple[str, int, str | None]:
+        """The person and the event. All templates together have one question only about them."""
+        return self.sequence, self.track, self.event
+
+    @property
     def subject(self) -> Subject:
         """What near-duplicates and caps compare."""
         return Subject((self.sequence, self.track), self.template, self.asked, self.event)

@@ -1,6 +1,6 @@
-"""Read the answer of a plan: at stated times (action, presence, distance, count) and at events (starts, absences).
+"""Read the answer of a plan at stated times (action, presence, distance, count) or at events (starts, absences).
 
-Each `read_<read>` reads the answer of the plans with that read, and raises Undefined if they have none.
+A function `read_<read>` reads the answer of a plan with that read. It raises Undefined if the plan has no answer.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Reading:
     Attributes:
         answer: An action or a fixed answer for a question with choices, else the stored JSON.
         events: Frames of the plan's events by name.
-        decisive: Frames in which the target's box shows the answer.
+        decisive: Frames with a box of the target that shows the answer.
         more: Boxes of further people that must be seen.
     """
 
@@ -142,8 +142,8 @@ def read_distance_change(resolved: ResolvedPlan) -> Reading:
 def read_count(resolved: ResolvedPlan) -> Reading:
     """Read how many different people are in a relation with the target at any frame between two times.
 
-    The number is known if the target has a box at each keyframe, and if each person who may be in the relation in some
-    frame is certainly in the relation in at least one frame.
+    The number is known if two conditions hold. The target has a box at each keyframe. Each person who may be in the
+    relation at some frame is certainly in it at another frame, or at the same one.
     """
     annotations, target = resolved.annotations, resolved.target
     first, last, relation = resolved.frame(0), resolved.frame(1), resolved.plan.answer.relation or ""

@@ -1,9 +1,9 @@
 """Clauses: the Cypher of each kind of condition and edge of a plan, as two boolean expressions.
 
 Because facts have three values, each clause has two texts. `sure` is true if the fact is certain, and `could` is true
-if the fact is not certainly false. Both are templates over variables that the caller binds: a person `n` with the
-sighting `s` at the time, the other person `m` of an edge with the sighting `z`, the frame `t`, the sequence or episode
-`scope`, and the requested values `v` and `w`. Values are variables, so that no text of a plan is part of a statement.
+if the fact is not certainly false. Both are templates over variables that the caller binds. `n` is a person with the
+sighting `s`. `m` is the other person of an edge with the sighting `z`. `t` is the frame, and `scope` the sequence. `v`
+and `w` are the requested values. Values are variables, so that no text of a plan is part of a statement.
 """
 
 from __future__ import annotations
