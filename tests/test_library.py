@@ -144,7 +144,7 @@ def results():
         "1 refused": LoadResult([SequenceReport("s", [problem], layers=["2d"])]),
         "sound, 0 checks": Validation(),
         "1 faults": unsound,
-        "2 questions of 1 templates": Generation((template,), (), (template,), (), ()),
+        "2 questions of 1 templates": Generation((template,), (template,), ()),
         "1 runs": Scores([{"run": "a<b", "answer": 12.5, "evidence": None}]),
     }
 

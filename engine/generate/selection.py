@@ -6,7 +6,7 @@ The result depends on the candidates alone, never on their order. Hashes of the 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Final
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
@@ -37,7 +37,7 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
 """Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates."""
 
 STAGES: Final = (
-    *(("action_search",), ("span", "start"), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),
+    *(("span", "start"), ("action_search",), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),
     *(("consequence",), ("later_action",), ("change",), ("distance",), ("presence",)),
 )
 """Templates in the order of selection. Templates in one tuple share the quota of their family.
@@ -100,7 +100,8 @@ def select(
             quota = quota_of(names[0], quotas, {name: row["reached"] for name, row in rows.items()})
             # No sequence has 3D boxes if there is no candidate of the template distance.
             quota = 0 if names == ("distance",) and not candidates else quota
-            selected, shortage = _select_stage(candidates, quota, counts, taken)
+            events = {(one.person, one.event) for one in pool.get("action_search", ())} if "start" in names else set()
+            selected, shortage = _select_stage(candidates, quota, counts, taken, events)
         elif forms_of(names[0])[0].asks_action:
             selected = level_choices(candidates, counts, rules)
         else:
@@ -122,24 +123,30 @@ def select(
     return questions, [rows[name] for name in FAMILIES]
 
 
-def _select_stage(candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken) -> Selected:
+def _select_stage(
+    candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken, events: Container[object]
+) -> Selected:
     if not candidates or not quota:
         return Selected([], None if quota else "the family is full")
     template = candidates[0].template
     cap = sequence_cap(quota, len(counts.present), 10 if template == "presence" else 20)
     if forms_of(template)[0].answer is None:
         return select_level(candidates, quota, counts, taken, cap)
-    return _level(candidates, quota, taken, cap)
+    return _level(candidates, quota, taken, cap, events)
 
 
-def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int) -> Selected:
-    """Select questions without choices, so that templates, and then forms, answers and people, are level."""
+def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, events: Container[object]) -> Selected:
+    """Select questions without choices, so that templates, and then forms, answers and people, are level.
+
+    Events that a later template can ask about come last.
+    """
     alive = sorted(candidates, key=lambda candidate: hash_of(candidate.key))
     total, chosen, numbers = len(alive), list[Candidate](), Counter[object]()
 
-    def cost(one: Candidate) -> tuple[int, int, int]:
+    def cost(one: Candidate) -> tuple[int, bool, int, int]:
         contexts = sum(weight * numbers[name] for name, weight in one.contexts)
-        return numbers[one.template], contexts + numbers[one.person], numbers[one.sequence]
+        level = contexts + numbers[one.person]
+        return numbers[one.template], (one.person, one.event) in events, level, numbers[one.sequence]
 
     while len(chosen) < quota:
         alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one)]

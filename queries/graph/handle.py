@@ -411,7 +411,7 @@ def hold_graph(path: Path, workers: Executor) -> Iterator[None]:
         try:
             yield
         finally:
-            del _left_open[path]
+            _left_open.pop(path, None)
 
 
 @contextlib.contextmanager
