@@ -166,7 +166,7 @@ def _fork_joins(layer: Layer, template: Template) -> Iterator[TableRow]:
             if not people[who]["clear"] or layer.boxes[who, frame]["ahead"]:
                 continue
             first, *branches = (different_labels(facts.labels(row[node], frame)) for node in "abc")
-            for label in true_labels(facts.lists[who], frame):
+            for label in sorted(true_labels(facts.lists[who], frame)):
                 if label in first and any(label in different for different in branches):
                     yield row | {"d": who, "r3": r3, "r4": r4, "answer": label}
 
