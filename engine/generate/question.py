@@ -81,7 +81,7 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
 
 
 class _Expected:
-    """Source of facts from the sets. It notes all facts that proofs ask for, so that statements look them up at once."""
+    """Source of facts from the sets. It notes what proofs ask for, so that statements look all facts up together."""
 
     def __init__(self, facts: Facts) -> None:
         self._facts = facts
