@@ -99,7 +99,8 @@ class Layer:
     @cached_property
     def false_labels(self) -> Callable[[int, int], frozenset[str]]:
         """Function that returns the actions that may be wrong choices, by track and keyframe."""
-        return cache(lambda who, frame: false_labels(self.facts.lists[who], frame))
+        lists = self.facts.lists
+        return cache(lambda who, frame: false_labels(lists[who], frame))
 
     def search(self, name: str) -> list[dict[str, Any]]:
         """Run a generator over the stored layer and return its rows."""
