@@ -403,15 +403,11 @@ def hold_graph(path: Path, workers: Executor) -> Iterator[None]:
     are several workers, the context manager does nothing, because an open graph takes 150 MB of memory. Raises the
     errors of `Graph.open`.
     """
-    if workers != 1:
+    with contextlib.ExitStack() as closing:
+        if workers == 1:
+            _left_open[path] = closing.enter_context(Graph.open(path, read_only=True, prepares=True))
+            closing.callback(_left_open.pop, path)
         yield
-        return
-    with Graph.open(path, read_only=True, prepares=True) as graph:
-        _left_open[path] = graph
-        try:
-            yield
-        finally:
-            _left_open.pop(path, None)
 
 
 @contextlib.contextmanager
