@@ -22,7 +22,7 @@ from jrdb_avr.engine.generate.held_out import Extent, read_held_out
 from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Proposal
-from jrdb_avr.engine.generate.publish import publish, question_tables
+from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.question import COLUMNS, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, select
 from jrdb_avr.engine.generate.stored_layer import Job, ensure_layer
@@ -133,7 +133,7 @@ def generate(
         rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"]).sort_by(order)
         heads = pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"])
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out} if profile == TRAIN else None
-        publish(store, question_tables(store, questions) | {"rejected": [rejected], "sequences": [heads]}, training)
+        publish(store, questions, {"rejected": rejected, "sequences": heads}, training)
     return Generation(tuple(tallies(rejected, questions, layers, report)), tuple(report), tuple(faults))
 
 

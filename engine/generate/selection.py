@@ -101,7 +101,13 @@ def select(
             # No sequence has 3D boxes if there is no candidate of the template distance.
             quota = 0 if names == ("distance",) and not candidates else quota
             events = {(one.person, one.event) for one in pool.get("action_search", ())} if "start" in names else set()
-            selected, shortage = _select_stage(candidates, quota, counts, taken, events)
+            selected, shortage = list[Question](), None if quota else "the family is full"
+            if candidates and quota:
+                cap = sequence_cap(quota, len(counts.present), 10 if "presence" in names else 20)
+                if forms_of(names[0])[0].answer is None:
+                    selected, shortage = select_level(candidates, quota, counts, taken, cap)
+                else:
+                    selected, shortage = _level(candidates, quota, taken, cap, events)
         elif forms_of(names[0])[0].asks_action:
             selected = level_choices(candidates, counts, rules)
         else:
@@ -121,18 +127,6 @@ def select(
             }
         questions += selected
     return questions, [rows[name] for name in FAMILIES]
-
-
-def _select_stage(
-    candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken, events: Container[object]
-) -> Selected:
-    if not candidates or not quota:
-        return Selected([], None if quota else "the family is full")
-    template = candidates[0].template
-    cap = sequence_cap(quota, len(counts.present), 10 if template == "presence" else 20)
-    if forms_of(template)[0].answer is None:
-        return select_level(candidates, quota, counts, taken, cap)
-    return _level(candidates, quota, taken, cap, events)
 
 
 def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, events: Container[object]) -> Selected:
