@@ -138,13 +138,13 @@ def results():
     unsound = Validation()
     unsound.check("ids", False, "0: id of other columns")
     rows = [prediction("answered"), prediction("error")]
-    template = {"family": "f", "template": "t", "candidates": 3, "kept": 2}
+    template = {"family": "f", "template": "t", "candidates": 3, "reached": 2}
     return {
         "1 answered, 0 invalid, 1 error": RunResult("r", pa.Table.from_pylist(rows, RUNS["predictions"]), True),
         "1 refused": LoadResult([SequenceReport("s", [problem], layers=["2d"])]),
         "sound, 0 checks": Validation(),
         "1 faults": unsound,
-        "2 questions of 1 templates": Generation((template,), (), (template,), (), ()),
+        "2 questions of 1 templates": Generation((template,), (template,), ()),
         "1 runs": Scores([{"run": "a<b", "answer": 12.5, "evidence": None}]),
     }
 

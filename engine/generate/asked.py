@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 
 from jrdb_avr.engine.generate.guessers import LabelCounts, Offer
 from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
-from jrdb_avr.engine.generate.near_duplicates import Subject
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
 _ALL_WEIGHT: Final = 50
@@ -55,14 +54,9 @@ class Candidate(NamedTuple):
         return self.sequence, self.track, self.asked
 
     @property
-    def event_of_person(self) -> tuple[str, int, str | None]:
-        """The person and the event. All templates together have one question only about them."""
-        return self.sequence, self.track, self.event
-
-    @property
-    def subject(self) -> Subject:
-        """What near-duplicates and caps compare."""
-        return Subject((self.sequence, self.track), self.template, self.asked, self.event)
+    def person(self) -> tuple[str, int]:
+        """Sequence and track of the target."""
+        return self.sequence, self.track
 
 
 class Question(NamedTuple):

@@ -27,6 +27,7 @@ from jrdb_avr.schema.answer_modes import MODES, decode_answer, mode_of, same_ans
 from jrdb_avr.schema.answers import Answer, Choice, FrameAnswer, Number, encode_answer
 from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.rules import FPS
+from jrdb_avr.schema.templates import Template
 from jrdb_avr.schema.wording.text import actions_of, form_of, parse, stated_frames
 
 INFORMATION: Final = ("frame", "least label", "least set", "least pair")
@@ -55,28 +56,22 @@ class QuestionText:
     Attributes:
         question_id: The id of the question.
         sequence: Name of the sequence.
-        template: Name of the template.
-        read: Kind of value that the answer reads.
-        mode: Answer mode.
+        form: Form of the template.
         choices: Texts of the choices.
         described: Actions that the text states of the target, sorted.
         times: Stated frames. The first one is the time of the description.
         answer: The true answer.
-        form: Name of the template's form.
         text: The text.
         twin: The key that the question shares with its time twin, or None.
     """
 
     question_id: str
     sequence: str
-    template: str
-    read: str
-    mode: str
+    form: Template
     choices: tuple[str, ...]
     described: tuple[str, ...]
     times: tuple[int, ...]
     answer: Answer
-    form: str = ""
     text: str = ""
     twin: str | None = None
 
@@ -89,13 +84,13 @@ class QuestionText:
     @property
     def asks(self) -> str:
         """The kind of answer in a word or two. A count and seconds are different kinds."""
-        return "count" if self.read == "count" else MODES[self.mode].asks
+        return "count" if self.form.spec.read == "count" else MODES[self.form.spec.mode].asks
 
     @property
     def bin(self) -> str:
         """The bin of the answer. Selection balances the bins."""
-        answer = encode_answer(self.answer)
-        return bin_name(self.mode, self.read, answer_bin(self.mode, answer, self.times, self.read))
+        spec, answer = self.form.spec, encode_answer(self.answer)
+        return bin_name(spec.mode, spec.read, answer_bin(spec.mode, answer, self.times, spec.read))
 
 
 def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]:
@@ -120,14 +115,11 @@ def question_texts(questions: pa.Table, answers: pa.Table) -> list[QuestionText]
             QuestionText(
                 row["question_id"],
                 row["sequence"],
-                row["template"],
-                plan.answer.read,
-                row["answer_mode"],
+                form_of(template, plan)[0],
                 tuple(row["choices"]),
                 tuple(sorted({word for condition in conditions for word in actions_of(condition)})),
                 stated_frames(plan),
                 decode_answer(row["answer_mode"], stored[row["question_id"]]["answer"]),
-                form_of(template, plan)[0].query,
                 row["question"],
                 stored[row["question_id"]].get("twin_id"),
             )
@@ -156,14 +148,14 @@ def blind_check(questions: Iterable[QuestionText], guessers: Sequence[Guesser]) 
         that does not apply has None. Counts of people have no aim. If a form has time twins, a second row, "FORM, two
         twins", has their number of pairs as n and the shares of pairs with both right.
     """
-    groups: dict[tuple[str, str, str], list[QuestionText]] = defaultdict(list)
+    groups: dict[tuple[str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:
-        groups[question.template, question.form, question.asks].append(question)
+        groups[question.form.name, question.form.query].append(question)
     rows = []
-    for (template, form, asks), group in sorted(groups.items()):
+    for (template, form), group in sorted(groups.items()):
         scores = {name: of for guesser in (_simple, *guessers) for name, of in guesser(group).items()}
-        head = {"template": template, "form": form or template, "asks": asks}
-        aim = None if group[0].read == "count" else MODES[group[0].mode].aim
+        head = {"template": template, "form": form, "asks": group[0].asks}
+        aim = None if group[0].asks == "count" else MODES[group[0].form.spec.mode].aim
         rows.append(head | _shares(scores, aim))
         numbers = [index for index, question in sorted(enumerate(group), key=lambda entry: entry[1].twin or "")]
         pairs = [pair for pair in pairwise(numbers) if group[pair[0]].twin == group[pair[1]].twin is not None]
@@ -188,7 +180,7 @@ def _shares(scores: Mapping[str, Chances], aim: float | None) -> dict[str, Any]:
 
 def _simple(group: Sequence[QuestionText]) -> dict[str, Chances]:
     """Return the scores of the simple guessers."""
-    guessers = MODES[group[0].mode].guessers
+    guessers = MODES[group[0].form.spec.mode].guessers
     scores: dict[str, Chances] = {}
     if "uniform" in guessers:
         scores["uniform"] = [1 / len(question.choices) for question in group]

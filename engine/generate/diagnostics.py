@@ -120,8 +120,5 @@ def _reasons(
         # The selection is named, too, if it refused most of the proven candidates, or too many.
         if place < _NAMED or (rule == "selection" and (shortage or row[rule] > row["questions"])):
             reason = shortage if shortage and rule == "selection" else REASONS[rule]
-            yield f"{rule} refused {_percent(row[rule], row['candidates'])}: {reason}"
-
-
-def _percent(part: int, whole: int) -> str:
-    return "<1 %" if 200 * part < whole else f"{100 * part / whole:.0f} %"
+            percent = 100 * row[rule] / row["candidates"]
+            yield f"{rule} refused {'<1' if percent < 0.5 else f'{percent:.0f}'} %: {reason}"

@@ -29,21 +29,14 @@ class Extent(NamedTuple):
     last: int
 
 
-class HeldOut(NamedTuple):
-    """Held-out questions: the hash of their generation, and their extents by sequence."""
-
-    generation: str
-    extents: Mapping[str, Sequence[Extent]]
-
-
-def read_held_out(path: Path) -> HeldOut:
+def read_held_out(path: Path) -> tuple[str, Mapping[str, Sequence[Extent]]]:
     """Read the questions of a store as held-out questions.
 
     Args:
         path: Folder of the store.
 
     Returns:
-        The held-out questions.
+        The hash of their generation, and their extents by sequence.
 
     Raises:
         StoreError: If the questions cannot be read.
@@ -56,7 +49,7 @@ def read_held_out(path: Path) -> HeldOut:
             extents[row["sequence"]].append(_extent(QuestionRecord.read(row, private[row["question_id"]])))
     except (AvrError, msgspec.MsgspecError, KeyError) as error:
         raise StoreError(f"{path}: its questions cannot be read ({error}); 'jrdb-avr validate' says more") from None
-    return HeldOut((questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode(), extents)
+    return (questions.schema.metadata or {}).get(GENERATION_KEY.encode(), b"").decode(), extents
 
 
 def _extent(record: QuestionRecord) -> Extent:

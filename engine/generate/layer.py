@@ -31,7 +31,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, row_schema
 from jrdb_avr.schema.labels import ACTIONS, POSES
 from jrdb_avr.schema.plan import Condition
-from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
+from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames, rules_hash
 
 TableRow = dict[str, Any]
 
@@ -97,6 +97,8 @@ class Layer:
 
     def tables(self) -> Iterator[tuple[str, pa.Table]]:
         """Make the rows of the layer. Yield the name and the rows of each table that has rows, nodes first."""
+        stamp = {"rules_hash": rules_hash(self._rules), "rules": msgspec.json.encode(self._rules).decode()}
+        self._rows["Keyframes"].append(stamp | {"sequence": self.head["sequence"]})
         self._add_names(self._add_moments())
         self._add_segments()
         self._add_absences()

@@ -6,6 +6,7 @@ person and ignores the time cannot answer both.
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -77,19 +78,19 @@ class Selector:
         """Select a question."""
         self.chosen[moment_hash(question.candidate)] = question
         self.level.add(question)
-        self.taken.add(question.candidate.subject)
+        self.taken.add(question.candidate)
 
     def take_out(self, moment: int) -> Question:
         """Select a question no more, and return it."""
         question = self.chosen.pop(moment)
         self.level.add(question, -1)
-        self.taken.remove(question.candidate.subject)
+        self.taken.remove(question.candidate)
         return question
 
     def admits(self, candidate: Candidate) -> bool:
         """Return whether no near-duplicate and no cap forbids a candidate."""
         below = self.level.of_sequence[candidate.sequence] < self.cap and self.level.allows(candidate)
-        return below and self.taken.admits(candidate.subject)
+        return below and self.taken.admits(candidate)
 
     def restart(self, questions: Iterable[Question] = ()) -> None:
         """Select these questions and no others, without twins."""
@@ -241,7 +242,7 @@ def make_selector(candidates: Sequence[Candidate], counts: LabelCounts, taken: T
     by_sequence = defaultdict(list)
     for moment, (candidate, *_) in ordered.items():
         by_sequence[candidate.sequence].append(moment)
-    return Selector(ordered, by_sequence, Level(candidates, counts), counts, taken.copy(), cap)
+    return Selector(ordered, by_sequence, Level(candidates, counts), counts, copy.deepcopy(taken), cap)
 
 
 def level_choices(candidates: Sequence[Candidate], counts: LabelCounts, rules: Rules) -> list[Question]:
@@ -303,7 +304,7 @@ def select_level(candidates: Sequence[Candidate], quota: int, counts: LabelCount
             selector.part_twins()
         questions = selector.questions() if selector.pairs else questions
     for question in questions:
-        taken.add(question.candidate.subject)
+        taken.add(question.candidate)
     return Selected(questions, shortage)
 
 

@@ -121,7 +121,7 @@ class Level:
             self._pairs[label, labels[labels != label]] += sign * share
         ranks = offer_of(question, self._counts).ranks
         self._ranks[np.arange(len(ranks)), list(ranks)] += sign
-        self._people[one.moment[:2]] += sign
+        self._people[one.person] += sign
         self._described[one.sequence, one.described] += sign
         self.of_sequence[one.sequence] += sign
         self._shared = None
@@ -190,7 +190,7 @@ class Level:
         levels = (self._levels[np.stack([row.contexts for row in rows])] * weights[..., None]).sum(axis=1)
         # (X + share)^2 - X^2 = 2 * X * share + share^2, and the last term is in `base`; likewise for P.
         fixed = -6 * levels[np.arange(len(rows)), true]
-        fixed += [own.person * self._people[one.moment[:2]] for one in candidates]
+        fixed += [own.person * self._people[one.person] for one in candidates]
         fixed += [own.described * self._described[one.sequence, one.described] for one in candidates]
         fixed += [own.sequence * self.of_sequence[one.sequence] for one in candidates]
         pairs, triples, ranked = self._shared = self._shared or self._share_costs()

@@ -6,8 +6,8 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from operator import sub
-from typing import NamedTuple
 
+from jrdb_avr.engine.generate.asked import Candidate
 from jrdb_avr.schema.rules import Rules, frames
 
 Person = tuple[str, int]
@@ -19,15 +19,6 @@ def near_frames(template: str, rules: Rules) -> int:
     return frames(rules.near_presence_s if template == "presence" else rules.near_duplicate_s)
 
 
-class Subject(NamedTuple):
-    """The properties of a question that near-duplicates and caps compare."""
-
-    person: Person
-    template: str
-    read: tuple[int, ...]
-    event: str | None
-
-
 @dataclass
 class Taken:
     """Account of the chosen questions of all templates. It never depends on their order."""
@@ -37,7 +28,7 @@ class Taken:
     events: set[tuple[Person, str]] = field(default_factory=set)
     questions: Counter[Person] = field(default_factory=Counter)
 
-    def admits(self, one: Subject) -> bool:
+    def admits(self, one: Candidate) -> bool:
         """Return whether no near-duplicate and no cap forbids a question."""
         others = self.reads[one.person, one.template]
         if len(others) >= self.rules.max_per_person or self.questions[one.person] >= self.rules.max_per_person_in_all:
@@ -47,23 +38,18 @@ class Taken:
         if not others:
             return True
         near = near_frames(one.template, self.rules)
-        return not any(are_near(one.read, other, near) for other in others)
+        return not any(are_near(one.asked, other, near) for other in others)
 
-    def add(self, one: Subject) -> None:
+    def add(self, one: Candidate) -> None:
         """Count a question as chosen."""
-        self.reads[one.person, one.template].append(one.read)
+        self.reads[one.person, one.template].append(one.asked)
         self.questions[one.person] += 1
         if one.event is not None:
             self.events.add((one.person, one.event))
 
-    def copy(self) -> Taken:
-        """Return an independent account of the same questions."""
-        reads = defaultdict(list, {key: list(read) for key, read in self.reads.items()})
-        return Taken(self.rules, reads, set(self.events), Counter(self.questions))
-
-    def remove(self, one: Subject) -> None:
+    def remove(self, one: Candidate) -> None:
         """Count a question as chosen no more."""
-        self.reads[one.person, one.template].remove(one.read)
+        self.reads[one.person, one.template].remove(one.asked)
         self.questions[one.person] -= 1
         self.events.discard((one.person, one.event or ""))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final, Protocol, cast
 
 from msgspec.structs import replace
@@ -78,6 +79,11 @@ class Setting:
     keyframes: Sequence[int]
     rules: Rules
     drops: dict[tuple[Program, Answer], Proof] = field(default_factory=dict)
+
+    @cached_property
+    def keyframe_set(self) -> frozenset[int]:
+        """Keyframes without their order."""
+        return frozenset(self.keyframes)
 
 
 # -- running a program ------------------------------------------------------------------------------------------------
@@ -325,7 +331,7 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
 
     Of actions there is a text only if the outcome is "same", because a person may do several.
     """
-    if not all(frame in setting.keyframes for frame in (perturbed.frame, *perturbed.times)):
+    if not setting.keyframe_set.issuperset((perturbed.frame, *perturbed.times)):
         return "unknown", None
     try:
         if isinstance(answer, FrameViewpoint):

@@ -4,49 +4,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from typing import Final
 
 from jrdb_avr.engine.generate.perturb import BY_CONSTRUCTION
-from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.questions import Proof
-from jrdb_avr.schema.rules import FPS, Rules, frames
+from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.templates import forms_of
-
-ALWAYS: Final = (
-    ("anchor", "match"),
-    ("evidence", "clear views"),
-    ("view.ahead", "180"),
-    ("view.single", "any angle"),
-    ("rederive", "annotations"),
-)
-"""Proofs that every question has, as kind and variant."""
-
-
-def expected(name: str, plan: Plan, rules: Rules) -> set[tuple[str, str]]:
-    """Return the kind and the variant of each proof that a question has.
-
-    Args:
-        name: Name of the template.
-        plan: Plan of the question.
-        rules: Thresholds.
-
-    Returns:
-        Pairs of kind and variant.
-
-    Raises:
-        PlanError: If the template is unknown.
-    """
-    conditions = [condition for node in plan.nodes for condition in node.conditions]
-    proofs = {*ALWAYS, *(("anchor", f"without {condition.words}") for condition in conditions)}
-    template = forms_of(name)[0]
-    if template.edges:
-        proofs |= {("hop.stop", str(place)) for place in range(len(template.people) - 1)}
-        # To leave out the last hop of a path is to stop one person early; of a fork each can be left out.
-        proofs |= {("hop.skip", str(hop)) for hop in range(1, len(template.edges) + template.joins)}
-    if template.time_proof == "construction":
-        return proofs | {("time.shift", BY_CONSTRUCTION), ("time.drop", BY_CONSTRUCTION)}
-    shifts = {("time.shift", f"{sign * frames(rules.shift_s) / FPS:+g} s") for sign in (-1, 1)}
-    return proofs | shifts | {("time.drop", "all keyframes")}
 
 
 def failing(name: str, proofs: Iterable[Proof], rules: Rules) -> list[str]:

@@ -57,7 +57,8 @@ class Search:
     @cached_property
     def false_labels(self) -> Callable[[int, int], frozenset[str]]:
         """Function that returns the actions that may be wrong choices, by track and keyframe."""
-        return cache(lambda who, frame: false_labels(self.layer.facts.lists[who], frame))
+        lists = self.layer.facts.lists
+        return cache(lambda who, frame: false_labels(lists[who], frame))
 
     def rows(self, name: str) -> list[dict[str, Any]]:
         """Run a generator and return its rows."""

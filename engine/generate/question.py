@@ -7,6 +7,7 @@ again from the annotation tables.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
@@ -18,9 +19,10 @@ import pyarrow as pa
 from jrdb_avr.engine.generate import views
 from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
+from jrdb_avr.engine.generate.facts import Facts, Key
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import Layer
-from jrdb_avr.engine.generate.perturb import NoAnswerError, Setting, prove
+from jrdb_avr.engine.generate.perturb import MissingFactsError, NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, Search, program_of
 from jrdb_avr.engine.generate.stored_layer import Job
@@ -61,7 +63,11 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     with open_worker_graph(store.graph_path) as graph:
         search = Search(graph, job.sequence, job.layer(graph), job.rules)
         proposals = {one.key: _propose_again(search, one) for one in job.questions}
-        source = CypherFacts(graph, job.rules.load)
+        expected, source = _Expected(search.layer.facts), CypherFacts(graph, job.rules.load)
+        for proposal in proposals.values():
+            with contextlib.suppress(MissingFactsError):
+                _prove(proposal, Setting(expected, search.layer.facts.keyframes, job.rules))
+        source.complete(lambda: source.ask(list(expected.asked)))
         setting = Setting(source, search.layer.facts.keyframes, job.rules)
         proofs = source.complete_all({key: partial(_prove, proposal, setting) for key, proposal in proposals.items()})
     rows, faults = [], {}
@@ -72,6 +78,20 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
             faults[key] = f"{job.sequence} {record.plan}: {fault}"
         rows.append(record.columns() | {"key": key})
     return pa.Table.from_pylist(rows, schema=COLUMNS), faults
+
+
+class _Expected:
+    """Source of facts from the sets. It notes what proofs ask for, so that statements look all facts up together."""
+
+    def __init__(self, facts: Facts) -> None:
+        self._facts = facts
+        self.asked: set[Key] = set()
+
+    def ask(self, keys: Sequence[Key]) -> list[Any]:
+        self.asked.update(keys)
+        if keys[0][0] in ("start", "onsets"):
+            raise MissingFactsError
+        return self._facts.ask(keys)
 
 
 def _propose_again(search: Search, question: Question) -> Proposal:

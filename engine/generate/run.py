@@ -18,7 +18,7 @@ from jrdb_avr.engine.generate.asked import Candidate, Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.diagnostics import tallies
 from jrdb_avr.engine.generate.guessers import LabelCounts
-from jrdb_avr.engine.generate.held_out import HeldOut, read_held_out
+from jrdb_avr.engine.generate.held_out import Extent, read_held_out
 from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Proposal, Search
@@ -104,7 +104,7 @@ def generate(
         InputError: An option needs another profile.
     """
     store, rules = Store.of(store), rules or Rules()
-    held_out = _held_out(store, profile, n, disjoint_from)
+    held_out, extents = _held_out(store, profile, n, disjoint_from)
     rules = training_rules(rules) if profile == TRAIN else rules
     check_load_rules(store, rules)
     # The manifest is checked first, so that a wrong store is refused before it is locked and thereby made.
@@ -113,7 +113,7 @@ def generate(
         check_intervals(store, manifest)
         layers = {name: manifest.sequences[name].layers for name in _sequences(store, manifest, require_occlusion)}
         jobs = [
-            replace(job, held_out=tuple(held_out.extents.get(job.sequence, ())))
+            replace(job, held_out=tuple(extents.get(job.sequence, ())))
             for job in ensure_layer(store, rules, workers, progress)
             if job.sequence in layers
         ]
@@ -132,19 +132,19 @@ def generate(
         order = [(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")]
         rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"]).sort_by(order)
         heads = pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"])
-        training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out.generation} if profile == TRAIN else None
+        training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out} if profile == TRAIN else None
         publish(store, question_tables(store, questions) | {"rejected": [rejected], "sequences": [heads]}, training)
     return Generation(tuple(tallies(rejected, questions, layers, report)), tuple(report), tuple(faults))
 
 
-def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Path | None) -> HeldOut:
-    """Return the held-out questions, or none without a path."""
+def _held_out(
+    store: Store, profile: str, n: int | None, disjoint_from: str | Path | None
+) -> tuple[str, Mapping[str, Sequence[Extent]]]:
+    """Return the generation and the extents of the held-out questions, or none without a path."""
     if profile != TRAIN and (n is not None or disjoint_from is not None):
         raise InputError(f"a number of questions and held-out ones go with the profile {TRAIN!r}", field="profile")
-    if n is not None and n < 1:
-        raise InputError(f"{n} is no number of questions: give 1 or more", field="n")
     if disjoint_from is None:
-        return HeldOut("", {})
+        return "", {}
     if Path(disjoint_from).resolve() == store.path.resolve():
         raise InputError(
             f"{store.path} holds the questions to keep away from, which new ones would replace: load the annotations "
@@ -156,17 +156,15 @@ def _held_out(store: Store, profile: str, n: int | None, disjoint_from: str | Pa
 
 def _sequences(store: Store, manifest: Manifest, require_occlusion: bool) -> list[str]:
     """Return the sequences to search. Raise StoreError if all of them lack occlusion attributes that are required."""
-    every, unclear = sorted(manifest.sequences), store.without_occlusion()
+    unclear = store.without_occlusion()
     if unclear:
-        what = f"{len(unclear)} of {len(every)} sequences have no occlusion attributes"
+        what = f"{len(unclear)} of {len(manifest.sequences)} sequences have no occlusion attributes"
         how = "there boxes decide who is in clear view, so needed people may be hidden"
         line = f"{what} and are skipped" if require_occlusion else f"{what}: {how}; --require-occlusion skips them"
         warnings.warn(line, AvrWarning, stacklevel=3)
-    if not require_occlusion:
-        return every
-    if not (kept := [name for name in every if name not in unclear]):
+    if require_occlusion and len(unclear) == len(manifest.sequences):
         raise StoreError("no sequence has occlusion attributes: generate without --require-occlusion")
-    return kept
+    return sorted(manifest.sequences.keys() - set(unclear if require_occlusion else ()))
 
 
 def check_load_rules(store: Store, rules: Rules) -> Manifest:

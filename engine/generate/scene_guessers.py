@@ -78,7 +78,7 @@ class _People:
 
     def guess(self, group: Sequence[QuestionText]) -> Mapping[str, Chances]:
         """Return the scores of the guesser for choices that are actions, or that say when a person is present."""
-        if group[0].read not in ("action", "presence") or not group[0].choices:
+        if group[0].form.spec.read not in ("action", "presence") or not group[0].choices:
             return {}
         scores = []
         for question in group:
@@ -99,7 +99,7 @@ class _People:
         keys = self._key[self._seen & (self._doing & bits == bits) & (self._left > waits[-1]) & elsewhere]
         rows = [np.searchsorted(self._key, keys + wait).clip(max=len(self._key) - 1) for wait in waits]
         present = [self._key[row] == keys + wait for row, wait in zip(rows, waits, strict=True)]
-        if question.read == "presence":
+        if question.form.spec.read == "presence":
             answers = np.bincount(3 - 2 * present[0] - present[1], minlength=4)
             return dict(zip(PRESENCE_ANSWERS, answers.tolist(), strict=True))
         doing = self._doing[rows[-1][present[-1]]]

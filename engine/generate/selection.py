@@ -100,7 +100,7 @@ def select(
             quota = quota_of(names[0], quotas, {name: row["reached"] for name, row in rows.items()})
             # No sequence has 3D boxes if there is no candidate of the template distance.
             quota = 0 if names == ("distance",) and not candidates else quota
-            events = {one.event_of_person for one in pool.get("action_search", ())} if "start" in names else set()
+            events = {(one.person, one.event) for one in pool.get("action_search", ())} if "start" in names else set()
             selected, shortage = _select_stage(candidates, quota, counts, taken, events)
         elif forms_of(names[0])[0].asks_action:
             selected = level_choices(candidates, counts, rules)
@@ -145,17 +145,17 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, 
 
     def cost(one: Candidate) -> tuple[int, bool, int, int]:
         contexts = sum(weight * numbers[name] for name, weight in one.contexts)
-        level = contexts + numbers[one.moment[:2]]
-        return numbers[one.template], one.event_of_person in events, level, numbers[one.sequence]
+        level = contexts + numbers[one.person]
+        return numbers[one.template], (one.person, one.event) in events, level, numbers[one.sequence]
 
     while len(chosen) < quota:
-        alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one.subject)]
+        alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one)]
         if not alive:
             break
         best = min(alive, key=cost)
         chosen.append(best)
-        taken.add(best.subject)
-        numbers.update([best.template, best.moment[:2], best.sequence, *(name for name, _ in best.contexts)])
+        taken.add(best)
+        numbers.update([best.template, best.person, best.sequence, *(name for name, _ in best.contexts)])
     shortage = None if len(chosen) == quota else f"caps and near-duplicates leave {len(chosen)} of {total} candidates"
     return Selected([Question(one, ()) for one in chosen], shortage)
 
@@ -166,9 +166,9 @@ def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) 
     chosen: list[Candidate] = []
     while queues and (n is None or len(chosen) < n):
         queue = queues.popleft()
-        candidate = next((one for one in queue if taken.admits(one.subject)), None)
+        candidate = next((one for one in queue if taken.admits(one)), None)
         if candidate is not None:
             chosen.append(candidate)
-            taken.add(candidate.subject)
+            taken.add(candidate)
             queues.append(queue)
     return chosen

@@ -1,8 +1,7 @@
 """The keyframe layer of a store's graph, made if it is missing or has other rules or sequences.
 
 Workers read the scene from the graph and make the rows of the layer. Then one process copies the rows of all sequences
-into a copy of the graph file, and renames the copy. If the process is killed, the graph file stays whole. The stamp
-(the nodes `Keyframes`) is written last.
+into a copy of the graph file, and renames the copy. If the process is killed, the graph file stays whole.
 """
 
 from __future__ import annotations
@@ -14,8 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-import msgspec
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jrdb_avr.engine.generate.asked import Question
@@ -31,7 +28,7 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_in_order
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, table_ddl
-from jrdb_avr.schema.rules import Rules, rules_hash
+from jrdb_avr.schema.rules import Rules
 
 STAGE: Final = ".keyframes"
 """Folder of the staged rows inside the store. It is deleted after the layer is stored."""
@@ -123,9 +120,9 @@ def _stage(job: Job) -> None:
 
 
 def _copy(jobs: Sequence[Job]) -> None:
-    """Replace the layer of the graph by the staged rows, and write the stamp."""
-    store, rules = jobs[0].store, jobs[0].rules
-    with build_graph(Store(store).graph_path, extend=True) as graph:
+    """Replace the layer of the graph by the staged rows."""
+    store = Store(jobs[0].store)
+    with build_graph(store.graph_path, extend=True) as graph:
         existing = graph.tables()
         with graph.transaction():
             for name in (*LAYER_RELS, *LAYER_NODES):
@@ -133,8 +130,4 @@ def _copy(jobs: Sequence[Job]) -> None:
                     graph.execute(f"DROP TABLE `{name}`")
             for statement in table_ddl(LAYER_NODES, LAYER_RELS):
                 graph.execute(statement)
-        names = [job.sequence for job in jobs]
-        copy_staged(graph, store / STAGE, [name for name in (*LAYER_NODES, *LAYER_RELS) if name != "Keyframes"], names)
-        text, digest = msgspec.json.encode(rules).decode(), rules_hash(rules)
-        stamps = [{"sequence": name, "rules_hash": digest, "rules": text} for name in names]
-        graph.copy("Keyframes", pa.Table.from_pylist(stamps))
+        copy_staged(graph, store.path / STAGE, (*LAYER_NODES, *LAYER_RELS), [job.sequence for job in jobs])

@@ -16,7 +16,7 @@ CHECKS: Final = {
     "plans": "the plan is valid and fits the template of the question",
     "text": "the text states the plan and nothing else; stated seconds are frame / fps",
     "evidence": "the evidence has all boxes of the target and no other box",
-    "proofs": "all required proofs are present and hold; bindings fit",
+    "proofs": "all required proofs hold; bindings fit",
     "rules": "generation used the same rules",
     "selection": "the number of questions per person obeys the rules; no two questions are alike",
     "rederive": "the second program finds the same person, answer, needed boxes, measures and proofs",

@@ -66,7 +66,7 @@ def find_runs(facts: Facts, step: int, gap_frames: int = 0) -> Runs:
     """
     facts = facts.at(ascending(facts.track, facts.value, facts.frame))
     frame, track, value, certain = facts.frame, facts.track, facts.value, facts.certain
-    # Frames with equal certainty and difficulty are joined to one run.
+    # Frames of one kind make one run. The kinds are: certain, easy but not certain, hard, and not written.
     kind = certain.astype(np.int64) + 2 * (facts.difficulty >= HARD) + 4 * (facts.difficulty == UNWRITTEN)
     starts = np.flatnonzero(begins(track, value, kind, frame - step * np.arange(len(frame))))
     ends = np.append(starts, len(frame))[1:] - 1

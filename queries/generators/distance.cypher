@@ -1,6 +1,6 @@
 // distance: a described person is closer, farther or as far later, by lidar, or has left.
 MATCH (n:Name)-[:Describes]->(m0:Moment)<-[:At]-(p:Person)-[:At]->(m1:Moment)
-WHERE m1.sequence = $sequence AND n.general AND m1.frame >= m0.frame + $wait AND m0.distance IS NOT NULL AND m0.clear
+WHERE p.sequence = $sequence AND n.general AND m1.frame >= m0.frame + $wait AND m0.distance IS NOT NULL AND m0.clear
   AND m1.seen IS NOT NULL AND m0.image AND m1.image
 WITH n, m0, m1, CASE WHEN m1.seen = 0 THEN 'not in view'
                      WHEN m0.distance - m1.distance >= $changed THEN 'closer to the robot'

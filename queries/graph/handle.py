@@ -381,14 +381,10 @@ def open_worker_graph(path: Path) -> Iterator[Graph]:
     longer than running most statements. Any other process closes the session when the `with` block ends. Raises the
     errors of `Graph.open`.
     """
-    with contextlib.ExitStack() as closing:
-        graph = _left_open.get(path)
-        if graph is None:
-            graph = Graph.open(path, read_only=True, prepares=True)
-            if processes.is_worker:
-                _left_open[path] = graph
-            else:
-                closing.enter_context(graph)
+    graph = _left_open.get(path) or Graph.open(path, read_only=True, prepares=True)
+    if processes.is_worker:
+        _left_open[path] = graph
+    with contextlib.nullcontext() if path in _left_open else graph:
         yield graph
 
 
@@ -403,15 +399,11 @@ def hold_graph(path: Path, workers: Executor) -> Iterator[None]:
     are several workers, the context manager does nothing, because an open graph takes 150 MB of memory. Raises the
     errors of `Graph.open`.
     """
-    if workers != 1:
+    with contextlib.ExitStack() as closing:
+        if workers == 1:
+            _left_open[path] = closing.enter_context(Graph.open(path, read_only=True, prepares=True))
+            closing.callback(_left_open.pop, path, None)
         yield
-        return
-    with Graph.open(path, read_only=True, prepares=True) as graph:
-        _left_open[path] = graph
-        try:
-            yield
-        finally:
-            del _left_open[path]
 
 
 @contextlib.contextmanager

@@ -521,7 +521,8 @@ class Oracle:
                 def kind(frame, track=track, action=action):
                     listed = self.actions.get((frame, track), {})
                     if action in self.written.get((frame, track), {}):
-                        return "certain" if self.certain(frame, track, action) else "hard"
+                        doubtful = "doubtful" if listed[action] in (1, 2) else "hard"
+                        return "certain" if self.certain(frame, track, action) else doubtful
                     if action in listed:
                         return "said too"
                     return "gap" if self.gap(frame, track, action) else None
@@ -661,7 +662,7 @@ def easier(a, b):
 
 
 def _flags(what):
-    return {"certain": what == "certain", "gap": what == "gap", "written": what in ("certain", "hard")}
+    return {"certain": what == "certain", "gap": what == "gap", "written": what in ("certain", "doubtful", "hard")}
 
 
 def _chains(frames, step, kind):

@@ -21,15 +21,15 @@ POSES = ("walking", "standing", "sitting", "cycling")
 
 def choice(sequence, answer, described=("reading",), times=(0, 60), choices=POSES):
     number = Choice(choices.index(answer) + 1)
-    return QuestionText("q", sequence, "change", "action", "multiple_choice", choices, described, times, number)
+    return QuestionText("q", sequence, TEMPLATES["change"], choices, described, times, number)
 
 
 def start(sequence, t0, frame):
-    return QuestionText("q", sequence, "start", "start", "frame", (), ("walking",), (t0,), FrameAnswer(frame))
+    return QuestionText("q", sequence, TEMPLATES["start"], (), ("walking",), (t0,), FrameAnswer(frame))
 
 
-def seconds(value, form="", read="seconds_between"):
-    return QuestionText("q", "a", "gap", read, "number", (), (), (0,), Number(value), form)
+def seconds(value, form="gap_absence"):
+    return QuestionText("q", "a", TEMPLATES[form], (), (), (0,), Number(value))
 
 
 def check(rows, *guessers):
@@ -87,7 +87,7 @@ def test_frames_by_hand():
 
 def test_seconds_and_counts_are_judged_apart():
     rows = [seconds(value) for value in (5.0, 20.0, 21.0, 40.0)]
-    counts, durations = check([*rows, *(seconds(value, read="count") for value in (4.0, 5.0, 6.0))])
+    durations, counts = check([*rows, *(seconds(value, "gap_count") for value in (4.0, 5.0, 6.0))])
     assert [row["template"] for row in (counts, durations)] == ["gap", "gap"]
     assert (durations["asks"], durations["n"], durations["constant"], durations["aim"]) == ("seconds", 4, 0.75, 0.58)
     assert (counts["asks"], counts["n"], counts["constant"], counts["aim"]) == ("count", 3, 1.0, None)
@@ -155,10 +155,7 @@ def test_posed_reads_the_public_text():
     answers = pa.table({"question_id": ["0" * 16], "answer": [encode_answer(Choice(3))]})
     (question,) = question_texts(questions, answers)
     text = questions["question"][0].as_py()
-    assert question == QuestionText(
-        *("0" * 16, "s", "change", "action", "multiple_choice", POSES, ("reading",), (15, 90)),
-        *(Choice(3), "change", text),
-    )
+    assert question == QuestionText("0" * 16, "s", TEMPLATES["change"], POSES, ("reading",), (15, 90), Choice(3), text)
     assert question.chosen == "sitting"
     assert check([question])[0]["label"] == 0.25
 

@@ -7,6 +7,7 @@ import pytest
 from jrdb_avr.engine.generate.blind import QuestionText, offers_of
 from jrdb_avr.engine.generate.guessers import LabelCounts, Offer, above_bound, guesser_shares
 from jrdb_avr.schema.answers import Choice
+from jrdb_avr.schema.templates import TEMPLATES
 
 
 def test_ranks_count_people_and_break_ties_by_all_data_then_by_label():
@@ -70,9 +71,9 @@ def test_a_fixed_answer_is_true_in_at_most_31_percent(often, fault):
 def test_a_published_question_is_the_offer_of_its_selection():
     counts = LabelCounts({("s", 60): {"walking": 1, "bending": 2}})
     texts = ("walking", "riding a scooter", "bending down", "eating something")
-    question = QuestionText("q", "s", "change", "action", "multiple_choice", texts, (), (0, 60), Choice(3))
+    question = QuestionText("q", "s", TEMPLATES["change"], texts, (), (0, 60), Choice(3))
     (offer,) = offers_of([question], counts)
     assert offer == Offer("s", "bending", ("eating sth", "scootering", "walking"), (0, 0, 0))
     fixed = ("both times", "only at the first time", "only at the second time", "neither time")
-    question = QuestionText("q", "s", "presence", "presence", "multiple_choice", fixed, (), (0, 60, 120), Choice(1))
+    question = QuestionText("q", "s", TEMPLATES["presence"], fixed, (), (0, 60, 120), Choice(1))
     assert offers_of([question], counts)[0].ranks == ()

@@ -11,6 +11,7 @@ from jrdb_avr.engine.generate.blind import QuestionText, blind_check
 from jrdb_avr.engine.generate.learned import _learned, learned_guessers
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError
+from jrdb_avr.schema.templates import TEMPLATES
 
 needs("sklearn")
 
@@ -19,9 +20,7 @@ POSES = ("walking", "standing", "sitting", "cycling", "lying down", "running")
 
 def choice(sequence, answer, choices, text="Find the person", times=(0, 60)):
     number = Choice(choices.index(answer) + 1)
-    return QuestionText(
-        "q", sequence, "change", "action", "multiple_choice", choices, (), times, number, "change", text
-    )
+    return QuestionText("q", sequence, TEMPLATES["change"], choices, (), times, number, text)
 
 
 def shares(rows):
@@ -66,7 +65,9 @@ def test_another_store_teaches_what_holds_there_too():
     (row,) = blind_check([own for own in rows if own.chosen == offered[0]], [guesser])
     assert row["other_store"] == 1.0 and row["reason"].startswith("constant 100 %, other_store 100 %")
     # Questions of another form teach nothing.
-    assert blind_check([replace(own, form="later") for own in rows], [guesser])[0]["other_store"] is None
+    assert (
+        blind_check([replace(own, form=TEMPLATES["later_action"]) for own in rows], [guesser])[0]["other_store"] is None
+    )
 
 
 def test_without_scikit_learn_one_line_says_how_to_get_it(monkeypatch):

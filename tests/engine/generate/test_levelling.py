@@ -270,8 +270,8 @@ def test_a_profile_without_quotas_keeps_near_duplicates_apart_and_lets_templates
     assert n is None or len(questions) <= n
     taken = Taken(Rules())
     for one in questions:
-        assert taken.admits(one.candidate.subject)
-        taken.add(one.candidate.subject)
+        assert taken.admits(one.candidate)
+        taken.add(one.candidate)
     by_template = Counter(one.candidate.template for one in questions)
     assert by_template["presence"] == 2 and by_template["two_hop"] > 5 < by_template["start"]
     assert all(row["quota"] is None and row["proven"] == len(pool.get(row["template"], ())) for row in rows)

@@ -12,6 +12,7 @@ from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.panorama import Box, iou
 from jrdb_avr.schema.tables import INTERVALS
+from jrdb_avr.schema.templates import TEMPLATES
 
 CHOICES = ("walking", "standing", "sitting", "cycling")
 FRAMES = (0, 15, 30, 45)
@@ -61,9 +62,9 @@ def store(tmp_path):
     return store
 
 
-def asked(sequence, described, truth, times=(0, 30), choices=CHOICES, read="action"):
+def asked(sequence, described, truth, times=(0, 30), choices=CHOICES):
     number = Choice(choices.index(truth) + 1)
-    return QuestionText("q", sequence, read, read, "multiple_choice", choices, described, times, number)
+    return QuestionText("q", sequence, TEMPLATES["change"], choices, described, times, number)
 
 
 def share(store, *questions, name="people"):
@@ -131,7 +132,7 @@ LIKELIEST = {
 @pytest.mark.parametrize("form", LIKELIEST)
 def test_the_likeliest_answer_is_that_of_sql(form, sample_benchmark, texts, sample):
     connection, scores = sql_of(sample_benchmark), []
-    for question in (own for own in texts if own.form == form):
+    for question in (own for own in texts if own.form.query == form):
         for described in (question.described, ()):
             values = {"waits": [time - question.times[0] for time in question.times[1:]], "described": list(described)}
             found = connection.execute(LIKELIEST[form], values | {"sequence": question.sequence}).fetchall()
@@ -166,7 +167,7 @@ def test_boxes_are_those_of_the_evidence(sample_benchmark, texts, sample):
             Box(*max((row for row in rows if row[0] == middle), key=lambda row: row[3] * row[4])[1:5]),
         )
     for (form, asks), row in sample.items():
-        group = [own for own in texts if own.form == form and own.asks == asks]
+        group = [own for own in texts if own.form.query == form and own.asks == asks]
         boxes = [evidence[own.sequence, target[own.question_id], own.times[0]] for own in group]
         best = max(sum(iou(guess, box) >= 0.5 for box in boxes) for guess in boxes)
         assert row["best_box"] == pytest.approx(best / len(group)), form

@@ -4,16 +4,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jrdb_avr.engine.generate.asked import doublings
+from jrdb_avr.engine.generate.asked import Candidate, doublings
 from jrdb_avr.engine.generate.bins import answer_bin
-from jrdb_avr.engine.generate.near_duplicates import Subject, Taken
+from jrdb_avr.engine.generate.near_duplicates import Taken
 from jrdb_avr.schema.rules import Rules
 
 
-def admitted(rules, *subjects):
-    """The subjects that are chosen if each is that may be, one after the other."""
+def admitted(rules, *candidates):
+    """The candidates that are chosen if each is that may be, one after the other."""
     taken, chosen = Taken(rules), []
-    for one in subjects:
+    for one in candidates:
         if taken.admits(one):
             chosen.append(one)
             taken.add(one)
@@ -21,7 +21,7 @@ def admitted(rules, *subjects):
 
 
 def about(template, *read, event=None, track=1):
-    return Subject(("s", track), template, read, event)
+    return Candidate("", template, "s", track, "", read, "", frozenset(), (), event)
 
 
 def test_a_person_is_in_no_more_questions_of_all_templates_than_the_cap():
@@ -46,7 +46,7 @@ def are_alike(one, other):
     if one.person != other.person:
         return False
     near = 75 if one.template == "presence" else 30
-    same = all(abs(x - y) <= near for x, y in zip(one.read, other.read, strict=False))
+    same = all(abs(x - y) <= near for x, y in zip(one.asked, other.asked, strict=False))
     return (one.event and one.event == other.event) or (one.template == other.template and same)
 
 

@@ -4,6 +4,7 @@ import contextlib
 import random
 import shutil
 import signal
+from collections import defaultdict
 
 import msgspec
 import pytest
@@ -63,11 +64,12 @@ def copied(store, tmp_path):
 
 
 def test_the_graph_holds_the_layers_of_all_sequences(made, made_rows):
-    expected = {name: [] for name in made_rows}
+    expected = defaultdict(list)
     with Graph.open(made.graph_path, read_only=True) as graph:
         for job in layer_jobs(made, RULES):
             for name, rows in Layer(made, graph, job.sequence, RULES, job.low).tables():
                 expected[name] += [repr(tuple(row.values())) for row in rows.to_pylist()]
+    assert len(expected.pop("Keyframes")) == len(NAMES)
     assert made_rows == {name: sorted(rows) for name, rows in expected.items()}
     assert all(made_rows.values()) and stamp(made) == (NAMES, RULES)
 
