@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Iterator
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from functools import cache, cached_property
 from itertools import pairwise, product, takewhile
 from typing import Any, Final
 
@@ -22,10 +22,12 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate import views
-from jrdb_avr.engine.generate.choices import different_labels, true_labels
+from jrdb_avr.engine.generate.choices import different_labels, false_labels, true_labels
 from jrdb_avr.engine.generate.describe import describe, find_leads
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.queries.graph.handle import Graph
+from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.keyframes import keyframe_values
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, row_schema
@@ -42,6 +44,9 @@ class Layer:
     """The layer of one sequence.
 
     Attributes:
+        graph: Graph with the scene of the sequence.
+        sequence: Name of the sequence.
+        rules: Rules of descriptions and generators, and thresholds.
         facts: Facts of the sequence.
         head: Row of the interval table `sequence`.
         segments: Rows of the interval table `segments` by id, each with its id and the angle of its first box.
@@ -67,7 +72,7 @@ class Layer:
             store.interval(name, sequence).to_pylist() for name in ("sequence", "frames", "segments")
         )
         boxes = store.interval("sightings", sequence, ["track", "frame", *"xywh", "angle", "clear"]).to_pylist()
-        self.low, self._graph, self._rules = low, graph, rules
+        self.low, self.sequence, self.rules, self.graph = low, sequence, rules, graph
         self.facts = Facts(graph, sequence, rules.load, with_faces="pose" in self.head["layers"])
         self._rows: dict[str, list[TableRow]] = defaultdict(list)
         self.present = frozenset().union(*self.facts.counts.values())
@@ -88,8 +93,28 @@ class Layer:
     @cached_property
     def names(self) -> dict[int, tuple[Condition, ...]]:
         """Conditions of each name by id, from the stored layer."""
-        rows = self._graph.query(read_statement("reads/names.cypher"), {"sequence": self.head["sequence"]}).to_pylist()
+        rows = self.graph.query(read_statement("reads/names.cypher"), {"sequence": self.sequence}).to_pylist()
         return {row["id"]: _CONDITIONS.decode(row["conditions"]) for row in rows}
+
+    @cached_property
+    def false_labels(self) -> Callable[[int, int], frozenset[str]]:
+        """Function that returns the actions that may be wrong choices, by track and keyframe."""
+        lists = self.facts.lists
+        return cache(lambda who, frame: false_labels(lists[who], frame))
+
+    def search(self, name: str) -> list[dict[str, Any]]:
+        """Run a generator over the stored layer and return its rows."""
+        text = read_statement(f"generators/{name}.cypher")
+        values = {**keyframe_values(self.rules), "sequence": self.sequence}
+        table = self.graph.query(text, {key: values[key] for key in parameters(text)})
+        # Presence has hundreds of thousands of rows. NumPy converts their numbers 20 times as fast.
+        columns = [
+            column.to_numpy().tolist()
+            if pa.types.is_integer(column.type) and not column.null_count
+            else column.to_pylist()
+            for column in table.columns
+        ]
+        return [dict(zip(table.column_names, row, strict=True)) for row in zip(*columns, strict=True)]
 
     def has_image(self, frame: int) -> bool:
         """Return whether a frame has an image, or the sequence has no images at all."""
@@ -97,8 +122,8 @@ class Layer:
 
     def tables(self) -> Iterator[tuple[str, pa.Table]]:
         """Make the rows of the layer. Yield the name and the rows of each table that has rows, nodes first."""
-        stamp = {"rules_hash": rules_hash(self._rules), "rules": msgspec.json.encode(self._rules).decode()}
-        self._rows["Keyframes"].append(stamp | {"sequence": self.head["sequence"]})
+        stamp = {"rules_hash": rules_hash(self.rules), "rules": msgspec.json.encode(self.rules).decode()}
+        self._rows["Keyframes"].append(stamp | {"sequence": self.sequence})
         self._add_names(self._add_moments())
         self._add_segments()
         self._add_absences()
@@ -114,7 +139,7 @@ class Layer:
 
     def _add_moments(self) -> dict[tuple[int, int], int]:
         """Add the moments of all people; return their ids by track and frame."""
-        facts, sequence, step = self.facts, self.head["sequence"], frames(self._rules.shift_s)
+        facts, sequence, step = self.facts, self.sequence, frames(self.rules.shift_s)
         tracks = sorted({who for people in facts.people.values() for who in people})
         ids, seen = {}, {}
         for number, (who, frame) in enumerate(product(tracks, facts.keyframes), start=self.low):
@@ -133,11 +158,11 @@ class Layer:
 
     def _add_names(self, ids: dict[tuple[int, int], int]) -> None:
         """Add the descriptions of people who are not covered, and the people to whom relations lead from them."""
-        facts, sequence = self.facts, self.head["sequence"]
+        facts, sequence = self.facts, self.sequence
         for (who, frame), number in ids.items():
             if who not in facts.uncovered[frame]:
                 continue
-            for conditions, general in describe(facts, sequence, who, frame, self._rules).items():
+            for conditions, general in describe(facts, sequence, who, frame, self.rules).items():
                 name = self.low + len(self._rows["Name"])
                 row = {"id": name, "sequence": sequence, "conditions": msgspec.json.encode(conditions).decode()}
                 self._rows["Name"].append(row | {"general": general})
@@ -158,7 +183,7 @@ class Layer:
 
     def _add_absences(self) -> None:
         """Add the absences: between two boxes no frame is unannotated, and the person is absent at a keyframe."""
-        facts, sequence, annotated = self.facts, self.head["sequence"], self._annotated
+        facts, sequence, annotated = self.facts, self.sequence, self._annotated
         step = KEYFRAME_STEP if all((later - frame) % KEYFRAME_STEP == 0 for frame, later in pairwise(annotated)) else 1
         for (who, leaves), (same, returns) in pairwise(sorted(self.boxes)):
             known = bisect_left(annotated, returns) - bisect_right(annotated, leaves)

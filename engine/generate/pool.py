@@ -23,12 +23,12 @@ from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Key
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
-from jrdb_avr.engine.generate.layer import TableRow
+from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate_proofs
 from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, program_of, propose, propose_presence
+from jrdb_avr.engine.generate.propose import Proposal, program_of, propose, propose_presence
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, POSES, PRESENCE_ANSWERS
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.relations import QUESTION_RELATIONS
@@ -64,16 +64,16 @@ class Prover:
         examples: The first refused proposals, by rule, each with the outcomes of the proofs of the rule.
     """
 
-    def __init__(self, search: Search, cypher: CypherFacts, held_out: Sequence[Extent] = ()) -> None:
+    def __init__(self, layer: Layer, cypher: CypherFacts, held_out: Sequence[Extent] = ()) -> None:
         """Make a prover.
 
         Args:
-            search: Sequence of the proposals.
+            layer: Layer of the sequence.
             cypher: Source of the facts that the sets lack: what happens between keyframes.
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
-        self._search, self._cypher, self._held_out = search, cypher, held_out
-        self._setting = Setting(self, search.layer.facts.keyframes, search.rules)
+        self._layer, self._cypher, self._held_out = layer, cypher, held_out
+        self._setting = Setting(self, layer.facts.keyframes, layer.rules)
         self.counts: Counter[str] = Counter()
         self.examples: dict[str, list[tuple[Proposal, str | None]]] = defaultdict(list)
 
@@ -86,7 +86,7 @@ class Prover:
     def with_choices(self, form: Template, rows: Iterable[TableRow]) -> Iterator[Proposal]:
         """Yield the proposals of rows that have wrong choices, and note the others as refused."""
         for row in rows:
-            proposal = Proposal(self._search, form, row)
+            proposal = Proposal(self._layer, form, row)
             if wrong_sets(_wrong_actions(proposal)):
                 yield proposal
             else:
@@ -98,7 +98,7 @@ class Prover:
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
-        return (self._cypher if keys[0][0] in ("start", "onsets") else self._search.layer.facts).ask(keys)
+        return (self._cypher if keys[0][0] in ("start", "onsets") else self._layer.facts).ask(keys)
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
@@ -107,7 +107,7 @@ class Prover:
             return None
         template, (program, answer) = proposal.template, program_of(proposal)
         proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
-        if not (lacking := failing(template.name, proofs, self._search.rules)):
+        if not (lacking := failing(template.name, proofs, self._layer.rules)):
             return proofs
         rule = lacking[0].split()[0]
         detail = ", ".join(f"{proof.variant}: {proof.outcome}" for proof in proofs if proof.kind == rule)
@@ -129,7 +129,7 @@ class Prover:
 
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
-        rules, proofs, missing = self._search.rules, [], False
+        rules, proofs, missing = self._layer.rules, [], False
         for proof in iterate_proofs(program, answer, self._setting):
             if proof is None:
                 missing = True
@@ -146,16 +146,16 @@ class Prover:
         """Return whether one view shows all people at t0, and the target at the times of the answer."""
         needed = [(who, proposal.frames["t0"]) for who in proposal.people.values()]
         needed += [(proposal.target, proposal.frames[name]) for name in proposal.template.decisive if name != "t0"]
-        boxes = [self._search.layer.boxes[one] for one in needed]
+        boxes = [self._layer.boxes[one] for one in needed]
         x, w = (np.array([box[side] for box in boxes]) for side in "xw")
-        return bool(views.single_view(x, w, self._search.rules.visible_share))
+        return bool(views.single_view(x, w, self._layer.rules.visible_share))
 
 
-def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list[Candidate]:
+def fill_pool(layer: Layer, forms: Sequence[Template], prover: Prover) -> list[Candidate]:
     """Prove the proposals of a template, as many as selection can use.
 
     Args:
-        search: Sequence to search.
+        layer: Layer of the sequence.
         forms: Forms of the template that the layers of the sequence allow. They compete with each other.
         prover: Prover of the sequence.
 
@@ -163,11 +163,11 @@ def fill_pool(search: Search, forms: Sequence[Template], prover: Prover) -> list
         The proven candidates.
     """
     fill = _fill_presence if forms[0].name == "presence" else _fill_moments if forms[0].asks_action else _thin_out
-    made = map(make_candidate, fill(search, forms, prover))
+    made = map(make_candidate, fill(layer, forms, prover))
     return [candidate for candidate in made if candidate is not None]
 
 
-def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+def _fill_moments(layer: Layer, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
     """Yield one proposal for each person, time and true answer: the first proven one in the order of a hash.
 
     Time twins have equal descriptions. A template with twins begins with all times and answers of some descriptions.
@@ -175,18 +175,18 @@ def _fill_moments(search: Search, forms: Sequence[Template], prover: Prover) -> 
     (form,) = forms
     described: dict[int, dict[tuple[Any, ...], list[TableRow]]] = defaultdict(lambda: defaultdict(list))
     moments: dict[tuple[Any, ...], list[TableRow]] = defaultdict(list)
-    for row in propose(search, form):
+    for row in propose(layer, form):
         if form.name in _WITH_TWINS:
             described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
         moments[_moment(form, row)].append(row)
 
     for groups in described.values():
-        ordered = sorted(groups.values(), key=lambda rows: _rank(search, rows[0]))
+        ordered = sorted(groups.values(), key=lambda rows: _rank(layer, rows[0]))
         for proposal in _take_some(prover.proven(prover.with_choices(form, rows)) for rows in ordered):
             moments.pop(_moment(form, proposal.row), None)
             yield proposal
     for rows in moments.values():
-        tried = prover.with_choices(form, sorted(rows, key=partial(_rank, search)))
+        tried = prover.with_choices(form, sorted(rows, key=partial(_rank, layer)))
         yield from islice(prover.proven(islice(tried, _TRIES)), 1)
 
 
@@ -206,42 +206,42 @@ def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[_T]:
             return
 
 
-def _fill_presence(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+def _fill_presence(layer: Layer, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
     """Yield, for some descriptions of each person, a few proposals with each answer, in the order of a hash."""
     (form,) = forms
-    described, pairs = propose_presence(search, form)
+    described, pairs = propose_presence(layer, form)
     for who, descriptions in described.items():
-        ordered = sorted(descriptions, key=partial(_rank, search))
-        yield from _take_some(_prove_pairs(search, form, row, pairs.get(who, ()), prover) for row in ordered)
+        ordered = sorted(descriptions, key=partial(_rank, layer))
+        yield from _take_some(_prove_pairs(layer, form, row, pairs.get(who, ()), prover) for row in ordered)
 
 
 def _prove_pairs(
-    search: Search, form: Template, row: TableRow, pairs: Iterable[TableRow], prover: Prover
+    layer: Layer, form: Template, row: TableRow, pairs: Iterable[TableRow], prover: Prover
 ) -> Iterator[Proposal]:
-    near, first = near_frames(form.name, search.rules), row["t0"] + frames(search.rules.min_wait_s)
+    near, first = near_frames(form.name, layer.rules), row["t0"] + frames(layer.rules.min_wait_s)
     kept: dict[str, list[tuple[int, int]]] = defaultdict(list)
     later = [row | pair for pair in pairs if pair["t1"] >= first and not (row["ahead"] and pair["away"])]
-    for both in sorted(later, key=partial(_rank, search)):
+    for both in sorted(later, key=partial(_rank, layer)):
         times, stay = (both["t1"], both["t2"]), kept[both["answer"]]
         if len(stay) == _PAIRS or any(are_near(times, one, near) for one in stay):
             continue
-        for proposal in prover.proven([Proposal(search, form, both)]):
+        for proposal in prover.proven([Proposal(layer, form, both)]):
             stay.append(times)
             yield proposal
 
 
-def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
     """Yield proposals in the order of their keys, but none that reads the same as one before it."""
     groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
     for form in forms:
-        for row in propose(search, form):
-            proposal = Proposal(search, form, row)
+        for row in propose(layer, form):
+            proposal = Proposal(layer, form, row)
             groups[proposal.target, proposal.answer].append(proposal)
-    near = near_frames(forms[0].name, search.rules)
+    near = near_frames(forms[0].name, layer.rules)
     for members in groups.values():
         kept: list[Sequence[int]] = []
         for proposal in sorted(members, key=lambda proposal: proposal.key):
-            if len(kept) == search.rules.max_per_person:
+            if len(kept) == layer.rules.max_per_person:
                 prover.refuse("max_per_person")
             elif any(are_near(proposal.read, read, near) for read in kept):
                 prover.refuse("near_duplicate")
@@ -250,10 +250,10 @@ def _thin_out(search: Search, forms: Sequence[Template], prover: Prover) -> Iter
                 yield proposal
 
 
-def _rank(search: Search, row: TableRow) -> int:
+def _rank(layer: Layer, row: TableRow) -> int:
     """Return the hash that decides among rows. It does not depend on the place of the sequence in the data."""
-    number = row["name"] - search.layer.low
-    return hash_of(search.sequence, number, [row.get(key) for key in _ROW_KEYS])
+    number = row["name"] - layer.low
+    return hash_of(layer.sequence, number, [row.get(key) for key in _ROW_KEYS])
 
 
 # -- candidates -------------------------------------------------------------------------------------------------------
@@ -268,7 +268,7 @@ def make_candidate(proposal: Proposal) -> Candidate | None:
     Returns:
         The candidate, or None if fewer than three wrong choices fit.
     """
-    template, answer, layer = proposal.template, proposal.answer, proposal.search.layer
+    template, answer, layer = proposal.template, proposal.answer, proposal.layer
     words, begin = [condition.words for condition in proposal.conditions], proposal.frames["t0"]
     key, asked, wrong = proposal.key, proposal.read, frozenset[str]()
     if template.asks_action:
@@ -304,14 +304,14 @@ def make_candidate(proposal: Proposal) -> Candidate | None:
 
 def _asked_keyframe(proposal: Proposal) -> int:
     """Return the keyframe of an action: labels are given at keyframes, and a posture may begin between two of them."""
-    keyframes: list[int] = proposal.search.layer.facts.keyframes
+    keyframes: list[int] = proposal.layer.facts.keyframes
     return keyframes[bisect_left(keyframes, proposal.frames[proposal.template.decisive[0]])]
 
 
 def _wrong_actions(proposal: Proposal) -> frozenset[str]:
     """Return the actions that may be wrong choices of a proposal."""
-    layer = proposal.search.layer
-    false = proposal.search.false_labels(proposal.target, _asked_keyframe(proposal))
+    layer = proposal.layer
+    false = proposal.layer.false_labels(proposal.target, _asked_keyframe(proposal))
     if proposal.template.spec.read == "next_action":
         false &= frozenset(POSES)
     implied = implied_choices(layer.names[proposal.row["name"]], proposal.relations)
@@ -329,7 +329,7 @@ def _event(proposal: Proposal) -> str | None:
         return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"
     if template.spec.read not in _EVENTS:
         return None
-    return f"start {proposal.segments[0]['id'] - proposal.search.layer.low}"
+    return f"start {proposal.segments[0]['id'] - proposal.layer.low}"
 
 
 def _touches(proposal: Proposal, extent: Extent) -> bool:

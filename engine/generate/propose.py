@@ -9,28 +9,23 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import msgspec
-import pyarrow as pa
 from msgspec.structs import replace
 
-from jrdb_avr.engine.generate.choices import different_labels, false_labels, true_labels
+from jrdb_avr.engine.generate.choices import different_labels, true_labels
 from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
-from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.graph.parameters import parameters
-from jrdb_avr.queries.keyframes import keyframe_values
-from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
 from jrdb_avr.schema.plan import Condition, Plan, canonical
 from jrdb_avr.schema.relations import RELATIONS, RELATIONS_OF
-from jrdb_avr.schema.rules import Rules, frames
+from jrdb_avr.schema.rules import frames
 from jrdb_avr.schema.templates import Slots, Template
 from jrdb_avr.schema.wording.people import in_order
 
@@ -38,61 +33,24 @@ _TIMES: Final = ("t0", "t1", "t2", "leaves", "returns")
 """Columns of times in rows of generators."""
 
 
-@dataclass(frozen=True)
-class Search:
-    """What generators search in one sequence: the graph with its layer, and the layer's rows.
-
-    Attributes:
-        graph: Graph with the layer.
-        sequence: Name of the sequence.
-        layer: Rows of the layer.
-        rules: Rules.
-    """
-
-    graph: Graph
-    sequence: str
-    layer: Layer
-    rules: Rules
-
-    @cached_property
-    def false_labels(self) -> Callable[[int, int], frozenset[str]]:
-        """Function that returns the actions that may be wrong choices, by track and keyframe."""
-        lists = self.layer.facts.lists
-        return cache(lambda who, frame: false_labels(lists[who], frame))
-
-    def rows(self, name: str) -> list[dict[str, Any]]:
-        """Run a generator and return its rows."""
-        text = read_statement(f"generators/{name}.cypher")
-        values = {**keyframe_values(self.rules), "sequence": self.sequence}
-        table = self.graph.query(text, {key: values[key] for key in parameters(text)})
-        # Presence has hundreds of thousands of rows. NumPy converts their numbers 20 times as fast.
-        columns = [
-            column.to_numpy().tolist()
-            if pa.types.is_integer(column.type) and not column.null_count
-            else column.to_pylist()
-            for column in table.columns
-        ]
-        return [dict(zip(table.column_names, row, strict=True)) for row in zip(*columns, strict=True)]
-
-
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """A question that is not proven yet.
 
     Attributes:
-        search: Sequence of the question.
+        layer: Layer of the sequence.
         template: Form of the template.
         row: Row of a generator: id of the name, people, times, relations, ids of segments, and answer or value.
     """
 
-    search: Search
+    layer: Layer
     template: Template
     row: TableRow
 
     @property
     def sequence(self) -> str:
         """Name of the sequence."""
-        return self.search.sequence
+        return self.layer.sequence
 
     @property
     def target(self) -> int:
@@ -108,12 +66,12 @@ class Proposal:
     def conditions(self) -> tuple[Condition, ...]:
         """Conditions of the description, in the order in which proofs leave them out."""
         at = self.template.described
-        return tuple(c if c.at is None else replace(c, at=at) for c in self.search.layer.names[self.row["name"]])
+        return tuple(c if c.at is None else replace(c, at=at) for c in self.layer.names[self.row["name"]])
 
     @cached_property
     def segments(self) -> list[TableRow]:
         """Segments of the actions."""
-        return [self.search.layer.segments[self.row[name]] for name in ("segment", "segment2") if name in self.row]
+        return [self.layer.segments[self.row[name]] for name in ("segment", "segment2") if name in self.row]
 
     @cached_property
     def frames(self) -> dict[str, int]:
@@ -168,19 +126,19 @@ class Proposal:
         return hashlib.sha256(f"{self.sequence}\n{self.target}\n{canonical(self.plan)}".encode()).hexdigest()
 
 
-def propose(search: Search, template: Template) -> Iterable[TableRow]:
+def propose(layer: Layer, template: Template) -> Iterable[TableRow]:
     """Return the rows of the proposals of a form of a template.
 
     Args:
-        search: Sequence to search.
+        layer: Layer of the sequence.
         template: Form of the template, any but presence.
 
     Returns:
         The rows of proposals, in an order that means nothing.
     """
     if template.query == "fork_join":
-        return _fork_joins(search, template)
-    return _counts(search) if template.query == "gap_count" else search.rows(template.query)
+        return _fork_joins(layer, template)
+    return _counts(layer) if template.query == "gap_count" else layer.search(template.query)
 
 
 def program_of(proposal: Proposal) -> tuple[Program, Answer]:
@@ -193,22 +151,22 @@ def program_of(proposal: Proposal) -> tuple[Program, Answer]:
 # -- forms that need more than a statement ----------------------------------------------------------------------------
 
 
-def _fork_joins(search: Search, template: Template) -> Iterator[TableRow]:
+def _fork_joins(layer: Layer, template: Template) -> Iterator[TableRow]:
     """Yield the forks with the fourth person that both branches find together, but neither branch alone."""
-    facts = search.layer.facts
-    for row in search.rows(template.query):
+    facts = layer.facts
+    for row in layer.search(template.query):
         frame, apart = row["t0"], {row["a"], row["b"], row["c"]}
         people = facts.people[frame]
-        sides = [_joining(search, row[node], frame, apart) for node in ("b", "c")]
+        sides = [_joining(layer, row[node], frame, apart) for node in ("b", "c")]
         for (r3, left), (r4, right) in product(*(side.items() for side in sides)):
             could, certain = left.could & right.could, left.certain & right.certain
             if len(could) != 1 or len(certain) != 1:
                 continue
             (who,) = certain
-            if not people[who]["clear"] or search.layer.boxes[who, frame]["ahead"]:
+            if not people[who]["clear"] or layer.boxes[who, frame]["ahead"]:
                 continue
             first, *branches = (different_labels(facts.labels(row[node], frame)) for node in "abc")
-            for label in true_labels(facts.lists[who], frame):
+            for label in sorted(true_labels(facts.lists[who], frame)):
                 if label in first and any(label in different for different in branches):
                     yield row | {"d": who, "r3": r3, "r4": r4, "answer": label}
 
@@ -216,9 +174,9 @@ def _fork_joins(search: Search, template: Template) -> Iterator[TableRow]:
 _WINDOWS: Final = tuple(label for label in RELATIONS_OF["join"] if RELATIONS[label].kind == "window")
 
 
-def _joining(search: Search, who: int, frame: int, apart: set[int]) -> dict[str, Fit]:
+def _joining(layer: Layer, who: int, frame: int, apart: set[int]) -> dict[str, Fit]:
     """Return the relations of a person that certainly fit a person and may fit two, apart from some people."""
-    facts, fits = search.layer.facts, {}
+    facts, fits = layer.facts, {}
     held = [label for label in facts.relations_of(who, frame) if label in RELATIONS_OF["join"]]
     for label in (*held, *_WINDOWS):
         fit = Fit(*(people - apart for people in facts.follow(label, who, frame)))
@@ -231,16 +189,16 @@ _UNSEEN: Final = -1
 """First frame of a person who is first seen clearly in a frame without an image."""
 
 
-def _counts(search: Search) -> Iterator[TableRow]:
+def _counts(layer: Layer) -> Iterator[TableRow]:
     """Yield the people in a relation with a described person, from keyframe to keyframe until one is unknown.
 
     What lies between keyframes is left to the proof.
     """
-    facts, rules = search.layer.facts, search.rules
-    for row in search.rows("described"):
+    facts, rules = layer.facts, layer.rules
+    for row in layer.search("described"):
         if row["ahead"]:
             continue
-        sized = any(condition.kind == "group_size" for condition in search.layer.names[row["name"]])
+        sized = any(condition.kind == "group_size" for condition in layer.names[row["name"]])
         for relation in RELATIONS_OF["count"]:
             if sized and RELATIONS[relation].kind == "group":
                 # The words of the question would state the number of people at the beginning.
@@ -256,7 +214,7 @@ def _counts(search: Search) -> Iterator[TableRow]:
                     break
                 for who in certain:
                     if met.setdefault(who, None) is None and who in clear:
-                        met[who] = frame if search.layer.has_image(frame) else _UNSEEN
+                        met[who] = frame if layer.has_image(frame) else _UNSEEN
                 enough = len(met) >= rules.count_min and not {None, _UNSEEN}.intersection(met.values())
                 if enough and frame >= row["t0"] + frames(rules.long_wait_s):
                     counted = tuple(sorted((who, first) for who, first in met.items() if first is not None))
@@ -264,11 +222,11 @@ def _counts(search: Search) -> Iterator[TableRow]:
                     yield row | times | {"r1": relation, "value": float(len(met)), "counted": counted}
 
 
-def propose_presence(search: Search, template: Template) -> tuple[dict[int, list[TableRow]], dict[int, list[TableRow]]]:
+def propose_presence(layer: Layer, template: Template) -> tuple[dict[int, list[TableRow]], dict[int, list[TableRow]]]:
     """Find the descriptions of people, and the pairs of times at which a person is present or absent.
 
     Args:
-        search: Sequence to search.
+        layer: Layer of the sequence.
         template: Template presence.
 
     Returns:
@@ -277,9 +235,9 @@ def propose_presence(search: Search, template: Template) -> tuple[dict[int, list
     """
     described: dict[int, list[TableRow]] = defaultdict(list)
     pairs: dict[int, list[TableRow]] = defaultdict(list)
-    for row in search.rows("described"):
+    for row in layer.search("described"):
         described[row["a"]].append(row)
-    for row in search.rows(template.query):
+    for row in layer.search(template.query):
         answer = PRESENCE_ANSWERS[3 - 2 * row["first"] - row["second"]]
         pairs[row["a"]].append(row | {"answer": answer, "away": row["first"] + row["second"] == 0})
     return described, pairs

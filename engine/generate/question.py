@@ -24,7 +24,7 @@ from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.perturb import MissingFactsError, NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
-from jrdb_avr.engine.generate.propose import Proposal, Search, program_of
+from jrdb_avr.engine.generate.propose import Proposal, program_of
 from jrdb_avr.engine.generate.stored_layer import Job
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.queries.graph.handle import open_worker_graph
@@ -61,19 +61,19 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     store = Store(job.store)
     annotations = Annotations.read(store, job.sequence, job.rules)
     with open_worker_graph(store.graph_path) as graph:
-        search = Search(graph, job.sequence, job.layer(graph), job.rules)
-        proposals = {one.key: _propose_again(search, one) for one in job.questions}
-        expected, source = _Expected(search.layer.facts), CypherFacts(graph, job.rules.load)
+        layer = job.layer(graph)
+        proposals = {one.key: _propose_again(layer, one) for one in job.questions}
+        expected, source = _Expected(layer.facts), CypherFacts(graph, job.rules.load)
         for proposal in proposals.values():
             with contextlib.suppress(MissingFactsError):
-                _prove(proposal, Setting(expected, search.layer.facts.keyframes, job.rules))
+                _prove(proposal, Setting(expected, layer.facts.keyframes, job.rules))
         source.complete(lambda: source.ask(list(expected.asked)))
-        setting = Setting(source, search.layer.facts.keyframes, job.rules)
+        setting = Setting(source, layer.facts.keyframes, job.rules)
         proofs = source.complete_all({key: partial(_prove, proposal, setting) for key, proposal in proposals.items()})
     rows, faults = [], {}
     for question in job.questions:
         key, proposal, own = question.key, proposals[question.key], proofs[question.key]
-        record = _make_record(search, proposal, question, own)
+        record = _make_record(proposal, question, own)
         if fault := _refuted(own, proposal, job.rules) or _rederived(annotations, record, proposal, job.rules):
             faults[key] = f"{job.sequence} {record.plan}: {fault}"
         rows.append(record.columns() | {"key": key})
@@ -94,9 +94,9 @@ class _Expected:
         return self._facts.ask(keys)
 
 
-def _propose_again(search: Search, question: Question) -> Proposal:
+def _propose_again(layer: Layer, question: Question) -> Proposal:
     candidate = question.candidate
-    return Proposal(search, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
+    return Proposal(layer, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
 
 
 def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:
@@ -129,9 +129,9 @@ def _rederived(annotations: Annotations, record: QuestionRecord, proposal: Propo
 # -- rows -------------------------------------------------------------------------------------------------------------
 
 
-def _make_record(search: Search, proposal: Proposal, question: Question, proofs: list[Proof]) -> QuestionRecord:
-    layer, template, plan = search.layer, proposal.template, proposal.plan
-    needed, times, begin = _needed_boxes(layer, proposal), _times(layer, proposal), proposal.frames["t0"]
+def _make_record(proposal: Proposal, question: Question, proofs: list[Proof]) -> QuestionRecord:
+    layer, template, plan = proposal.layer, proposal.template, proposal.plan
+    needed, times, begin = _needed_boxes(proposal), _times(proposal), proposal.frames["t0"]
     angle = layer.boxes[proposal.target, begin]["angle"]
     turns = [angle_error(layer.boxes[box.track, box.frame]["angle"], angle) for box in needed if box.decisive]
     public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
@@ -147,8 +147,8 @@ def _make_record(search: Search, proposal: Proposal, question: Question, proofs:
         answer=answer,
         target_track=proposal.target,
         plan=canonical(plan),
-        proofs=_all_proofs(search, proposal, proofs, needed),
-        rules=rules_hash(search.rules),
+        proofs=_all_proofs(proposal, proofs, needed),
+        rules=rules_hash(layer.rules),
         hops=len(template.edges),
         time_gap_s=(max(times.values()) - begin) / layer.head["fps"],
         separation_deg=max(turns),
@@ -159,45 +159,43 @@ def _make_record(search: Search, proposal: Proposal, question: Question, proofs:
     )
 
 
-def _times(layer: Layer, proposal: Proposal) -> dict[str, int]:
+def _times(proposal: Proposal) -> dict[str, int]:
     """Return the frame of every time in the plan, by name."""
     template, frames = proposal.template, proposal.frames
     times = {name: frames[name] for name in template.stated}
     times |= {time: frames[name] for time, name in zip(template.events, template.read, strict=False)}
     if template.spec.read == "next_action":
         # What ends is the posture held until the last keyframe before the next one starts.
-        times["t1"] = max(frame for frame in layer.facts.keyframes if frame < frames["first"])
+        times["t1"] = max(frame for frame in proposal.layer.facts.keyframes if frame < frames["first"])
     return times
 
 
-def _needed_boxes(layer: Layer, proposal: Proposal) -> tuple[NeededBox, ...]:
+def _needed_boxes(proposal: Proposal) -> tuple[NeededBox, ...]:
     """Return the boxes of all people at t0, and of the target as the answer is read, by node and frame.
 
     Each counted person has one box, as nodes b1, b2, ... by track, and the target has one in the same frame.
     """
-    template, frames = proposal.template, proposal.frames
+    template, frames, sightings = proposal.template, proposal.frames, proposal.layer.boxes
     boxes = []
     for node, track in proposal.people.items():
         decisive, shown = set(), {frames["t0"]}
         if node == template.target:
-            there = {frames[name] for name in template.decisive if (track, frames[name]) in layer.boxes}
+            there = {frames[name] for name in template.decisive if (track, frames[name]) in sightings}
             decisive = there or {frames["t0"]}
             shown |= decisive | {frame for _, frame in proposal.counted}
         boxes += [(node, track, frame, frame in decisive) for frame in sorted(shown)]
     boxes += [(f"b{number}", track, frame, False) for number, (track, frame) in enumerate(proposal.counted, start=1)]
     return tuple(
-        NeededBox(node, track, frame, **{side: layer.boxes[track, frame][side] for side in "xywh"}, decisive=decisive)
+        NeededBox(node, track, frame, **{side: sightings[track, frame][side] for side in "xywh"}, decisive=decisive)
         for node, track, frame, decisive in boxes
     )
 
 
-def _all_proofs(
-    search: Search, proposal: Proposal, proofs: list[Proof], needed: tuple[NeededBox, ...]
-) -> tuple[Proof, ...]:
+def _all_proofs(proposal: Proposal, proofs: list[Proof], needed: Sequence[NeededBox]) -> tuple[Proof, ...]:
     """Return all proofs in the order of the table `answers`."""
     own = proposal.answer
     x, w = np.array([box.x for box in needed]), np.array([box.w for box in needed])
-    single = bool(views.single_view(x, w, search.rules.visible_share))
+    single = bool(views.single_view(x, w, proposal.layer.rules.visible_share))
     return (
         Proof("anchor", "match", True, "same", own),
         *(proof for proof in proofs if proof.kind == "anchor"),

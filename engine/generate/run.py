@@ -21,7 +21,7 @@ from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.held_out import Extent, read_held_out
 from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
-from jrdb_avr.engine.generate.propose import Proposal, Search
+from jrdb_avr.engine.generate.propose import Proposal
 from jrdb_avr.engine.generate.publish import publish, question_tables
 from jrdb_avr.engine.generate.question import COLUMNS, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, select
@@ -254,15 +254,15 @@ def search_sequence(job: Job) -> Found:
     own = {"sequence": job.sequence, "fps": head["fps"], "frame_count": head["frame_count"], "frames": frames}
     pool, refused = [], list[TableRow]()
     with open_worker_graph(store.graph_path) as graph:
-        search = Search(graph, job.sequence, job.layer(graph), job.rules)
+        layer = job.layer(graph)
         cypher = CypherFacts(graph, job.rules.load)
         for name, forms in FORMS.items():
             allowed = [form for form in forms if set(form.layers).issubset(head["layers"])]
-            prover = Prover(search, cypher, job.held_out)
-            pool += fill_pool(search, allowed, prover) if allowed else []
+            prover = Prover(layer, cypher, job.held_out)
+            pool += fill_pool(layer, allowed, prover) if allowed else []
             for rule, count in prover.counts.items():
                 refused += _refusals(job.sequence, name, rule, count, prover.examples[rule])
-    return Found(own, msgspec.msgpack.encode(pool), search.layer.facts.counts, refused)
+    return Found(own, msgspec.msgpack.encode(pool), layer.facts.counts, refused)
 
 
 def _refusals(

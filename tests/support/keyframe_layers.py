@@ -1,6 +1,6 @@
 """Generation over graphs in memory, for small stores without a stored graph.
 
-with searched(store, sequence, rules) as search: ...            # a Search, whose statements run
+with searched(store, sequence, rules) as search: ...            # a Layer, whose statements run
 for one in proposals(search, template): make_prover(search).prove(one)
 result, candidates = search_one(store, sequence, rules)         # what a worker of generation returns
 rows, faults = make_all(store, sequence, rules, candidates, result.counts)
@@ -20,7 +20,7 @@ from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.levelling import level_choices
 from jrdb_avr.engine.generate.perturb import Setting, prove
 from jrdb_avr.engine.generate.pool import Prover
-from jrdb_avr.engine.generate.propose import Proposal, Search, program_of, propose, propose_presence
+from jrdb_avr.engine.generate.propose import Proposal, program_of, propose, propose_presence
 from jrdb_avr.engine.generate.run import search_sequence
 from jrdb_avr.engine.generate.stored_layer import Job, layer_jobs
 from jrdb_avr.loaders.graph import build_scene
@@ -53,7 +53,7 @@ def searched(store, sequence, rules):
     graph = memory_graph(store, [sequence])
     layer = Layer(store, graph, sequence, rules)
     add_layer(graph, layer)
-    yield Search(graph, sequence, layer, rules)
+    yield layer
 
 
 def make_prover(search, held_out=()):
@@ -82,7 +82,7 @@ def proposals(search, template):
 def all_proofs(search, one):
     """The proofs of a proposal about conditions, hops and times, whether they hold or not."""
     cypher = CypherFacts(search.graph, search.rules.load)
-    setting = Setting(Prover(search, cypher), search.layer.facts.keyframes, search.rules)
+    setting = Setting(Prover(search, cypher), search.facts.keyframes, search.rules)
     return cypher.complete(lambda: prove(*program_of(one), setting))
 
 
@@ -93,7 +93,7 @@ def worked(store, sequence, rules):
         for module in (run, question):
             patch.setattr(module, "Store", lambda path: store)
             patch.setattr(module, "open_worker_graph", lambda path: contextlib.nullcontext(search.graph))
-        patch.setattr(Job, "layer", lambda *_: search.layer)
+        patch.setattr(Job, "layer", lambda *_: search)
         yield
 
 

@@ -57,12 +57,12 @@ def judge(store, claimed):
                     one.target,
                     when,
                     walk(one) if template.edges else None,
-                    named(one, search.layer.segments),
+                    named(one, search.segments),
                 )
                 # Two descriptions may lead to one question; what one of them proves is proven.
                 rules = found.setdefault(place, {})
                 rules[answer_of(one)] = rule and rules.get(answer_of(one), rule)
-        facts = search.layer.facts
+        facts = search.facts
         for frame, people in facts.people.items():
             for who in people:
                 for conditions, general in describe(facts, SEQUENCE, who, frame, RULES).items():

@@ -1,5 +1,6 @@
 """The pool of a template holds what single proofs allow: in the order of keys, without near-duplicates, up to a cap."""
 
+import copy
 import random
 from collections import Counter
 from itertools import combinations
@@ -100,7 +101,7 @@ def needed_of(one):
 
 def test_no_question_touches_a_held_out_one(search):
     search, allowed = search
-    tracks = sorted({who for people in search.layer.facts.people.values() for who in people})
+    tracks = sorted({who for people in search.facts.people.values() for who in people})
     held_out = (Extent(tuple(tracks[::3]), 60, 90), Extent(tuple(tracks[1::3]), 120, 135))
     for name, _, prover, _, made in pools(search, allowed, held_out):
         for one in made:
@@ -117,7 +118,9 @@ def test_both_shifts_in_time_may_be_required(search):
     search, allowed = search
     strict = msgspec.structs.replace(search.rules, time_shift="both")
     for _, forms, lenient, _, made in pools(search, [form for form in allowed if form.time_proof != "construction"]):
-        prover = make_prover(search.__class__(search.graph, search.sequence, search.layer, strict))
+        strictly = copy.copy(search)
+        strictly.rules = strict
+        prover = make_prover(strictly)
         for one in made:
             proofs = lenient.prove(one)
             same = any(proof.kind == "time.shift" and proof.outcome == "same" for proof in proofs)

@@ -20,7 +20,6 @@ from jrdb_avr.engine.generate import cypher_facts, facts, propose
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.pool import fill_pool
-from jrdb_avr.engine.generate.propose import Search
 from jrdb_avr.engine.generate.stored_layer import ensure_layer, layer_jobs
 from jrdb_avr.queries.compiler import reads
 from jrdb_avr.queries.graph.handle import Graph
@@ -91,7 +90,7 @@ def mutants_of(path):
 
 @pytest.fixture(scope="module")
 def searches(tmp_path_factory):
-    """A `Search` for each of some random worlds, with keys of its facts by the name of the statement."""
+    """A `Layer` for each of some random worlds, with keys of its facts by the name of the statement."""
     rng, layers = random.Random(23), {}
     for number in range(15):
         make = (random_world, lively_world, sociable_world)[number % 3]
@@ -99,22 +98,20 @@ def searches(tmp_path_factory):
     store = load_world(tmp_path_factory.mktemp("mutants"), layers)
     ensure_layer(store, RULES, 1)
     with Graph.open(store.graph_path, read_only=True) as graph:
-        found = [Search(graph, job.sequence, job.layer(graph), RULES) for job in layer_jobs(store, RULES)]
+        found = [job.layer(graph) for job in layer_jobs(store, RULES)]
         for search in found:
             # Otherwise few actions may be choices in these small worlds.
-            search.layer.present = frozenset(CHOICE_LABELS)
+            search.present = frozenset(CHOICE_LABELS)
         yield [(search, keys_by_statement(search)) for search in found]
 
 
 def keys_by_statement(search):
     found = {}
-    for key in keys_of(search.layer.facts, search.sequence, random.Random(5), 60):
+    for key in keys_of(search.facts, search.sequence, random.Random(5), 60):
         found.setdefault(statement_of(key), []).append(key)
-    starts = [(row["track"], row["action"], row["first"]) for row in search.layer.segments.values()]
+    starts = [(row["track"], row["action"], row["first"]) for row in search.segments.values()]
     # A person without a list may do anything, and a person with two postures may have either.
-    unread = [
-        (who, frame) for frame, some in search.layer.facts.people.items() for who in some if not some[who]["pose"]
-    ]
+    unread = [(who, frame) for frame, some in search.facts.people.items() for who in some if not some[who]["pose"]]
     starts += [(who, action, frame) for who, frame in unread[:40] for action in ("walking", "holding sth")]
     return found | {"onsets": [("onsets", search.sequence, *start) for start in starts]}
 
