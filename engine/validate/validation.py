@@ -11,7 +11,7 @@ from jrdb_avr.queries.display import Displayed, Tables
 CHECKS: Final = {
     "files": "columns and metadata are right; public files have no private columns",
     "ids": "each question is once in each file; its id is the hash of its public columns",
-    "choices": "a choice question has four different choices, and no two of them overlap; other questions have none",
+    "choices": "a choice question has four choices, and no two may be called the same; other questions have none",
     "answers": "the stored answer is readable and inside the sequence",
     "plans": "the plan is valid and fits the template of the question",
     "text": "the text states the plan and nothing else; stated seconds are frame / fps",
