@@ -49,6 +49,7 @@ class Layer:
         rules: Rules of descriptions and generators, and thresholds.
         facts: Facts of the sequence.
         head: Row of the interval table `sequence`.
+        frames: Frames that methods may look at: those with an image, or all annotated ones without images.
         segments: Rows of the interval table `segments` by id, each with its id and the angle of its first box.
         boxes: Columns of sightings by track and frame. `ahead` is whether the view straight ahead shows the box.
         present: Actions that a person in clear view certainly does at a keyframe.
@@ -76,6 +77,8 @@ class Layer:
         self.facts = Facts(graph, sequence, rules.load, with_faces="pose" in self.head["layers"])
         self._rows: dict[str, list[TableRow]] = defaultdict(list)
         self.present = frozenset().union(*self.facts.counts.values())
+        shown = "image" if "images" in self.head["layers"] else "annotated"
+        self.frames = sorted(row["frame"] for row in frames_of if row[shown])
         self._images = {row["frame"] for row in frames_of if row["image"]}
         x, w = (np.array([row[side] for row in boxes], dtype=np.float64) for side in "xw")
         ahead = views.ahead(x, w, rules.visible_share).tolist()

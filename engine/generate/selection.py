@@ -137,13 +137,13 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, 
     alive = sorted(candidates, key=lambda candidate: hash_of(candidate.key))
     total, chosen, numbers = len(alive), list[Candidate](), Counter[object]()
 
-    def cost(one: Candidate) -> tuple[int, bool, int, int]:
-        contexts = sum(weight * numbers[name] for name, weight in one.contexts)
-        level = contexts + numbers[one.person]
-        return numbers[one.template], (one.person, one.event) in events, level, numbers[one.sequence]
+    def cost(candidate: Candidate) -> tuple[int, bool, int, int]:
+        level = sum(weight * numbers[name] for name, weight in candidate.contexts) + numbers[candidate.person]
+        asked_later = (candidate.person, candidate.event) in events
+        return numbers[candidate.template], asked_later, level, numbers[candidate.sequence]
 
     while len(chosen) < quota:
-        alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one)]
+        alive = [candidate for candidate in alive if numbers[candidate.sequence] < cap and taken.admits(candidate)]
         if not alive:
             break
         best = min(alive, key=cost)
@@ -151,7 +151,7 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, 
         taken.add(best)
         numbers.update([best.template, best.person, best.sequence, *(name for name, _ in best.contexts)])
     shortage = None if len(chosen) == quota else f"caps and near-duplicates leave {len(chosen)} of {total} candidates"
-    return Selected([Question(one, ()) for one in chosen], shortage)
+    return Selected([Question(candidate, ()) for candidate in chosen], shortage)
 
 
 def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) -> list[Candidate]:
