@@ -18,7 +18,7 @@ BUDGETS = {
     "schema": 2950,
     "loaders": 4900,
     "queries": 2700,
-    "engine/generate": 2590,
+    "engine/generate": 2400,
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,
@@ -35,7 +35,7 @@ BUDGETS = {
     "__init__.py": 60,
 }
 """Maximum number of code lines per room. `engine` and `agent` are the modules that no other row counts."""
-TOTAL = 28_130
+TOTAL = 28_060
 TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 LANGUAGE_LATER = (

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, Protocol
 
 from msgspec.structs import replace
 
@@ -135,10 +135,10 @@ def _step(program: Program, source: FactSource, people: dict[str, int], edges: S
     if edges[0].target == program.join:
         apart = set(people.values())
         return _only(Fit(fit.could - apart, fit.certain - apart))
-    who = _only(fit)
-    if who in people.values():
+    track = _only(fit)
+    if track in people.values():
         raise NoAnswerError("empty")
-    return who
+    return track
 
 
 def _overlap(fits: Sequence[Fit]) -> Fit:
@@ -157,56 +157,6 @@ def _only(fit: Fit) -> int:
     if len(fit.could) > 1 or not fit.certain:
         raise NoAnswerError("unknown")
     return next(iter(fit.certain))
-
-
-def run(program: Program, source: FactSource, rules: Rules) -> Answer:
-    """Run a program.
-
-    Args:
-        program: Program that reads presence, a change of distance, or a start with its direction.
-        source: Source of facts.
-        rules: Thresholds of distances.
-
-    Returns:
-        The answer.
-
-    Raises:
-        NoAnswerError: If the program has no answer.
-        MissingFactsError: If facts are missing.
-    """
-    who = find_tracks(program, source)[program.target]
-    if program.read == "start_view":
-        (start,) = source.ask([("start", program.sequence, who, program.action, program.frame)])
-        return cast(FrameViewpoint, _known(start))
-    seen = [("seen", program.sequence, who, frame) for frame in program.times]
-    first, second = source.ask(seen)
-    return str(_known(CHANGES[program.read](first, second, rules)))
-
-
-def read_outcome(program: Program, label: str, source: FactSource) -> str:
-    """Read whether the target of a program does an action.
-
-    Args:
-        program: Program that reads an action.
-        label: The action.
-        source: Source of facts.
-
-    Returns:
-        The outcome: "same", "different", "unknown", or "empty" if the person is absent.
-
-    Raises:
-        NoAnswerError: If the program finds no single person.
-        MissingFactsError: If facts are missing.
-    """
-    about = program.sequence, find_tracks(program, source)[program.target], program.times[0]
-    seen, labels = source.ask([("seen", *about), ("labels", *about)])
-    return "empty" if seen.present is False else outcome_of_action(labels, label)
-
-
-def _known(value: Any) -> Any:
-    if value is None:
-        raise NoAnswerError("unknown")
-    return value
 
 
 # -- perturbations ----------------------------------------------------------------------------------------------------
@@ -333,25 +283,31 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
     """
     if not setting.keyframe_set.issuperset((perturbed.frame, *perturbed.times)):
         return "unknown", None
+    source, sequence = setting.source, perturbed.sequence
     try:
         if isinstance(answer, FrameViewpoint):
-            return _compare_starts(perturbed, answer, setting.source), None
+            return _compare_starts(perturbed, answer, source), None
+        target = find_tracks(perturbed, source)[perturbed.target]
+        seen = [("seen", sequence, target, frame) for frame in perturbed.times]
         if perturbed.read == "action":
-            result = read_outcome(perturbed, answer, setting.source)
+            first, labels = source.ask([*seen, ("labels", sequence, target, perturbed.times[0])])
+            result = "empty" if first.present is False else outcome_of_action(labels, answer)
             return result, answer if result == "same" else None
-        again = run(perturbed, setting.source, setting.rules)
+        first, second = source.ask(seen)
     except NoAnswerError as reason:
         return str(reason), None
-    return "same" if again == answer else "different", str(again)
+    if (again := CHANGES[perturbed.read](first, second, setting.rules)) is None:
+        return "unknown", None
+    return "same" if again == answer else "different", again
 
 
 def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSource) -> str:
     """Compare starts. If no start is certain, the outcome is unknown only if a start may be near enough to score."""
-    who, action, sequence = find_tracks(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
-    (start,) = source.ask([("start", sequence, who, action, perturbed.frame)])
+    track, action, sequence = find_tracks(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
+    (start,) = source.ask([("start", sequence, track, action, perturbed.frame)])
     if start is not None:
         return "same" if same_answer(start, answer) else "different"
-    (rows,) = source.ask([("onsets", sequence, who, action, answer.frame)])
+    (rows,) = source.ask([("onsets", sequence, track, action, answer.frame)])
     certain = {frame for frame, _, _, sure in rows if sure}
     for frame, angle, could, _ in rows:
         near = frame >= answer.frame - KEYFRAME_STEP and same_answer(FrameViewpoint(answer.frame, angle), answer)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -29,23 +29,6 @@ QUESTION_GROUP: Final = 1 << 12
 """Number of questions in a row group of a table. Each takes some kilobytes with its proofs."""
 
 
-def question_tables(store: Store, questions: pa.Table) -> dict[str, Iterable[pa.Table]]:
-    """Return the tables of questions as row groups.
-
-    Args:
-        store: Store with the boxes of people.
-        questions: Questions in the columns of the tables `questions` and `answers`, in the order of their ids.
-
-    Returns:
-        The row groups of the tables `questions`, `answers` and `evidence`, by name.
-    """
-    tables: dict[str, Iterable[pa.Table]] = {}
-    for name in ("questions", "answers"):
-        own = questions.select(QUESTIONS[name].names).cast(QUESTIONS[name])
-        tables[name] = [own.slice(first, QUESTION_GROUP) for first in range(0, len(own), QUESTION_GROUP)]
-    return tables | {"evidence": _evidence(store, questions)}
-
-
 def _evidence(store: Store, questions: pa.Table) -> Iterator[pa.Table]:
     """Yield a row group per sequence: every box of the questions' targets, by track and frame."""
     names = QUESTIONS["evidence"].names
@@ -57,34 +40,32 @@ def _evidence(store: Store, questions: pa.Table) -> Iterator[pa.Table]:
         yield boxes.sort_by([("track", "ascending"), ("frame", "ascending")]).cast(QUESTIONS["evidence"])
 
 
-def _digest(tables: Mapping[str, Iterable[pa.Table]]) -> str:
-    """Return a hash of all questions and answers, which marks their generation."""
-    digest = hashlib.sha256()
-    for name in ("questions", "answers"):
-        for group in tables[name]:
-            digest.update(msgspec.json.encode(group.to_pylist(), order="sorted"))
-    return digest.hexdigest()
-
-
-def publish(store: Store, tables: Mapping[str, Iterable[pa.Table]], training: Mapping[str, str] | None = None) -> None:
+def publish(
+    store: Store, questions: pa.Table, tables: Mapping[str, pa.Table], training: Mapping[str, str] | None = None
+) -> None:
     """Write the tables of a generation so that they are complete, or known to be incomplete. Under the writer lock.
 
     Args:
-        store: Store.
-        tables: Row groups of all tables by name.
+        store: Store with the boxes of people.
+        questions: Questions in the columns of the tables `questions` and `answers`, in the order of their ids.
+        tables: The tables `rejected` and `sequences` by name.
         training: Metadata of a training set in place of the canary.
 
     Raises:
         StoreError: If a file cannot be written.
     """
     folder = store.question_path("questions").parent
-    pending = folder / ".pending"
+    pending, digest = folder / ".pending", hashlib.sha256()
+    groups = [questions.slice(first, QUESTION_GROUP) for first in range(0, len(questions), QUESTION_GROUP)]
+    for group in groups:
+        digest.update(msgspec.json.encode(group.to_pylist(), order="sorted"))
+    metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: digest.hexdigest()}
+    parts = {"evidence": _evidence(store, questions), "questions": groups, "answers": groups}
     try:
         # A killed run may have left files.
         shutil.rmtree(pending, ignore_errors=True)
-        metadata = {**(training or {"canary": CANARY}), GENERATION_KEY: _digest(tables)}
-        for name, parts in tables.items():
-            write_groups(pending / f"{name}.parquet", parts, QUESTIONS[name], metadata)
+        for name, part in (parts | {name: [table] for name, table in tables.items()}).items():
+            write_groups(pending / f"{name}.parquet", part, QUESTIONS[name], metadata)
         _move_in(pending, folder)
     except OSError as error:
         raise StoreError(f"cannot write {folder}: {error.strerror}; free some space and generate again") from None

@@ -22,7 +22,7 @@ from jrdb_avr.engine.generate.held_out import Extent, read_held_out
 from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.propose import Proposal
-from jrdb_avr.engine.generate.publish import publish, question_tables
+from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.question import COLUMNS, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, select
 from jrdb_avr.engine.generate.stored_layer import Job, ensure_layer
@@ -133,7 +133,7 @@ def generate(
         rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"]).sort_by(order)
         heads = pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"])
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out} if profile == TRAIN else None
-        publish(store, question_tables(store, questions) | {"rejected": [rejected], "sequences": [heads]}, training)
+        publish(store, questions, {"rejected": rejected, "sequences": heads}, training)
     return Generation(tuple(tallies(rejected, questions, layers, report)), tuple(report), tuple(faults))
 
 
@@ -247,22 +247,18 @@ def search_sequence(job: Job) -> Found:
     Raises:
         StoreError: If a table or the graph is missing.
     """
-    store = Store(job.store)
-    (head,) = store.interval("sequence", job.sequence).to_pylist()
-    frames = store.interval("frames", job.sequence).sort_by("frame")
-    frames = frames.filter(frames["image" if "images" in head["layers"] else "annotated"])["frame"].to_pylist()
-    own = {"sequence": job.sequence, "fps": head["fps"], "frame_count": head["frame_count"], "frames": frames}
     pool, refused = [], list[TableRow]()
-    with open_worker_graph(store.graph_path) as graph:
+    with open_worker_graph(Store(job.store).graph_path) as graph:
         layer = job.layer(graph)
         cypher = CypherFacts(graph, job.rules.load)
         for name, forms in FORMS.items():
-            allowed = [form for form in forms if set(form.layers).issubset(head["layers"])]
+            allowed = [form for form in forms if set(form.layers).issubset(layer.head["layers"])]
             prover = Prover(layer, cypher, job.held_out)
             pool += fill_pool(layer, allowed, prover) if allowed else []
             for rule, count in prover.counts.items():
                 refused += _refusals(job.sequence, name, rule, count, prover.examples[rule])
-    return Found(own, msgspec.msgpack.encode(pool), layer.facts.counts, refused)
+    head = {name: layer.head[name] for name in ("sequence", "fps", "frame_count")} | {"frames": layer.frames}
+    return Found(head, msgspec.msgpack.encode(pool), layer.facts.counts, refused)
 
 
 def _refusals(
@@ -293,11 +289,11 @@ def _choose(
     made, gone = COLUMNS.empty_table(), dict[Candidate, str]()
     while True:
         pool: dict[str, list[Candidate]] = defaultdict(list)
-        for one in candidates:
-            if one not in gone:
-                pool[one.template].append(one)
+        for candidate in candidates:
+            if candidate not in gone:
+                pool[candidate.template].append(candidate)
         selected, report = choose(pool)
-        questions = {one.key: one for one in selected}
+        questions = {question.key: question for question in selected}
         table, faults = make([questions[key] for key in sorted(questions.keys() - set(made["key"].to_pylist()))])
         made = pa.concat_tables([made, table])
         unwanted = table.filter(pc.is_in(table["question_id"], pa.array(sorted(excluded), pa.string())))
@@ -305,7 +301,7 @@ def _choose(
         if not new:
             break
         gone |= {questions[key].candidate: fault for key, fault in new.items()}
-    unused = set(candidates).difference(one.candidate for one in selected)
+    unused = set(candidates).difference(question.candidate for question in selected)
     left = Counter((one.sequence, one.template, "unconfirmed" if gone.get(one) else "selection") for one in unused)
     made = made.filter(pc.is_in(made["key"], pa.array(sorted(questions), pa.string())))
     return made.sort_by("question_id"), report, left, sorted(filter(None, gone.values()))

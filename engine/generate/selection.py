@@ -101,7 +101,13 @@ def select(
             # No sequence has 3D boxes if there is no candidate of the template distance.
             quota = 0 if names == ("distance",) and not candidates else quota
             events = {(one.person, one.event) for one in pool.get("action_search", ())} if "start" in names else set()
-            selected, shortage = _select_stage(candidates, quota, counts, taken, events)
+            selected, shortage = list[Question](), None if quota else "the family is full"
+            if candidates and quota:
+                cap = sequence_cap(quota, len(counts.present), 10 if "presence" in names else 20)
+                if forms_of(names[0])[0].answer is None:
+                    selected, shortage = select_level(candidates, quota, counts, taken, cap)
+                else:
+                    selected, shortage = _level(candidates, quota, taken, cap, events)
         elif forms_of(names[0])[0].asks_action:
             selected = level_choices(candidates, counts, rules)
         else:
@@ -123,18 +129,6 @@ def select(
     return questions, [rows[name] for name in FAMILIES]
 
 
-def _select_stage(
-    candidates: Sequence[Candidate], quota: int, counts: LabelCounts, taken: Taken, events: Container[object]
-) -> Selected:
-    if not candidates or not quota:
-        return Selected([], None if quota else "the family is full")
-    template = candidates[0].template
-    cap = sequence_cap(quota, len(counts.present), 10 if template == "presence" else 20)
-    if forms_of(template)[0].answer is None:
-        return select_level(candidates, quota, counts, taken, cap)
-    return _level(candidates, quota, taken, cap, events)
-
-
 def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, events: Container[object]) -> Selected:
     """Select questions without choices, so that templates, and then forms, answers and people, are level.
 
@@ -143,13 +137,13 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, 
     alive = sorted(candidates, key=lambda candidate: hash_of(candidate.key))
     total, chosen, numbers = len(alive), list[Candidate](), Counter[object]()
 
-    def cost(one: Candidate) -> tuple[int, bool, int, int]:
-        contexts = sum(weight * numbers[name] for name, weight in one.contexts)
-        level = contexts + numbers[one.person]
-        return numbers[one.template], (one.person, one.event) in events, level, numbers[one.sequence]
+    def cost(candidate: Candidate) -> tuple[int, bool, int, int]:
+        level = sum(weight * numbers[name] for name, weight in candidate.contexts) + numbers[candidate.person]
+        asked_later = (candidate.person, candidate.event) in events
+        return numbers[candidate.template], asked_later, level, numbers[candidate.sequence]
 
     while len(chosen) < quota:
-        alive = [one for one in alive if numbers[one.sequence] < cap and taken.admits(one)]
+        alive = [candidate for candidate in alive if numbers[candidate.sequence] < cap and taken.admits(candidate)]
         if not alive:
             break
         best = min(alive, key=cost)
@@ -157,7 +151,7 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, 
         taken.add(best)
         numbers.update([best.template, best.person, best.sequence, *(name for name, _ in best.contexts)])
     shortage = None if len(chosen) == quota else f"caps and near-duplicates leave {len(chosen)} of {total} candidates"
-    return Selected([Question(one, ()) for one in chosen], shortage)
+    return Selected([Question(candidate, ()) for candidate in chosen], shortage)
 
 
 def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) -> list[Candidate]:
