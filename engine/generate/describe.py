@@ -91,9 +91,5 @@ def find_leads(facts: Facts, who: int, frame: int) -> dict[str, int]:
     Returns:
         The track of the only person who certainly has the relation while no other person may have it, by relation.
     """
-    leads = {}
-    for relation in facts.relations_of(who, frame):
-        could, certain = facts.follow(relation, who, frame)
-        if len(could) == len(certain) == 1:
-            leads[relation] = next(iter(certain))
-    return leads
+    fits = {relation: facts.follow(relation, who, frame) for relation in facts.relations_of(who, frame)}
+    return {relation: min(certain) for relation, (could, certain) in fits.items() if len(could) == len(certain) == 1}
