@@ -98,9 +98,9 @@ class CypherFacts:
             self._fill()
         return values
 
-    def count(self, sequence: str, relation: str, who: int, first: int, last: int) -> int | None:
+    def count(self, sequence: str, relation: str, track: int, first: int, last: int) -> int | None:
         """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
-        return self._reader.counts([(Person(0, sequence, who), relation, first, last)]).get(0)
+        return self._reader.counts([(Person(0, sequence, track), relation, first, last)]).get(0)
 
     def keyframes(self, sequence: str) -> list[int]:
         """Return the keyframes of a sequence, in order."""
@@ -153,11 +153,11 @@ class CypherFacts:
     # -- reads of the compiler ----------------------------------------------------------------------------------------
 
     def _read_seen(self, keys: Sequence[Key]) -> list[Any]:
-        seen = self._reader.seen([(Person(i, scope, who), frame) for i, (_, scope, who, frame) in enumerate(keys)])
+        seen = self._reader.seen([(Person(i, scope, track), frame) for i, (_, scope, track, frame) in enumerate(keys)])
         return [seen[i, key[3]] for i, key in enumerate(keys)]
 
     def _read_start(self, keys: Sequence[Key]) -> list[FrameViewpoint | None]:
-        asked = [(Person(i, scope, who), action, after) for i, (_, scope, who, action, after) in enumerate(keys)]
+        asked = [(Person(i, scope, track), action, after) for i, (_, scope, track, action, after) in enumerate(keys)]
         starts = self._reader.starts(asked)
         return [FrameViewpoint(starts[i].start, starts[i].angle) if i in starts else None for i in range(len(keys))]
 
@@ -177,11 +177,11 @@ def row_of(key: Key) -> dict[str, Any]:
     """Return the row of a statement's parameter for a fact."""
     kind, scope, *about = key
     if kind == "onsets":
-        who, action, frame = about
-        return {"scope": scope, "person": f"{scope}/{who}", "t": frame, "v": action, "posture": action in POSES}
+        track, action, frame = about
+        return {"scope": scope, "person": f"{scope}/{track}", "t": frame, "v": action, "posture": action in POSES}
     if kind == "start":
-        who, action, after = about
-        return {"scope": scope, "who": who, "action": action, "posture": action in POSES, "after": after}
+        track, action, after = about
+        return {"scope": scope, "who": track, "action": action, "posture": action in POSES, "after": after}
     frame = about[-1]
     if kind in _BY_READS:
         return {"scope": scope, "who": about[0], "t": frame}

@@ -1,9 +1,9 @@
-"""Descriptions of people, and the people to whom relations lead.
+"""Descriptions of people, and the targets of relations.
 
-A description is a set of few conditions that are certain of one person at a keyframe and exclude each other person in
-that frame. The shortest set is the best one. Among equally short sets the order of kinds in the rules decides, then a
-hash. A second description is the best one of those whose words imply the fewest actions, so that more actions can be
-choices of a question.
+A description is a set of few conditions. They are certainly true of one person at a keyframe, and together they exclude
+each other person in that frame. The shortest set is the best. Among equally short sets the order of kinds in the rules
+decides, then a hash. Some descriptions imply more actions than others, and implied actions cannot be choices. So a
+second description is the best among the descriptions that imply the fewest actions.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ _WEAK: Final = ("sector", "distance")
 """Kinds of conditions that do not describe a person by themselves, because they fit each person who comes by."""
 
 
-def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) -> dict[tuple[Condition, ...], bool]:
+def describe(facts: Facts, sequence: str, track: int, frame: int, rules: Rules) -> dict[tuple[Condition, ...], bool]:
     """Find the best descriptions of a person at a keyframe.
 
     Args:
         facts: Facts of the sequence.
         sequence: Name of the sequence, which is part of the hash that breaks ties.
-        who: Track of the person.
+        track: Track of the person.
         frame: Keyframe at which the person has a box.
         rules: Order of kinds, and the maximum number of conditions.
 
     Returns:
-        At most two descriptions, each with whether it is the best one of all: the best one, and one whose words imply
-        the fewest actions. Often one is both.
+        At most two descriptions, each with whether it is the best: the best description, and the best among those that
+        imply the fewest actions. Often both are the same.
     """
     order = rules.condition_order
-    held = [condition for condition in facts.conditions_of(who, frame) if condition.kind in order]
+    held = [condition for condition in facts.conditions_of(track, frame) if condition.kind in order]
     held.sort(key=lambda condition: order.index(condition.kind))
     could = {condition: facts.match(condition, frame).could for condition in held}
     minimal: list[tuple[Condition, ...]] = []
@@ -50,7 +50,7 @@ def describe(facts: Facts, sequence: str, who: int, frame: int, rules: Rules) ->
         minimal += [some for some in sets if _describes(some, could)]
     if not minimal:
         return {}
-    prefix = f"{sequence}\n{who}\n{frame}\n"
+    prefix = f"{sequence}\n{track}\n{frame}\n"
     general = _best_of([some for some in minimal if len(some) == len(minimal[0])], prefix, order)
     least = min(len(implied_choices(some)) for some in minimal)
     quiet = [some for some in minimal if len(implied_choices(some)) == least]
@@ -80,16 +80,16 @@ def conditions_json(conditions: tuple[Condition, ...]) -> str:
     return msgspec.json.encode(in_order(conditions), order="sorted").decode()[1:-1]
 
 
-def find_leads(facts: Facts, who: int, frame: int) -> dict[str, int]:
+def find_leads(facts: Facts, track: int, frame: int) -> dict[str, int]:
     """Find the person at the end of each relation.
 
     Args:
         facts: Facts of the sequence.
-        who: Track of the person from whom the relations lead.
+        track: Track of the source of the relations.
         frame: Keyframe at which the person has a box.
 
     Returns:
         The track of the only person who certainly has the relation while no other person may have it, by relation.
     """
-    fits = {relation: facts.follow(relation, who, frame) for relation in facts.relations_of(who, frame)}
+    fits = {relation: facts.follow(relation, track, frame) for relation in facts.relations_of(track, frame)}
     return {relation: min(certain) for relation, (could, certain) in fits.items() if len(could) == len(certain) == 1}

@@ -1,8 +1,8 @@
 """Three-valued facts of one sequence at its keyframes, as sets of people.
 
-The statements in `queries/search` return which person is seen, and has which label, at which keyframe. `Facts` keeps
-their rows and answers two questions from them: of which people a condition holds (`match`), and to which people a
-relation leads (`follow`). Each answer has the people of whom the fact is possible and those of whom it is certain.
+The statements in `queries/search` return how each person is seen at each keyframe, and with which labels. `Facts`
+keeps their rows and answers two questions: which people fit a condition (`match`), and which people are the targets of
+a relation (`follow`). Each answer has two sets: the people who may fit, and the people who certainly fit.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Facts:
             del self.people[frame]
         self.uncovered: dict[int, frozenset[int]] = defaultdict(frozenset)
         for frame, people in self.people.items():
-            self.uncovered[frame] = frozenset(who for who, row in people.items() if not row["covered"])
+            self.uncovered[frame] = frozenset(track for track, row in people.items() if not row["covered"])
         # A label of a person without a box counts for nothing.
         labels = {
             name: [row for row in rows(name) if row["who"] in self.people[row["frame"]]]
@@ -143,10 +143,10 @@ class Facts:
             if row["value"] in ACTIONS and row["written"]:
                 written[row["who"], row["frame"]][row["value"]] = row["easy"]
         for frame, people in self.people.items():
-            for who, row in people.items():
-                self.lists[who][frame] = list_actions(written[who, frame], row["listed"])
+            for track, row in people.items():
+                self.lists[track][frame] = list_actions(written[track, frame], row["listed"])
                 if row["clear"]:
-                    self.counts[frame].update(self.lists[who][frame].certain)
+                    self.counts[frame].update(self.lists[track][frame].certain)
 
     def _read_groups(self, rows: Iterable[Mapping[str, Any]]) -> None:
         groups: dict[tuple[int, Any], _Marks] = defaultdict(dict)
@@ -154,8 +154,8 @@ class Facts:
             _mark(groups[row["frame"], row["value"]], row["who"], row["certain"])
             self._grouped[row["frame"]].add(row["who"])
         for (frame, _), marks in groups.items():
-            for (who, certain), (other, also) in permutations(marks.items(), 2):
-                _mark(self._pairs[frame][who][SAME_GROUP], other, certain and also)
+            for (track, certain), (other, also) in permutations(marks.items(), 2):
+                _mark(self._pairs[frame][track][SAME_GROUP], other, certain and also)
 
     # -- conditions ---------------------------------------------------------------------------------------------------
 
@@ -190,30 +190,30 @@ class Facts:
 
     def _match_interaction(self, label: str, frame: int) -> Fit:
         people, marks = self.people[frame], {}
-        for who, met in ((who, labels[label]) for who, labels in self._pairs[frame].items() if label in labels):
+        for track, met in ((track, labels[label]) for track, labels in self._pairs[frame].items() if label in labels):
             # A partner who is not in clear view may be out of sight.
-            marks[who] = any(met[other] and (people[other]["clear"] or not self.judges_views) for other in met)
+            marks[track] = any(met[other] and (people[other]["clear"] or not self.judges_views) for other in met)
         # A person without a list may interact with each other person.
         anybody = len(people) > 1 and self._without(frame, "interactions_listed")
         return _fit(marks, people.keys() if anybody else ())
 
     def _match_sector(self, sector: str, frame: int) -> Fit:
-        off = {who: angle_error(row["angle"], ROBOT_SECTORS[sector]) for who, row in self.people[frame].items()}
+        off = {track: angle_error(row["angle"], ROBOT_SECTORS[sector]) for track, row in self.people[frame].items()}
         could, certain = (
-            {who for who, degrees in off.items() if degrees <= limit + SLACK}
+            {track for track, degrees in off.items() if degrees <= limit + SLACK}
             for limit in (self._rules.sector_false_deg, self._rules.sector_true_deg)
         )
         return Fit(could, certain)
 
     def _match_value(self, condition: Condition, frame: int) -> Fit:
         kind, wanted = condition.kind, condition.value if condition.action is None else condition.action
-        values = {who: _possible_values(kind, row) for who, row in self.people[frame].items()}
+        values = {track: _possible_values(kind, row) for track, row in self.people[frame].items()}
         fitting = {wanted} if kind == "pose" else {wanted, *may_be_called(str(wanted))}
-        could = {who for who, possible in values.items() if not possible or possible & fitting}
+        could = {track for track, possible in values.items() if not possible or possible & fitting}
         if kind == "pose":
             # A closed gap of a pose leaves the pose possible beside the pose that is listed.
             could |= self._labels[frame].get(("action", wanted), {}).keys()
-        return Fit(could, {who for who, possible in values.items() if possible == {wanted}})
+        return Fit(could, {track for track, possible in values.items() if possible == {wanted}})
 
     def _without_covered(self, fit: Fit, frame: int) -> Fit:
         people = self.uncovered[frame]
@@ -221,42 +221,42 @@ class Facts:
 
     def _without(self, frame: int, column: str) -> set[int]:
         """Return the people without a list of labels."""
-        return {who for who, row in self.people[frame].items() if not row[column]}
+        return {track for track, row in self.people[frame].items() if not row[column]}
 
     # -- relations ----------------------------------------------------------------------------------------------------
 
-    def follow(self, relation: str, who: int, frame: int) -> Fit:
+    def follow(self, relation: str, track: int, frame: int) -> Fit:
         """Find the people at the end of a relation.
 
         Args:
             relation: Label of the relation.
-            who: Track of the person at the beginning of the relation.
+            track: Track of the person at the beginning of the relation.
             frame: Keyframe at which the person has a box.
 
         Returns:
             The other people who may have the relation, and who certainly have it. Covered people are left out.
         """
-        if (key := (relation, who, frame)) not in self._follows:
-            self._follows[key] = self._without_covered(self._follow(RELATIONS[relation], who, frame), frame)
+        if (key := (relation, track, frame)) not in self._follows:
+            self._follows[key] = self._without_covered(self._follow(RELATIONS[relation], track, frame), frame)
         return self._follows[key]
 
-    def _follow(self, relation: Relation, who: int, frame: int) -> Fit:
+    def _follow(self, relation: Relation, track: int, frame: int) -> Fit:
         if relation.kind == "window":
-            return self._look_aside(relation, who, frame)
-        marks = self._pairs[frame][who].get(relation.label, {})
-        others = self.people[frame].keys() - {who}
+            return self._look_aside(relation, track, frame)
+        marks = self._pairs[frame][track].get(relation.label, {})
+        others = self.people[frame].keys() - {track}
         if relation.kind == "group":
             unread = self.people[frame].keys() - self._grouped[frame]
         else:
             unread = self._without(frame, _LISTS[relation.kind])
-        return _fit(marks, others if who in unread else unread & others)
+        return _fit(marks, others if track in unread else unread & others)
 
-    def _look_aside(self, window: Relation, who: int, frame: int) -> Fit:
+    def _look_aside(self, window: Relation, track: int, frame: int) -> Fit:
         """Find the people within some degrees at one side. Near the edges of the window it is unknown."""
         margin, people = self._rules.neighbor_margin_deg, self.people[frame]
         could, certain = set(), set()
-        for other in people.keys() - {who}:
-            right = clockwise(people[who]["angle"], people[other]["angle"])
+        for other in people.keys() - {track}:
+            right = clockwise(people[track]["angle"], people[other]["angle"])
             left = 360.0 - right if right > 0 else 0.0
             turn = left if window.side == "left" else right
             unknown = min(left, right) <= margin or abs(turn - window.degrees) <= margin
@@ -267,34 +267,34 @@ class Facts:
 
     # -- reads --------------------------------------------------------------------------------------------------------
 
-    def pose(self, who: int, frame: int) -> str | None:
+    def pose(self, track: int, frame: int) -> str | None:
         """Return the posture of a person at a keyframe, or None if it is unknown or the person has no box."""
-        row = self.people.get(frame, {}).get(who)
+        row = self.people.get(frame, {}).get(track)
         return None if row is None else row["pose"]
 
-    def labels(self, who: int, frame: int) -> ListedActions | None:
+    def labels(self, track: int, frame: int) -> ListedActions | None:
         """Return the written actions of a person at a keyframe, or None if the person has no box or is covered."""
-        return self.lists[who].get(frame) if who in self.uncovered[frame] else None
+        return self.lists[track].get(frame) if track in self.uncovered[frame] else None
 
-    def seen(self, who: int, frame: int) -> Seen:
+    def seen(self, track: int, frame: int) -> Seen:
         """Return whether a person is in clear view at a keyframe, and the distance from the robot.
 
         Args:
-            who: Track of the person.
+            track: Track of the person.
             frame: Keyframe.
 
         Returns:
             Presence is False if the frame, and the frames one second before and after, are annotated and have no box of
             the person. Presence is None if it is unknown. The distance is None unless the 3D box has lidar points.
         """
-        row = self.people.get(frame, {}).get(who)
-        present = True if row is not None and row["clear"] else False if self.is_absent(who, frame) else None
+        row = self.people.get(frame, {}).get(track)
+        present = True if row is not None and row["clear"] else False if self.is_absent(track, frame) else None
         return Seen(present, row["distance"] if row is not None and row["located"] else None)
 
-    def is_absent(self, who: int, frame: int) -> bool:
+    def is_absent(self, track: int, frame: int) -> bool:
         """Return whether a person is certainly absent at a keyframe."""
         near = (frame - KEYFRAME_STEP, frame, frame + KEYFRAME_STEP)
-        return self._annotated.issuperset(near) and not any((who, other) in self._boxes for other in near)
+        return self._annotated.issuperset(near) and not any((track, other) in self._boxes for other in near)
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return the facts for keys such as `("match", sequence, condition, frame)`, as `perturb` asks for them."""
@@ -306,30 +306,30 @@ class Facts:
 
     # -- one person ---------------------------------------------------------------------------------------------------
 
-    def relations_of(self, who: int, frame: int) -> tuple[str, ...]:
+    def relations_of(self, track: int, frame: int) -> tuple[str, ...]:
         """Return the relations that a person may have with some other person because of a label.
 
         Args:
-            who: Track of the person.
+            track: Track of the person.
             frame: Keyframe.
 
         Returns:
             Labels of relations that a question may name, in the order of `QUESTION_RELATIONS`.
         """
-        held = self._pairs[frame][who]
+        held = self._pairs[frame][track]
         return tuple(label for label in QUESTION_RELATIONS if label in held)
 
-    def conditions_of(self, who: int, frame: int) -> list[Condition]:
+    def conditions_of(self, track: int, frame: int) -> list[Condition]:
         """Return the conditions that certainly hold of a person and may describe the person.
 
         Args:
-            who: Track of the person.
+            track: Track of the person.
             frame: Keyframe at which the person has a box.
 
         Returns:
             The conditions in a fixed order. Those that hold at a time hold at "t0".
         """
-        row, labels = self.people[frame][who], self._labels[frame]
+        row, labels = self.people[frame][track], self._labels[frame]
         conditions = [Condition(attribute="sector", value=sector, at="t0") for sector in ROBOT_SECTORS]
         if row["group_size"] is not None:
             conditions.append(Condition(attribute="group_size", value=int(row["group_size"]), at="t0"))
@@ -339,22 +339,22 @@ class Facts:
             conditions += [Condition(attribute=name, value=row[name]) for name in ("gender", "age") if row[name]]
         if row["pose"]:
             conditions.append(Condition(action=row["pose"], at="t0"))
-        held = {topic for topic, marks in labels.items() if who in marks}
+        held = {topic for topic, marks in labels.items() if track in marks}
         conditions += [Condition(action=name, at="t0") for name in OTHER_ACTIONS if ("action", name) in held]
         things = sorted(held & _THINGS.keys(), key=_THINGS.__getitem__)
         conditions += [Condition(object=value, verb=verb, at="t0") for verb, value in things]
-        met = self.relations_of(who, frame)
+        met = self.relations_of(track, frame)
         conditions += [Condition(interaction=label, at="t0") for label in met if label in INTERACTIONS]
-        return [condition for condition in conditions if who in self.match(condition, frame).certain]
+        return [condition for condition in conditions if track in self.match(condition, frame).certain]
 
 
-def _mark(marks: _Marks, who: int, certain: bool) -> None:
+def _mark(marks: _Marks, track: int, certain: bool) -> None:
     """Mark that a person has a label. A label is certain if one of its rows is."""
-    marks[who] = marks.get(who, False) or certain
+    marks[track] = marks.get(track, False) or certain
 
 
 def _fit(marks: _Marks, possible: Iterable[int]) -> Fit:
-    return Fit(marks.keys() | set(possible), {who for who, certain in marks.items() if certain})
+    return Fit(marks.keys() | set(possible), {track for track, certain in marks.items() if certain})
 
 
 def _possible_values(kind: str, row: Sighting) -> set[Any]:

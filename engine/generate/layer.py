@@ -103,7 +103,7 @@ class Layer:
     def false_labels(self) -> Callable[[int, int], frozenset[str]]:
         """Function that returns the actions that may be wrong choices, by track and keyframe."""
         lists = self.facts.lists
-        return cache(lambda who, frame: false_labels(lists[who], frame))
+        return cache(lambda track, frame: false_labels(lists[track], frame))
 
     def search(self, name: str) -> list[dict[str, Any]]:
         """Run a generator over the stored layer and return its rows."""
@@ -135,79 +135,79 @@ class Layer:
             if rows := self._rows[name]:
                 yield name, pa.Table.from_pylist(rows, row_schema(name, nodes, LAYER_RELS))
 
-    def _shown(self, who: int, frame: int) -> TableRow:
+    def _shown(self, track: int, frame: int) -> TableRow:
         """Return whether a box is clear, the frame has an image and the view ahead has the box, and the box's angle."""
-        box = self.boxes.get((who, frame), {"clear": False, "ahead": False, "angle": None})
+        box = self.boxes.get((track, frame), {"clear": False, "ahead": False, "angle": None})
         return {"image": self.has_image(frame)} | {name: box[name] for name in ("clear", "ahead", "angle")}
 
     def _add_moments(self) -> dict[tuple[int, int], int]:
         """Add the moments of all people; return their ids by track and frame."""
         facts, sequence, step = self.facts, self.sequence, frames(self.rules.shift_s)
-        tracks = sorted({who for people in facts.people.values() for who in people})
+        tracks = sorted({track for people in facts.people.values() for track in people})
         ids, seen = {}, {}
-        for number, (who, frame) in enumerate(product(tracks, facts.keyframes), start=self.low):
-            present = facts.seen(who, frame).present
-            seen[who, frame] = None if present is None else int(present)
-            if present is not None or (who, frame) in self.boxes:
-                ids[who, frame] = number
-        for (who, frame), number in ids.items():
-            row = {"id": number, "sequence": sequence, "track": who, "frame": frame, "seen": seen[who, frame]}
-            row |= {"earlier": seen.get((who, frame - step)), "later": seen.get((who, frame + step))}
-            row |= {"not_doing": different_labels(facts.labels(who, frame)), **self._shown(who, frame)}
-            self._rows["Moment"].append(row | {"distance": facts.seen(who, frame).distance})
-            self._rows["At"].append({"from": f"{sequence}/{who}", "to": number})
-            self._rows["Doing"] += [{"from": number, "to": label} for label in true_labels(facts.lists[who], frame)]
+        for number, (track, frame) in enumerate(product(tracks, facts.keyframes), start=self.low):
+            present = facts.seen(track, frame).present
+            seen[track, frame] = None if present is None else int(present)
+            if present is not None or (track, frame) in self.boxes:
+                ids[track, frame] = number
+        for (track, frame), number in ids.items():
+            row = {"id": number, "sequence": sequence, "track": track, "frame": frame, "seen": seen[track, frame]}
+            row |= {"earlier": seen.get((track, frame - step)), "later": seen.get((track, frame + step))}
+            row |= {"not_doing": different_labels(facts.labels(track, frame)), **self._shown(track, frame)}
+            self._rows["Moment"].append(row | {"distance": facts.seen(track, frame).distance})
+            self._rows["At"].append({"from": f"{sequence}/{track}", "to": number})
+            self._rows["Doing"] += [{"from": number, "to": label} for label in true_labels(facts.lists[track], frame)]
         return ids
 
     def _add_names(self, ids: dict[tuple[int, int], int]) -> None:
-        """Add the descriptions of people who are not covered, and the people to whom relations lead from them."""
+        """Add the descriptions of people who are not covered, and the targets of their relations."""
         facts, sequence = self.facts, self.sequence
-        for (who, frame), number in ids.items():
-            if who not in facts.uncovered[frame]:
+        for (track, frame), number in ids.items():
+            if track not in facts.uncovered[frame]:
                 continue
-            for conditions, general in describe(facts, sequence, who, frame, self.rules).items():
+            for conditions, general in describe(facts, sequence, track, frame, self.rules).items():
                 name = self.low + len(self._rows["Name"])
                 row = {"id": name, "sequence": sequence, "conditions": msgspec.json.encode(conditions).decode()}
                 self._rows["Name"].append(row | {"general": general})
                 self._rows["Describes"].append({"from": name, "to": number})
-            for relation, target in find_leads(facts, who, frame).items():
+            for relation, target in find_leads(facts, track, frame).items():
                 self._rows["Leads"].append({"from": number, "to": ids[target, frame], "relation": relation})
 
     def _add_segments(self) -> None:
         for number, row in self.segments.items():
-            who = row["track"]
-            held = _held_before(self.facts, who, row["action"], row["first"])
+            track = row["track"]
+            held = _held_before(self.facts, track, row["action"], row["first"])
             own = {"held_from": held[0], "held_to": held[1]}
             for edge in ("last", "first"):
-                shown = self._shown(who, row[edge])
+                shown = self._shown(track, row[edge])
                 own |= {f"{edge}_{name}": shown[name] for name in ("clear", "image", "ahead")}
             self._rows["Segment"].append(row | own)
-            self._rows["Acts"].append({"from": f"{row['sequence']}/{who}", "to": number})
+            self._rows["Acts"].append({"from": f"{row['sequence']}/{track}", "to": number})
 
     def _add_absences(self) -> None:
         """Add the absences: between two boxes no frame is unannotated, and the person is absent at a keyframe."""
         facts, sequence, annotated = self.facts, self.sequence, self._annotated
         step = KEYFRAME_STEP if all((later - frame) % KEYFRAME_STEP == 0 for frame, later in pairwise(annotated)) else 1
-        for (who, leaves), (same, returns) in pairwise(sorted(self.boxes)):
+        for (track, leaves), (same, returns) in pairwise(sorted(self.boxes)):
             known = bisect_left(annotated, returns) - bisect_right(annotated, leaves)
-            if who != same or known != -((leaves - returns) // step) - 1:
+            if track != same or known != -((leaves - returns) // step) - 1:
                 continue
-            if not any(facts.is_absent(who, frame) for frame in facts.keyframes if leaves < frame < returns):
+            if not any(facts.is_absent(track, frame) for frame in facts.keyframes if leaves < frame < returns):
                 continue
-            present = {frame: facts.seen(who, frame).present for frame in facts.keyframes if frame < leaves}
+            present = {frame: facts.seen(track, frame).present for frame in facts.keyframes if frame < leaves}
             row = {"id": self.low + len(self._rows["Absence"]), "sequence": sequence, "leaves": leaves}
             row |= {"returns": returns, "present_from": min(takewhile(present.get, reversed(present)), default=None)}
-            first, last = self._shown(who, leaves), self._shown(who, returns)
+            first, last = self._shown(track, leaves), self._shown(track, returns)
             row |= {name: first[name] and last[name] for name in ("clear", "image", "ahead")}
             self._rows["Absence"].append(row)
-            self._rows["Leaves"].append({"from": f"{sequence}/{who}", "to": row["id"]})
+            self._rows["Leaves"].append({"from": f"{sequence}/{track}", "to": row["id"]})
 
 
-def _held_before(facts: Facts, who: int, action: str, first: int) -> tuple[int | None, int | None]:
+def _held_before(facts: Facts, track: int, action: str, first: int) -> tuple[int | None, int | None]:
     """Return the first and the last keyframe of the other posture that is held until a segment of a posture begins."""
     after = next((frame for frame in facts.keyframes if frame >= first), -1)
     until = after - KEYFRAME_STEP
-    held = facts.pose(who, until)
-    if action not in POSES or held in (None, action) or facts.pose(who, after) != action:
+    held = facts.pose(track, until)
+    if action not in POSES or held in (None, action) or facts.pose(track, after) != action:
         return None, None
-    return min(takewhile(lambda frame: facts.pose(who, frame) == held, range(until, -1, -KEYFRAME_STEP))), until
+    return min(takewhile(lambda frame: facts.pose(track, frame) == held, range(until, -1, -KEYFRAME_STEP))), until

@@ -135,10 +135,10 @@ def _step(program: Program, source: FactSource, people: dict[str, int], edges: S
     if edges[0].target == program.join:
         apart = set(people.values())
         return _only(Fit(fit.could - apart, fit.certain - apart))
-    who = _only(fit)
-    if who in people.values():
+    track = _only(fit)
+    if track in people.values():
         raise NoAnswerError("empty")
-    return who
+    return track
 
 
 def _overlap(fits: Sequence[Fit]) -> Fit:
@@ -303,11 +303,11 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
 
 def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSource) -> str:
     """Compare starts. If no start is certain, the outcome is unknown only if a start may be near enough to score."""
-    who, action, sequence = find_tracks(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
-    (start,) = source.ask([("start", sequence, who, action, perturbed.frame)])
+    track, action, sequence = find_tracks(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
+    (start,) = source.ask([("start", sequence, track, action, perturbed.frame)])
     if start is not None:
         return "same" if same_answer(start, answer) else "different"
-    (rows,) = source.ask([("onsets", sequence, who, action, answer.frame)])
+    (rows,) = source.ask([("onsets", sequence, track, action, answer.frame)])
     certain = {frame for frame, _, _, sure in rows if sure}
     for frame, angle, could, _ in rows:
         near = frame >= answer.frame - KEYFRAME_STEP and same_answer(FrameViewpoint(answer.frame, angle), answer)

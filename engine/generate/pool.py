@@ -144,7 +144,7 @@ class Prover:
 
     def _fits_one_view(self, proposal: Proposal) -> bool:
         """Return whether one view shows all people at t0, and the target at the times of the answer."""
-        needed = [(who, proposal.frames["t0"]) for who in proposal.people.values()]
+        needed = [(track, proposal.frames["t0"]) for track in proposal.people.values()]
         needed += [(proposal.target, proposal.frames[name]) for name in proposal.template.decisive if name != "t0"]
         boxes = [self._layer.boxes[one] for one in needed]
         x, w = (np.array([box[side] for box in boxes]) for side in "xw")
@@ -210,9 +210,9 @@ def _fill_presence(layer: Layer, forms: Sequence[Template], prover: Prover) -> I
     """Yield, for some descriptions of each person, a few proposals with each answer, in the order of a hash."""
     (form,) = forms
     described, pairs = propose_presence(layer, form)
-    for who, descriptions in described.items():
+    for track, descriptions in described.items():
         ordered = sorted(descriptions, key=partial(_rank, layer))
-        yield from _take_some(_prove_pairs(layer, form, row, pairs.get(who, ()), prover) for row in ordered)
+        yield from _take_some(_prove_pairs(layer, form, row, pairs.get(track, ()), prover) for row in ordered)
 
 
 def _prove_pairs(
@@ -337,5 +337,5 @@ def _touches(proposal: Proposal, extent: Extent) -> bool:
     template, counted = proposal.template, proposal.counted
     times = [proposal.frames[name] for name in (*template.stated, *template.read, *template.decisive)]
     times += [frame for _, frame in counted]
-    people = {*proposal.people.values(), *(who for who, _ in counted)}
+    people = {*proposal.people.values(), *(track for track, _ in counted)}
     return min(times) <= extent.last and max(times) >= extent.first and not people.isdisjoint(extent.tracks)

@@ -2,7 +2,7 @@
 
 A generator is a statement in `queries/generators`. Its rows have what one row decides: descriptions, relations that
 lead to single people, clear views, images, waits, answers, and that the view straight ahead is not enough. Two forms
-add people here: a fork-join the person to whom both branches lead, and a count the people who are met.
+add people here: a fork-join adds the target of both branches, and a count adds the people who are counted.
 """
 
 from __future__ import annotations
@@ -162,24 +162,24 @@ def _fork_joins(layer: Layer, template: Template) -> Iterator[TableRow]:
             could, certain = left.could & right.could, left.certain & right.certain
             if len(could) != 1 or len(certain) != 1:
                 continue
-            (who,) = certain
-            if not people[who]["clear"] or layer.boxes[who, frame]["ahead"]:
+            (track,) = certain
+            if not people[track]["clear"] or layer.boxes[track, frame]["ahead"]:
                 continue
             first, *branches = (different_labels(facts.labels(row[node], frame)) for node in "abc")
-            for label in sorted(true_labels(facts.lists[who], frame)):
+            for label in sorted(true_labels(facts.lists[track], frame)):
                 if label in first and any(label in different for different in branches):
-                    yield row | {"d": who, "r3": r3, "r4": r4, "answer": label}
+                    yield row | {"d": track, "r3": r3, "r4": r4, "answer": label}
 
 
 _WINDOWS: Final = tuple(label for label in RELATIONS_OF["join"] if RELATIONS[label].kind == "window")
 
 
-def _joining(layer: Layer, who: int, frame: int, apart: set[int]) -> dict[str, Fit]:
+def _joining(layer: Layer, track: int, frame: int, apart: set[int]) -> dict[str, Fit]:
     """Return the relations of a person that certainly fit a person and may fit two, apart from some people."""
     facts, fits = layer.facts, {}
-    held = [label for label in facts.relations_of(who, frame) if label in RELATIONS_OF["join"]]
+    held = [label for label in facts.relations_of(track, frame) if label in RELATIONS_OF["join"]]
     for label in (*held, *_WINDOWS):
-        fit = Fit(*(people - apart for people in facts.follow(label, who, frame)))
+        fit = Fit(*(people - apart for people in facts.follow(label, track, frame)))
         if len(fit.could) >= 2 and fit.certain:
             fits[label] = fit
     return fits
@@ -209,15 +209,15 @@ def _counts(layer: Layer) -> Iterator[TableRow]:
                 if row["a"] not in people:
                     break
                 could, certain = facts.follow(relation, row["a"], frame)
-                clear = {who for who in certain if people[who]["clear"] and people[row["a"]]["clear"]}
+                clear = {track for track in certain if people[track]["clear"] and people[row["a"]]["clear"]}
                 if could != (clear if facts.judges_views else certain):
                     break
-                for who in certain:
-                    if met.setdefault(who, None) is None and who in clear:
-                        met[who] = frame if layer.has_image(frame) else _UNSEEN
+                for track in certain:
+                    if met.setdefault(track, None) is None and track in clear:
+                        met[track] = frame if layer.has_image(frame) else _UNSEEN
                 enough = len(met) >= rules.count_min and not {None, _UNSEEN}.intersection(met.values())
                 if enough and frame >= row["t0"] + frames(rules.long_wait_s):
-                    counted = tuple(sorted((who, first) for who, first in met.items() if first is not None))
+                    counted = tuple(sorted((track, first) for track, first in met.items() if first is not None))
                     times = {"t1": row["t0"], "t2": frame}
                     yield row | times | {"r1": relation, "value": float(len(met)), "counted": counted}
 
