@@ -153,7 +153,7 @@ class Layer:
         return ids
 
     def _add_names(self, ids: dict[tuple[int, int], int]) -> None:
-        """Add the descriptions of people who are not covered, and the people to whom relations lead from them."""
+        """Add the descriptions of people who are not covered, and the targets of their relations."""
         facts, sequence = self.facts, self.sequence
         for (track, frame), number in ids.items():
             if track not in facts.uncovered[frame]:
