@@ -77,11 +77,8 @@ class Question(NamedTuple):
         return in_hash_order((self.candidate.truth, *self.wrong), self.twin or self.candidate.key)
 
 
-class Selected(NamedTuple):
-    """The questions of a template, in the order of their moments' hashes, and the reason if they are too few."""
-
-    questions: list[Question]
-    shortage: str | None
+Selected = tuple[list[Question], str | None]
+"""The questions of a template, in the order of their moments' hashes, and the reason if they are too few."""
 
 
 def offer_of(question: Question, counts: LabelCounts) -> Offer:

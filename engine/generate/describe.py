@@ -1,9 +1,9 @@
-"""Descriptions of people, and the people to whom relations lead.
+"""Descriptions of people, and the targets of relations.
 
-A description is a set of few conditions that are certain of one person at a keyframe and exclude each other person in
-that frame. The shortest set is the best one. Among equally short sets the order of kinds in the rules decides, then a
-hash. A second description is the best one of those whose words imply the fewest actions, so that more actions can be
-choices of a question.
+A description is a set of few conditions. They are certainly true of one person at a keyframe, and together they exclude
+each other person in that frame. The shortest set is the best. Among equally short sets the order of kinds in the rules
+decides, then a hash. Some descriptions imply more actions than others, and implied actions cannot be choices. So a
+second description is the best among the descriptions that imply the fewest actions.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def describe(facts: Facts, sequence: str, track: int, frame: int, rules: Rules) 
         rules: Order of kinds, and the maximum number of conditions.
 
     Returns:
-        At most two descriptions, each with whether it is the best one of all: the best one, and one whose words imply
-        the fewest actions. Often one is both.
+        At most two descriptions, each with whether it is the best: the best description, and the best among those that
+        imply the fewest actions. Often both are the same.
     """
     order = rules.condition_order
     held = [condition for condition in facts.conditions_of(track, frame) if condition.kind in order]
@@ -85,15 +85,11 @@ def find_leads(facts: Facts, track: int, frame: int) -> dict[str, int]:
 
     Args:
         facts: Facts of the sequence.
-        track: Track of the person from whom the relations lead.
+        track: Track of the source of the relations.
         frame: Keyframe at which the person has a box.
 
     Returns:
         The track of the only person who certainly has the relation while no other person may have it, by relation.
     """
-    leads = {}
-    for relation in facts.relations_of(track, frame):
-        could, certain = facts.follow(relation, track, frame)
-        if len(could) == len(certain) == 1:
-            leads[relation] = next(iter(certain))
-    return leads
+    fits = {relation: facts.follow(relation, track, frame) for relation in facts.relations_of(track, frame)}
+    return {relation: min(certain) for relation, (could, certain) in fits.items() if len(could) == len(certain) == 1}

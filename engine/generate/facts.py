@@ -1,8 +1,8 @@
 """Three-valued facts of one sequence at its keyframes, as sets of people.
 
-The statements in `queries/search` return which person is seen, and has which label, at which keyframe. `Facts` keeps
-their rows and answers two questions from them: of which people a condition holds (`match`), and to which people a
-relation leads (`follow`). Each answer has the people of whom the fact is possible and those of whom it is certain.
+The statements in `queries/search` return how each person is seen at each keyframe, and with which labels. `Facts`
+keeps their rows and answers two questions: which people fit a condition (`match`), and which people are the targets of
+a relation (`follow`). Each answer has two sets: the people who may fit, and the people who certainly fit.
 """
 
 from __future__ import annotations

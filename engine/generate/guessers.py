@@ -90,7 +90,7 @@ class LabelCounts:
             self._orders[sequence, frame] = orders
         return orders
 
-    def ranks(self, sequence: str, frame: int, truth: str, wrong: Iterable[str]) -> tuple[int, ...]:
+    def ranks(self, sequence: str, frame: int, truth: str, wrong: Sequence[str]) -> tuple[int, ...]:
         """Return how many wrong choices are commoner than the right one, in each of `orders`.
 
         Args:
@@ -104,7 +104,6 @@ class LabelCounts:
         """
         if truth not in CHOICE_LABELS:
             return ()
-        wrong = tuple(wrong)
         return tuple(sum(order[label] < order[truth] for label in wrong) for order in self.orders(sequence, frame))
 
     def _by(self, number: Mapping[str, int]) -> Callable[[str], tuple[int, int, str]]:

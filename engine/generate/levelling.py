@@ -305,7 +305,7 @@ def select_level(candidates: Sequence[Candidate], quota: int, counts: LabelCount
         questions = selector.questions() if selector.pairs else questions
     for question in questions:
         taken.add(question.candidate)
-    return Selected(questions, shortage)
+    return questions, shortage
 
 
 # -- time twins -------------------------------------------------------------------------------------------------------

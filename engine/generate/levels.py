@@ -114,16 +114,16 @@ class Level:
 
     def add(self, question: Question, sign: int = 1) -> None:
         """Add a question to the state, or remove it by the sign -1."""
-        one = question.candidate
-        labels = np.array([_CODE[label] for label in (one.truth, *question.wrong)])
-        np.add.at(self._levels, (self._options_of(one).contexts[:, None], labels), sign * _SHARES)
+        candidate = question.candidate
+        labels = np.array([_CODE[label] for label in (candidate.truth, *question.wrong)])
+        np.add.at(self._levels, (self._options_of(candidate).contexts[:, None], labels), sign * _SHARES)
         for label, share in zip(labels.tolist(), _SHARES.tolist(), strict=True):
             self._pairs[label, labels[labels != label]] += sign * share
         ranks = offer_of(question, self._counts).ranks
         self._ranks[np.arange(len(ranks)), list(ranks)] += sign
-        self._people[one.person] += sign
-        self._described[one.sequence, one.described] += sign
-        self.of_sequence[one.sequence] += sign
+        self._people[candidate.person] += sign
+        self._described[candidate.sequence, candidate.described] += sign
+        self.of_sequence[candidate.sequence] += sign
         self._shared = None
 
     def allows(self, candidate: Candidate) -> bool:
@@ -190,9 +190,9 @@ class Level:
         levels = (self._levels[np.stack([row.contexts for row in rows])] * weights[..., None]).sum(axis=1)
         # (X + share)^2 - X^2 = 2 * X * share + share^2, and the last term is in `base`; likewise for P.
         fixed = -6 * levels[np.arange(len(rows)), true]
-        fixed += [own.person * self._people[one.person] for one in candidates]
-        fixed += [own.described * self._described[one.sequence, one.described] for one in candidates]
-        fixed += [own.sequence * self.of_sequence[one.sequence] for one in candidates]
+        fixed += [own.person * self._people[candidate.person] for candidate in candidates]
+        fixed += [own.described * self._described[candidate.sequence, candidate.described] for candidate in candidates]
+        fixed += [own.sequence * self.of_sequence[candidate.sequence] for candidate in candidates]
         pairs, triples, ranked = self._shared = self._shared or self._share_costs()
         single = 2 * levels + pairs[true]
         sizes = [len(row.base) for row in rows]

@@ -28,32 +28,32 @@ class Taken:
     events: set[tuple[Person, str]] = field(default_factory=set)
     questions: Counter[Person] = field(default_factory=Counter)
 
-    def admits(self, one: Candidate) -> bool:
+    def admits(self, candidate: Candidate) -> bool:
         """Return whether no near-duplicate and no cap forbids a question."""
-        others = self.reads[one.person, one.template]
-        if len(others) >= self.rules.max_per_person or self.questions[one.person] >= self.rules.max_per_person_in_all:
+        others, rules = self.reads[candidate.person, candidate.template], self.rules
+        if len(others) >= rules.max_per_person or self.questions[candidate.person] >= rules.max_per_person_in_all:
             return False
-        if one.event is not None and (one.person, one.event) in self.events:
+        if candidate.event is not None and (candidate.person, candidate.event) in self.events:
             return False
         if not others:
             return True
-        near = near_frames(one.template, self.rules)
-        return not any(are_near(one.asked, other, near) for other in others)
+        near = near_frames(candidate.template, self.rules)
+        return not any(are_near(candidate.asked, asked, near) for asked in others)
 
-    def add(self, one: Candidate) -> None:
+    def add(self, candidate: Candidate) -> None:
         """Count a question as chosen."""
-        self.reads[one.person, one.template].append(one.asked)
-        self.questions[one.person] += 1
-        if one.event is not None:
-            self.events.add((one.person, one.event))
+        self.reads[candidate.person, candidate.template].append(candidate.asked)
+        self.questions[candidate.person] += 1
+        if candidate.event is not None:
+            self.events.add((candidate.person, candidate.event))
 
-    def remove(self, one: Candidate) -> None:
+    def remove(self, candidate: Candidate) -> None:
         """Count a question as chosen no more."""
-        self.reads[one.person, one.template].remove(one.asked)
-        self.questions[one.person] -= 1
-        self.events.discard((one.person, one.event or ""))
+        self.reads[candidate.person, candidate.template].remove(candidate.asked)
+        self.questions[candidate.person] -= 1
+        self.events.discard((candidate.person, candidate.event or ""))
 
 
-def are_near(one: Sequence[int], other: Sequence[int], near: int) -> bool:
+def are_near(first: Sequence[int], second: Sequence[int], near: int) -> bool:
     """Return whether all frames of two questions are near each other. Forms that read at more frames are not alike."""
-    return len(one) == len(other) and max(map(abs, map(sub, one, other))) <= near
+    return len(first) == len(second) and max(map(abs, map(sub, first, second))) <= near

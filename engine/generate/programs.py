@@ -33,7 +33,7 @@ class Program(msgspec.Struct, frozen=True):
         target: Name of the person that the answer is about.
         read: What is read, as in `AnswerSpec`.
         times: Stated frames at which the answer is read.
-        action: Action whose start is the answer, or None.
+        action: Action with a start that is the answer, or None.
         join: Name of the person at the end of two branches, or "".
         moves: What the proofs about time move.
         held: Track of person a, or None if the conditions find the person.

@@ -2,7 +2,7 @@
 
 A generator is a statement in `queries/generators`. Its rows have what one row decides: descriptions, relations that
 lead to single people, clear views, images, waits, answers, and that the view straight ahead is not enough. Two forms
-add people here: a fork-join the person to whom both branches lead, and a count the people who are met.
+add people here: a fork-join adds the target of both branches, and a count adds the people who are counted.
 """
 
 from __future__ import annotations

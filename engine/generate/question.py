@@ -74,7 +74,7 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     for question in job.questions:
         key, proposal, own = question.key, proposals[question.key], proofs[question.key]
         record = _make_record(proposal, question, own)
-        if fault := _refuted(own, proposal, job.rules) or _rederived(annotations, record, proposal, job.rules):
+        if fault := _fault_of(record, proposal, own, annotations, job.rules):
             faults[key] = f"{job.sequence} {record.plan}: {fault}"
         rows.append(record.columns() | {"key": key})
     return pa.Table.from_pylist(rows, schema=COLUMNS), faults
@@ -107,16 +107,14 @@ def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:
         return []
 
 
-def _refuted(proofs: Sequence[Proof], proposal: Proposal, rules: Rules) -> str | None:
-    """Return which proofs by statements do not hold."""
+def _fault_of(
+    record: QuestionRecord, proposal: Proposal, proofs: Sequence[Proof], annotations: Annotations, rules: Rules
+) -> str | None:
+    """Return which proofs by statements do not hold, or how the result of the second program differs."""
     if not proofs:
         return "statements find no single person"
-    lacking = failing(proposal.template.name, proofs, rules)
-    return f"by statements, {', '.join(lacking)} do not hold" if lacking else None
-
-
-def _rederived(annotations: Annotations, record: QuestionRecord, proposal: Proposal, rules: Rules) -> str | None:
-    """Return how the result of the second program differs."""
+    if lacking := failing(record.template, proofs, rules):
+        return f"by statements, {', '.join(lacking)} do not hold"
     second = rederive(annotations, proposal.plan, record.template, rules, record.choices)
     if second.outcome != "defined":
         return f"answer {proposal.answer}, rederived {second.outcome}"

@@ -151,7 +151,7 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, 
         taken.add(best)
         numbers.update([best.template, best.person, best.sequence, *(name for name, _ in best.contexts)])
     shortage = None if len(chosen) == quota else f"caps and near-duplicates leave {len(chosen)} of {total} candidates"
-    return Selected([Question(candidate, ()) for candidate in chosen], shortage)
+    return [Question(candidate, ()) for candidate in chosen], shortage
 
 
 def _deal(pool: Mapping[str, Sequence[Candidate]], taken: Taken, n: int | None) -> list[Candidate]:

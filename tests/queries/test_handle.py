@@ -15,7 +15,7 @@ from processes import run_program
 
 from jrdb_avr.queries.graph import database
 from jrdb_avr.queries.graph.file import ENGINE, ENGINES, check_fingerprint
-from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.handle import Graph, build_graph, hold_graph, open_worker_graph
 from jrdb_avr.queries.graph.parameters import bind, parameters, strip_literals
 from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import STORAGE_VERSION
@@ -172,7 +172,7 @@ def test_quotes_and_comments_hold_no_parameters():
 
 CHILD = """
 import sys
-from jrdb_avr.queries.graph.handle import Graph, build_graph
+from jrdb_avr.queries.graph.handle import Graph, build_graph, hold_graph, open_worker_graph
 from jrdb_avr.queries.graph.file import check_fingerprint
 from jrdb_avr.schema.errors import LockedError
 try:
@@ -412,6 +412,16 @@ def test_rows_are_handed_in_anew_each_time_where_statements_are_prepared():
             found = graph.query(load, {"rows": pa.table({"id": [start, 9]}), "below": 7})
             assert found["id"].to_pylist() == [start]
         assert graph.query("MATCH (p:P) RETURN p.id AS id ORDER BY id")["id"].to_pylist() == list(range(6))
+
+
+def test_a_single_worker_has_one_session_while_it_holds_the_graph(path):
+    with hold_graph(path, 1):
+        with open_worker_graph(path) as graph, open_worker_graph(path) as again:
+            assert graph is again
+        with open_worker_graph(path) as again:
+            assert graph is again
+    with hold_graph(path, 2), open_worker_graph(path) as other, open_worker_graph(path) as another:
+        assert graph is not other is not another
 
 
 def test_a_full_disk_is_told_before_anything_is_written_and_hinders_no_reading(path, monkeypatch):

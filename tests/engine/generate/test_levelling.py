@@ -111,7 +111,7 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
 
 def selected(candidates, quota=30):
     cap = sequence_cap(quota, len(SEQUENCES))
-    return select_level(candidates, quota, COUNTS, Taken(Rules()), cap).questions
+    return select_level(candidates, quota, COUNTS, Taken(Rules()), cap)[0]
 
 
 def test_selection_depends_on_the_candidates_and_not_on_their_order():
@@ -220,8 +220,8 @@ def presence(number):
 def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
     pool = [presence(number) for number in range(1500)]
     cap = sequence_cap(120, len(SEQUENCES), 10)
-    questions = select_level(pool, 120, COUNTS, Taken(Rules()), cap).questions
-    assert questions == select_level(pool[::-1], 120, COUNTS, Taken(Rules()), cap).questions
+    questions = select_level(pool, 120, COUNTS, Taken(Rules()), cap)[0]
+    assert questions == select_level(pool[::-1], 120, COUNTS, Taken(Rules()), cap)[0]
     answers = Counter(one.candidate.truth for one in questions)
     assert 100 * max(answers.values()) <= 31 * len(questions)
     assert len(questions) > 100
@@ -288,7 +288,7 @@ def test_as_many_twins_stay_as_the_bound_allows(limit, monkeypatch):
 
     monkeypatch.setattr(levelling, "make_selector", lambda *rest: selectors.append(made(*rest)) or selectors[-1])
     monkeypatch.setattr(levelling, "above_bound", above_bound)
-    questions = select_level(pool, 20, COUNTS, Taken(Rules()), 20).questions
+    questions = select_level(pool, 20, COUNTS, Taken(Rules()), 20)[0]
     assert sum(one.twin is not None for one in questions) == 2 * min(limit, 10)
 
 
@@ -299,7 +299,7 @@ def test_twins_exceed_neither_the_size_of_a_template_nor_a_cap(quota, cap, paire
     selector = make_selector(pool, COUNTS, Taken(Rules()), cap)
     selector.put_twins(find_twins(pool, Rules()), paired // 2 + quota // 20)
     assert len(selector.chosen) == 2 * len(selector.pairs) == paired
-    questions = select_level(pool, quota, COUNTS, Taken(Rules()), cap).questions
+    questions = select_level(pool, quota, COUNTS, Taken(Rules()), cap)[0]
     assert len(questions) == min(quota, cap)
     assert [*Counter(one.twin for one in questions if one.twin).values()] == [2] * (paired // 2)
 

@@ -15,6 +15,7 @@ from world_calls import believe, tables_of
 from worlds import load_world
 
 from jrdb_avr.engine.generate import stored_layer
+from jrdb_avr.engine.generate.describe import describe
 from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.engine.generate.stored_layer import STAGE, ensure_layer, layer_jobs
@@ -72,6 +73,16 @@ def test_the_graph_holds_the_layers_of_all_sequences(made, made_rows):
     assert len(expected.pop("Keyframes")) == len(NAMES)
     assert made_rows == {name: sorted(rows) for name, rows in expected.items()}
     assert all(made_rows.values()) and stamp(made) == (NAMES, RULES)
+
+
+def test_names_are_read_back_as_people_are_described(made):
+    with Graph.open(made.graph_path, read_only=True) as graph:
+        for job in layer_jobs(made, RULES):
+            layer = job.layer(graph)
+            facts = layer.facts
+            seen = [(who, frame) for who, frame in sorted(layer.boxes) if who in facts.uncovered[frame]]
+            described = [some for one in seen for some in describe(facts, job.sequence, *one, RULES)]
+            assert described and [*layer.names.values()] == described
 
 
 @pytest.mark.slow
