@@ -150,10 +150,9 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "people_in_scene": (_I, "number of people with a box at the time of the description"),
     "bindings": (_S, "track or frame for each name in the plan, as JSON"),
     "needed": (_S, "boxes that a method must see, as JSON"),
-    "kind": (_S, "in `rejected`: count or example; in `steps`: model, observe, tool or solve"),
+    "kind": (_S, "model, observe, tool or solve"),
     "rule": (_S, "name of the rule that refused the candidates"),
     "candidates": (_LONG, "number of refused candidates"),
-    "detail": (_S, "why the example was refused; null for counts"),
     "reviewer": (_S, "name of the reviewer"),
     "decision": (_S, "accept or reject"),
     "reason": (_S, "reason of the reviewer's decision, or why the model's output was refused; empty for none"),
@@ -346,8 +345,8 @@ _QUESTIONS: Final = {
         "sequence track frame x y w h",
     ),
     "rejected": (
-        "Number of refused candidates by sequence, template and rule, with up to 100 examples of tried ones.",
-        "kind sequence family template rule candidates target_track? plan? detail?",
+        "Number of refused candidates by sequence, template and rule.",
+        "sequence family template rule candidates",
     ),
     "reviews": ("Decisions of reviewers to accept or reject a question.", "question_id reviewer decision reason"),
 }

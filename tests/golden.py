@@ -122,7 +122,7 @@ def hash_questions(store: Path) -> dict[str, str]:
     return {
         "questions": hash_rows(f"SELECT {QUESTIONS} FROM '{files}/questions.parquet' ORDER BY question_id"),
         "answers": hash_rows(f"SELECT {ANSWERS} FROM '{files}/answers.parquet' ORDER BY question_id"),
-        "refused": hash_rows(f"SELECT {REFUSED} FROM '{files}/rejected.parquet' WHERE kind = 'count' ORDER BY ALL"),
+        "refused": hash_rows(f"SELECT {REFUSED} FROM '{files}/rejected.parquet' ORDER BY ALL"),
         "evidence": hash_rows(f"SELECT DISTINCT {EVIDENCE} FROM ({evidence}) ORDER BY ALL"),
         "evidence of each question": hash_rows(
             f"SELECT question_id, count(*), min(frame), max(frame) FROM ({evidence}) GROUP BY ALL ORDER BY ALL"

@@ -18,7 +18,7 @@ BUDGETS = {
     "schema": 2950,
     "loaders": 4900,
     "queries": 2700,
-    "engine/generate": 2400,
+    "engine/generate": 2300,
     "engine/rederive": 1200,
     "engine/validate": 600,
     "engine/observe": 230,

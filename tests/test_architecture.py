@@ -47,7 +47,7 @@ MAY_IMPORT = {
     "engine.pages": PAGES,
     "engine.validate": PAGES,
     "engine.run": PAGES | {"agent"},
-    "engine.integrations": PAGES | {"engine.run", "agent"},
+    "engine.integrations": PAGES | {"engine.run", "engine.validate", "agent"},
     "engine.commands": PAGES
     | {"engine.cli", "engine.pages", "engine.validate", "engine.run", "engine.integrations", "agent"},
 }

@@ -104,13 +104,12 @@ def _with_guessers(row: Mapping[str, Any]) -> dict[str, Any]:
 def stats(store: Store, blind_from: Store | None, form: RowFormat, as_latex: bool) -> None:
     """Count the questions of a store by family, template, sequence and answer, and score guessers that see no image.
 
-    The command also prints how many candidates each rule refused per template, and why a template has few questions.
+    The command also prints why a template has few questions.
     With --json and --csv, the column "table" holds the name of the table that contains the row.
     """
     if form and as_latex:
         raise click.UsageError(f"choose one of --{form} and --latex")
 
-    from jrdb_avr.engine.generate.diagnostics import REFUSALS
     from jrdb_avr.engine.report.formats import latex
     from jrdb_avr.engine.validate.statistics import TITLES, generator_rows, statistics
 
@@ -124,17 +123,7 @@ def stats(store: Store, blind_from: Store | None, form: RowFormat, as_latex: boo
         return
     for name, rows in tables.items():
         if rows:
-            _print_table(_crossed(rows, REFUSALS) if name == "refusal" else rows, TITLES[name])
-
-
-def _crossed(rows: Sequence[Mapping[str, Any]], rules: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the counts of refusals with one row per rule and one column per template."""
-    templates = dict.fromkeys(sorted({row["template"] for row in rows}), 0)
-    crossed = {rule: {"": rule, **templates} for rule in rules}
-    for row in rows:
-        crossed[row["rule"]][row["template"]] = row["candidates"]
-    refusing = {row["rule"] for row in rows}
-    return [row for rule, row in crossed.items() if rule in refusing]
+            _print_table(rows, TITLES[name])
 
 
 _REASONS: Final = ("why", "reason")

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from jrdb_avr.engine.generate.blind import FEW
 from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
@@ -44,25 +43,6 @@ _NAMED: Final = 2
 """Number of named rules per template. They are the rules that refused most candidates."""
 
 
-def lacking_layers(layers: Mapping[str, Sequence[str]]) -> Counter[tuple[str, str]]:
-    """Count the sequences that lack a layer that a template needs.
-
-    Args:
-        layers: Layers of each sequence.
-
-    Returns:
-        The number of sequences by template and missing layer.
-    """
-    return Counter(
-        (name, layer)
-        for name, forms in FORMS.items()
-        # A template needs only the layers of its least demanding form.
-        for layer in min((form.layers for form in forms), key=len)
-        for present in layers.values()
-        if layer not in present
-    )
-
-
 def tallies(
     rejected: pa.Table,
     questions: pa.Table,
@@ -82,10 +62,9 @@ def tallies(
         rule, questions and why. The column `why` is a reason if the questions are fewer than requested, or fewer than
         `FEW`, or if sequences lack a layer. Otherwise it is None.
     """
-    counts = rejected.filter(pc.equal(rejected["kind"], "count")).group_by(["template", "rule"])
-    sums = counts.aggregate([("candidates", "sum")]).to_pylist()
+    sums = rejected.group_by(["template", "rule"]).aggregate([("candidates", "sum")]).to_pylist()
     refused = Counter({(row["template"], row["rule"]): row["candidates_sum"] for row in sums})
-    questions_of, lacking = Counter(questions["template"].to_pylist()), lacking_layers(layers)
+    questions_of = Counter(questions["template"].to_pylist())
     selected = {row["template"]: row for row in selection}
     rows = []
     for name, family in FAMILIES.items():
@@ -94,7 +73,9 @@ def tallies(
         proven = sum(after.values()) + questions_of[name]
         row = {"family": family, "template": name, "candidates": proven + sum(before.values()), **before}
         row |= {"proven": proven, **after, "questions": questions_of[name]}
-        missing = {layer: count for (template, layer), count in sorted(lacking.items()) if template == name}
+        # A template needs only the layers of its least demanding form.
+        needed = min((form.layers for form in FORMS[name]), key=len)
+        missing = Counter(layer for layer in sorted(needed) for present in layers.values() if layer not in present)
         why = _reasons(row, missing, len(layers), selected.get(name, {}))
         rows.append(row | {"why": "; ".join(why) or None})
     return rows

@@ -38,9 +38,6 @@ from jrdb_avr.schema.wording.text import implied_choices
 
 _T = TypeVar("_T")
 
-EXAMPLES: Final = 100
-"""Maximum number of examples of refused proposals per sequence, template and rule."""
-
 _DESCRIPTIONS: Final = 6
 """Number of descriptions of a person with which questions of a template with time twins begin."""
 
@@ -61,7 +58,6 @@ class Prover:
 
     Attributes:
         counts: Number of proposals that were refused, by rule, a key of `diagnostics.RULES`.
-        examples: The first refused proposals, by rule, each with the outcomes of the proofs of the rule.
     """
 
     def __init__(self, layer: Layer, cypher: CypherFacts, held_out: Sequence[Extent] = ()) -> None:
@@ -75,13 +71,6 @@ class Prover:
         self._layer, self._cypher, self._held_out = layer, cypher, held_out
         self._setting = Setting(self, layer.facts.keyframes, layer.rules)
         self.counts: Counter[str] = Counter()
-        self.examples: dict[str, list[tuple[Proposal, str | None]]] = defaultdict(list)
-
-    def refuse(self, rule: str, proposal: Proposal | None = None, detail: str | None = None) -> None:
-        """Count a proposal as refused. A proposal that was tried may become an example."""
-        self.counts[rule] += 1
-        if proposal is not None and len(self.examples[rule]) < EXAMPLES:
-            self.examples[rule].append((proposal, detail))
 
     def with_choices(self, form: Template, rows: Iterable[TableRow]) -> Iterator[Proposal]:
         """Yield the proposals of rows that have wrong choices, and note the others as refused."""
@@ -90,7 +79,7 @@ class Prover:
             if wrong_sets(_wrong_actions(proposal)):
                 yield proposal
             else:
-                self.refuse("choices", proposal)
+                self.counts["choices"] += 1
 
     def proven(self, proposals: Iterable[Proposal]) -> Iterator[Proposal]:
         """Yield the proposals that are proven, and note the others as refused."""
@@ -103,15 +92,13 @@ class Prover:
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
         if rule := self._excluding_rule(proposal):
-            self.refuse(rule, proposal)
+            self.counts[rule] += 1
             return None
         template, (program, answer) = proposal.template, program_of(proposal)
         proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
         if not (lacking := failing(template.name, proofs, self._layer.rules)):
             return proofs
-        rule = lacking[0].split()[0]
-        detail = ", ".join(f"{proof.variant}: {proof.outcome}" for proof in proofs if proof.kind == rule)
-        self.refuse(rule, proposal, detail)
+        self.counts[lacking[0].split()[0]] += 1
         return None
 
     def _excluding_rule(self, proposal: Proposal) -> str | None:
@@ -242,9 +229,9 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover) -> Iterat
         kept: list[Sequence[int]] = []
         for proposal in sorted(members, key=lambda proposal: proposal.key):
             if len(kept) == layer.rules.max_per_person:
-                prover.refuse("max_per_person")
+                prover.counts["max_per_person"] += 1
             elif any(are_near(proposal.read, read, near) for read in kept):
-                prover.refuse("near_duplicate")
+                prover.counts["near_duplicate"] += 1
             elif prover.prove(proposal) is not None:
                 kept.append(proposal.read)
                 yield proposal

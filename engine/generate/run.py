@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,6 @@ from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.held_out import Extent, read_held_out
 from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
-from jrdb_avr.engine.generate.propose import Proposal
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.question import COLUMNS, make_questions
 from jrdb_avr.engine.generate.selection import TRAIN, select
@@ -33,7 +32,6 @@ from jrdb_avr.queries.manifest import Manifest
 from jrdb_avr.queries.store import Store
 from jrdb_avr.queries.workers import Executor, map_in_order, without_collector
 from jrdb_avr.schema.errors import AvrWarning, InputError, StoreError
-from jrdb_avr.schema.plan import canonical
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY
 from jrdb_avr.schema.rules import Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import QUESTIONS
@@ -128,8 +126,8 @@ def generate(
                 excluded,
             )
         rows = [row for one in found for row in one.refused]
-        rows += [row for rule, count in left.items() for row in _refusals(*rule, count)]
-        order = [(name, "ascending") for name in ("kind", "sequence", "template", "rule", "plan")]
+        rows += [_refusal(*rule, count) for rule, count in left.items()]
+        order = [(name, "ascending") for name in ("sequence", "template", "rule")]
         rejected = pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"]).sort_by(order)
         heads = pa.Table.from_pylist([one.head for one in found], schema=QUESTIONS["sequences"])
         training = {PROFILE_KEY: TRAIN, DISJOINT_KEY: held_out} if profile == TRAIN else None
@@ -255,21 +253,15 @@ def search_sequence(job: Job) -> Found:
             allowed = [form for form in forms if set(form.layers).issubset(layer.head["layers"])]
             prover = Prover(layer, cypher, job.held_out)
             pool += fill_pool(layer, allowed, prover) if allowed else []
-            for rule, count in prover.counts.items():
-                refused += _refusals(job.sequence, name, rule, count, prover.examples[rule])
+            refused += [_refusal(job.sequence, name, rule, count) for rule, count in prover.counts.items()]
     head = {name: layer.head[name] for name in ("sequence", "fps", "frame_count")} | {"frames": layer.frames}
     return Found(head, msgspec.msgpack.encode(pool), layer.facts.counts, refused)
 
 
-def _refusals(
-    sequence: str, template: str, rule: str, count: int, examples: Iterable[tuple[Proposal, str | None]] = ()
-) -> Iterator[TableRow]:
-    """Yield the rows of the table `rejected` for one rule: the number of refused candidates, then examples."""
-    row = {"sequence": sequence, "family": FAMILIES[template], "template": template, "rule": rule}
-    yield row | {"kind": "count", "candidates": count}
-    for one, detail in examples:
-        about = {"target_track": one.target, "plan": canonical(one.plan), "detail": detail}
-        yield row | {"kind": "example", "candidates": 1} | about
+def _refusal(sequence: str, template: str, rule: str, count: int) -> TableRow:
+    """Return the row of the table `rejected` for one rule."""
+    family = FAMILIES[template]
+    return {"sequence": sequence, "family": family, "template": template, "rule": rule, "candidates": count}
 
 
 # -- choice -----------------------------------------------------------------------------------------------------------

@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate.blind import QuestionText, question_texts
-from jrdb_avr.engine.generate.diagnostics import REFUSALS, lacking_layers, tallies
-from jrdb_avr.engine.generate.scene_guessers import check_store
+from jrdb_avr.engine.generate.diagnostics import tallies
 from jrdb_avr.engine.generate.selection import PROFILES
-from jrdb_avr.engine.validate.crops import min_crops
+from jrdb_avr.engine.observe.crops import min_crops
+from jrdb_avr.engine.validate.scene_guessers import check_store
 from jrdb_avr.queries.sql import open_tables
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.queries.store import Store
@@ -30,8 +30,6 @@ TITLES: Final = {
     "mode": "Questions per answer mode",
     "sequence": "Questions per sequence",
     "shortfall": "From candidates to questions",
-    "refusal": "Candidates refused, by rule",
-    "lacking": "Templates that lack a layer",
     "layer": "Sequences that have a layer",
     "answer": "Answers per template (of times: offset from the description, or length, in seconds)",
     "position": "Position of the true choice",
@@ -97,17 +95,6 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
     }
     derived = {
         "shortfall": [{name: row[name] for name in _SHORTFALL} for row in counted],
-        "refusal": [
-            {"family": row["family"], "template": row["template"], "rule": rule, "candidates": row[rule]}
-            for row in sorted(counted, key=lambda row: (row["family"], row["template"]))
-            for rule in sorted(REFUSALS)
-            if row[rule]
-        ],
-        "lacking": [
-            {"family": forms_of(name)[0].family, "template": name, "layer": layer, "sequences_without": without}
-            | {"sequences": len(layers)}
-            for (name, layer), without in lacking_layers(layers).items()
-        ],
         "layer": [
             {
                 "layer": name,

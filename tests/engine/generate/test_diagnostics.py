@@ -9,9 +9,8 @@ from jrdb_avr.schema.templates import FAMILIES, FORMS, forms_of
 
 def rejected(counts):
     rows = [
-        {"kind": kind, "sequence": "s", "family": FAMILIES[template], "template": template, "rule": rule}
-        | {"candidates": count, "target_track": None, "plan": None, "detail": None}
-        for kind, template, rule, count in counts
+        {"sequence": "s", "family": FAMILIES[template], "template": template, "rule": rule, "candidates": count}
+        for template, rule, count in counts
     ]
     return pa.Table.from_pylist(rows, schema=QUESTIONS["rejected"])
 
@@ -33,12 +32,11 @@ def told(counts, questions, lacking=0, **selected):
 
 
 COUNTS = [
-    ("count", "two_hop", "anchor", 60),
-    ("count", "two_hop", "anchor", 40),
-    ("count", "two_hop", "hop.stop", 70),
-    ("count", "two_hop", "time.shift", 20),
-    ("count", "two_hop", "selection", 5),
-    ("example", "two_hop", "hop.skip", 1),
+    ("two_hop", "anchor", 60),
+    ("two_hop", "anchor", 40),
+    ("two_hop", "hop.stop", 70),
+    ("two_hop", "time.shift", 20),
+    ("two_hop", "selection", 5),
 ]
 
 
@@ -62,7 +60,7 @@ def test_few_questions_are_explained_by_the_rules_that_refused_most():
 
 
 def test_shares_too_small_for_a_percent_are_not_called_none():
-    counts = [("count", "two_hop", "anchor", 980), ("count", "two_hop", "hop.stop", 4)]
+    counts = [("two_hop", "anchor", 980), ("two_hop", "hop.stop", 4)]
     why = told(counts, asked(two_hop=16))["two_hop"]["why"]
     assert "; anchor refused 98 %: " in why and "; hop.stop refused <1 %: " in why
 
@@ -87,7 +85,7 @@ def test_no_candidate_says_what_the_scenes_do_not_hold():
 
 def test_a_missing_layer_is_the_reason():
     assert told([], asked(), 3)["distance"]["why"] == "skipped, the layer 3d is missing"
-    row = told([("count", "distance", "anchor", 4)], asked(distance=1), 2)["distance"]
+    row = told([("distance", "anchor", 4)], asked(distance=1), 2)["distance"]
     assert row["why"].startswith("skipped, the layer 3d is missing in 2 of 3 sequences; candidates: 5, proven: 1")
 
 

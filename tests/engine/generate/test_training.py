@@ -91,9 +91,7 @@ def test_no_training_question_touches_a_held_out_one(trained, held_out):
 
 def test_what_touches_a_held_out_question_is_refused(trained, whole, held_out):
     others = list(extents(held_out))
-    refused = [row["plan"] for row in trained[0].questions("rejected").to_pylist() if row["rule"] == "held_out"]
     assert {touches(one, others) for one in extents(whole[0])} == {True, False}
-    assert set(refused) & {one[0] for one in extents(whole[0])}
     assert (
         sum(row["held_out"] for row in trained[1].templates) > sum(row["held_out"] for row in whole[1].templates) == 0
     )

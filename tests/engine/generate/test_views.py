@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from jrdb_avr.engine.generate.views import single_view
-from jrdb_avr.engine.validate.crops import min_crops, min_crops_of_frame
+from jrdb_avr.engine.observe.crops import min_crops, min_crops_of_frame
 
 WIDTH = 3760
 COLUMNS = st.one_of(

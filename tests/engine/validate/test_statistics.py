@@ -181,16 +181,13 @@ def test_measures(tables, ask, looks):
 
 
 def test_what_became_of_the_candidates(tables, ask):
-    refused = ask(
-        "SELECT family, template, rule, sum(candidates)::int FROM rejected WHERE kind = 'count' "
-        "GROUP BY ALL ORDER BY ALL"
-    )
+    refused = ask("SELECT family, template, rule, sum(candidates)::int FROM rejected GROUP BY ALL ORDER BY ALL")
     assert [tuple(row.values()) for row in tables["refusal"]] == refused
     rows = ask(
         """SELECT template, sum(n)::int, (sum(n) FILTER (WHERE late))::int, (sum(n) FILTER (WHERE asked))::int FROM (
             SELECT template, count(*) AS n, true AS late, true AS asked FROM questions GROUP BY ALL UNION ALL
             SELECT template, candidates, rule IN ('unconfirmed', 'selection'), false
-            FROM rejected WHERE kind = 'count'
+            FROM rejected
         ) GROUP BY ALL"""
     )
     counted = {template: tuple(n or 0 for n in numbers) for template, *numbers in rows}

@@ -46,7 +46,6 @@ def min_crops(boxes: Iterable[tuple[int, float, float]]) -> int:
     Returns:
         The smallest number of looks.
     """
-    frames: dict[int, list[float]] = {}
-    for frame, x, w in boxes:
-        frames.setdefault(frame, []).append(x + w / 2)
-    return sum(min_crops_of_frame(centers) for centers in frames.values())
+    every = [(frame, x + w / 2) for frame, x, w in boxes]
+    frames = {frame for frame, _ in every}
+    return sum(min_crops_of_frame(center for at, center in every if at == frame) for frame in frames)

@@ -5,7 +5,7 @@ import pytest
 from scored_runs import table
 
 from jrdb_avr.engine.generate.blind import QuestionText, blind_check, question_texts
-from jrdb_avr.engine.generate.scene_guessers import check_store, scene_guessers
+from jrdb_avr.engine.validate.scene_guessers import check_store, scene_guessers
 from jrdb_avr.queries.store import Store, write_table
 from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError

@@ -43,9 +43,7 @@ def check_store(store: Store, texts: Sequence[QuestionText], teacher: Store | No
     lessons = [] if teacher is None else question_texts(*teacher.question_tables("questions", "answers"))
     new = [text for text in lessons if text.sequence not in sequences]
     if lessons and not new:
-        raise InputError(
-            "the other store has no sequence that this one lacks: nothing can be learned", field="blind_from"
-        )
+        raise InputError("the other store has no sequence that this one lacks", field="blind_from")
     return blind_check(texts, [*scene_guessers(store), *learned_guessers(new), box_guesser(store)])
 
 
