@@ -105,19 +105,12 @@ class Layer:
         lists = self.facts.lists
         return cache(lambda track, frame: false_labels(lists[track], frame))
 
-    def search(self, name: str) -> list[dict[str, Any]]:
+    def search(self, name: str) -> list[TableRow]:
         """Run a generator over the stored layer and return its rows."""
         text = read_statement(f"generators/{name}.cypher")
         values = {**keyframe_values(self.rules), "sequence": self.sequence}
-        table = self.graph.query(text, {key: values[key] for key in parameters(text)})
-        # Presence has hundreds of thousands of rows. NumPy converts their numbers 20 times as fast.
-        columns = [
-            column.to_numpy().tolist()
-            if pa.types.is_integer(column.type) and not column.null_count
-            else column.to_pylist()
-            for column in table.columns
-        ]
-        return [dict(zip(table.column_names, row, strict=True)) for row in zip(*columns, strict=True)]
+        rows: list[TableRow] = self.graph.query(text, {key: values[key] for key in parameters(text)}).to_pylist()
+        return rows
 
     def has_image(self, frame: int) -> bool:
         """Return whether a frame has an image, or the sequence has no images at all."""

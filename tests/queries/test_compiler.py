@@ -342,12 +342,15 @@ def test_actions_presence_and_distance_are_read_or_unknown(sites):
             # Beyond the last frame nobody is known to be absent.
             for t1 in [*[frame for frame in frames if frame > t0][:: max(1, len(frames) // 12)], frames[-1] + 30]:
                 times = {"t0": t0, "t1": t1}
-                plans.append(planned(site, conditions, times, READ_A | {"at": "t1"}))
-                offered = [*rng.sample(OFTEN, 2), *rng.sample(sorted(ACTIONS), 1)]
-                choices += [offered, (), ()]
-                facts = {action: doing(world, t1, track, action) for action in offered}
-                true = [action for action in offered if facts[action] == YES]
-                expected.append(true[0] if true and sorted(facts.values()) == [NO, NO, YES] else None)
+                if t1 in world.keyframes:  # Only there the oracle judges choices.
+                    often = rng.sample(OFTEN, 2)
+                    offered = [*often, *rng.sample(sorted({*ACTIONS} - {*often}), 1)]
+                    plans.append(planned(site, conditions, times, READ_A | {"at": "t1"}))
+                    choices.append(offered)
+                    facts = {action: doing(world, t1, track, action) for action in offered}
+                    true = [action for action in offered if facts[action] == YES]
+                    expected.append(true[0] if true and sorted(facts.values()) == [NO, NO, YES] else None)
+                choices += [(), ()]
                 both = {"mode": "multiple_choice", "at": ["t0", "t1"]}
                 plans.append(planned(site, conditions, times, both | {"read": "presence"}))
                 pair = (world.seen(t0, track), world.seen(t1, track))

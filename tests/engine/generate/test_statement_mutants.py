@@ -16,7 +16,7 @@ from test_cypher_facts import keys_of
 from worlds import load_world
 
 import jrdb_avr
-from jrdb_avr.engine.generate import cypher_facts, facts, propose
+from jrdb_avr.engine.generate import cypher_facts, facts, layer
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.pool import fill_pool
@@ -141,7 +141,7 @@ def is_noticed(searches, path, text, before):
         if number not in before:
             before[number] = results(search, keys, path)
         with pytest.MonkeyPatch.context() as patch:
-            for module in (cypher_facts, facts, propose, reads):
+            for module in (cypher_facts, facts, layer, reads):
                 patch.setattr(module, "read_statement", lambda name: text if name == path else read_statement(name))
             try:
                 found = results(search, keys, path)

@@ -184,18 +184,22 @@ def test_the_command_names_every_difference_and_fails(one):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("change", "noticed"),
+    ("edge", "change", "noticed"),
     [
-        ("s.pose = 'lying'", {"compiled": "answer: ", "replay": "time.drop all keyframes: "}),
-        ("s.clear = false", {"replay": "evidence clear views: "}),
+        (
+            "-[r:Performs]->(:Action)",
+            "r.difficulty = 3",
+            {"compiled": "compiled: ", "replay": "time.drop all keyframes: "},
+        ),
+        ("-[s:SeenIn]->(:Frame)", "s.clear = false", {"replay": "evidence clear views: "}),
     ],
-    ids=["postures", "clear views"],
+    ids=["actions", "clear views"],
 )
-def test_a_fact_changed_in_the_scene_is_noticed(one, change, noticed):
+def test_a_fact_changed_in_the_scene_is_noticed(one, edge, change, noticed):
     store, name, sequence, track = one
     with Graph.open(store.graph_path) as graph:
         graph.execute(
-            f"MATCH (p:Person)-[s:SeenIn]->(:Frame) WHERE p.sequence = $sequence AND p.track = $track SET {change}",
+            f"MATCH (p:Person){edge} WHERE p.sequence = $sequence AND p.track = $track SET {change}",
             {"sequence": sequence, "track": track},
         )
     # As if it had been built so: else the file is taken for damaged.
