@@ -153,9 +153,8 @@ def code_lines(text: str) -> int:
 
 def texts_of(text: str, nodes: list[ast.AST]) -> list[str]:
     """Return the docstrings and comments of a file."""
-    comments = [
-        one.string for one in tokenize.generate_tokens(io.StringIO(text).readline) if one.type == tokenize.COMMENT
-    ]
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    comments = [token.string for token in tokens if token.type == tokenize.COMMENT]
     return [node.value.value for node in nodes if is_text(node)] + comments
 
 

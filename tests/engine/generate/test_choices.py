@@ -61,13 +61,6 @@ def read_one_by_one(timeline, frame, label):
     return true, false and not seen
 
 
-@given(timelines(), st.sampled_from(range(0, 150, 15)))
-def test_a_false_choice_reads_as_different_and_a_true_one_as_same(timeline, frame):
-    assert all(outcome_of_action(timeline.get(frame), label) == "same" for label in true_labels(timeline, frame))
-    assert all(outcome_of_action(timeline.get(frame), label) == "different" for label in false_labels(timeline, frame))
-    assert outcome_of_action(None, "walking") == "unknown"
-
-
 @given(st.frozensets(st.sampled_from(CHOICE_LABELS), max_size=8))
 def test_triples_are_all_sets_without_two_actions_that_may_be_called_the_same(wrong):
     expected = {
@@ -111,3 +104,4 @@ def test_what_choices_may_be_called_goes_beyond_descriptions():
     assert "typing" in CALLED["sitting"]
     assert not {"looking at robot", "reading", "pulling"} & set(CHOICE_LABELS)
     assert len(CHOICE_LABELS) == len(ACTIONS) - 7
+    assert outcome_of_action(None, "walking") == "unknown"

@@ -16,7 +16,7 @@ from jrdb_avr.loaders import graph as scene
 from jrdb_avr.loaders.graph import STAGE, build_scene, stage_scene
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import InputError, QueryError
+from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.graph import SCENE_NODES, SCENE_RELS
 from jrdb_avr.schema.tables import INTERVALS
 
@@ -218,8 +218,3 @@ def test_a_file_to_copy_from_must_have_a_plain_name(tmp_path):
         for name in ("*.parquet", "../x.parquet", "it's", "a b"):
             with pytest.raises(QueryError, match="plain name"):
                 graph.copy_files("Action", tmp_path, [name])
-
-
-def test_a_sequence_must_have_a_plain_name(store, tmp_path):
-    with pytest.raises(InputError, match="cannot be a sequence name"):
-        stage_scene(Store(tmp_path), "../x", scene_tables(store))
