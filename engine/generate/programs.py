@@ -1,4 +1,4 @@
-"""Programs: plans that can be run, and their changes, with a hop left out or with other times."""
+"""Programs: plans in the form that proofs run. A proof runs a changed program, without a hop or with other times."""
 
 from __future__ import annotations
 
