@@ -116,7 +116,7 @@ class Selector:
                     break
 
     def part_twins(self) -> None:
-        """Let the last two twins be ordinary questions, and look for better ones."""
+        """Make the last pair of twins ordinary questions, and look for better choices and moments for them."""
         pair = self.pairs.pop()
         for moment in pair:
             self.put(self.take_out(moment)._replace(twin=None))

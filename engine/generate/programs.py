@@ -18,7 +18,7 @@ Answer = str | FrameViewpoint
 
 
 def parse_answer(mode: str, text: str) -> Answer:
-    """Return a stored answer as programs return it: a start is decoded, a choice stays a text."""
+    """Return a stored answer as programs return it. A start is decoded, and a choice remains a text."""
     return cast(FrameViewpoint, decode_answer(mode, text)) if mode == "frame_viewpoint" else text
 
 
