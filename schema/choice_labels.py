@@ -93,7 +93,7 @@ def list_actions(labels: Mapping[str, bool], complete: bool) -> ListedActions:
 
 
 def may_be_same(label: str, second: str) -> bool:
-    """Return whether a reader may see one of two actions in a person with the other. One question never has both.
+    """Return whether the words of one action may fit a person with the other. One question never has both as choices.
 
     >>> may_be_same("typing", "sitting"), may_be_same("walking", "standing")
     (True, False)

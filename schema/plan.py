@@ -1,9 +1,9 @@
-"""The graph plan: a question's program, as a small typed pattern over people, things, relations and times.
+"""The plan: the program of a question, as a small typed pattern of people, things, relations and times.
 
-One schema for the gold program of every question and for what an agent plans. Nodes are people, or things that people
-have to do with; conditions and edges hold at named times; a time is a stated frame or an event found in the data; the
-answer says what is read, of whom and when. `parse_plan` and `validate` refuse what cannot be run, naming the field;
-`canonical` is the byte-stable text that is hashed and stored.
+The gold programs of questions and the plans of agents have this schema. A node is a person, or a thing that people
+relate to. Conditions and edges hold at named times. A time is a stated frame, an event that is found in the data, or a
+moment between stated frames. The answer names the read, its person and its times. `parse_plan` and `validate` refuse a
+plan that cannot run, and name the faulty field. `canonical` returns the byte-stable text that is hashed and stored.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jrdb_avr.schema.plan_hints import FREE, hint, hint_for
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern="^[a-z][a-z0-9_]*$")]
 Label = Annotated[str, msgspec.Meta(min_length=1, max_length=120)]
 MOST_PEOPLE: Final = 10_000
-"""Of a group, as far as a plan may ask for it."""
+"""Maximum size of a group in a plan."""
 
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=10_000_000)]
 
@@ -40,14 +40,15 @@ Read = Literal[
 ]
 Attribute = Literal["gender", "age", "group_size", "sector", "distance"]
 ATTRIBUTES: Final[tuple[Attribute, ...]] = get_args(Attribute)
-"""The attributes that have labels, or of a group a number. Any other name is a free attribute: an agent chooses it and
-its value, and beliefs fulfil it as they are written.
+"""The attributes with labels, and the size of a group. An attribute with any other name is free.
+
+An agent chooses the name and the value of a free attribute. A belief fulfils it if it has the same name and value.
 """
 AttributeName = Annotated[str, msgspec.Meta(min_length=1, max_length=40, pattern="^[a-z][a-z0-9_]*$")]
 
 
 class ReadRule(NamedTuple):
-    """What a read needs of `answer`: its mode and, per time that it names, the kinds of event (none: any time)."""
+    """Requirements of a read: the answer mode, and the kinds of event of each time of the answer (empty: any time)."""
 
     mode: AnswerMode
     times: tuple[tuple[Event, ...], ...]
@@ -70,8 +71,8 @@ READS: Final[dict[Read, ReadRule]] = {
 class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """A stated frame, the first event of a kind after another time, or some moment `before` or `after` stated frames.
 
-    `start` and `end` name the `action` that starts or ends; `leaves` and `returns` are of the person alone. Only where
-    `next_action` is read an `end` names no action: it is the end of the pose held at the time `after`.
+    The events `start` and `end` name the `action` that starts or ends. `leaves` and `returns` name no action. If the
+    read is `next_action`, `end` names no action: it is the end of the pose at the time `after`.
     """
 
     frame: _Frame | None = None
@@ -83,15 +84,15 @@ class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
 
     @property
     def is_moment(self) -> bool:
-        """Whether it is any one frame between others, at which all that the plan says of the time holds together."""
+        """Whether the time is some frame between stated frames, in which all parts of the plan at this time hold."""
         return self.frame is None and self.event is None
 
 
 class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """One thing true of a person: an attribute's value, an action, an object handled, or a labelled interaction.
+    """A fact of a person: the value of an attribute, an action, a handled object, or a labelled interaction.
 
-    Exactly one of `attribute` (with `value`), `action`, `object` (with `verb`) and `interaction` is given. All but
-    gender and age hold `at` a time. An attribute that is none of `ATTRIBUTES` is free.
+    Exactly one of `attribute` (with `value`), `action`, `object` (with `verb`) and `interaction` is given. Gender and
+    age hold at all times. All other conditions hold `at` a time. An attribute outside `ATTRIBUTES` is free.
     """
 
     attribute: Annotated[AttributeName, msgspec.Meta(examples=[*ATTRIBUTES])] | None = None
@@ -104,7 +105,7 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
 
     @property
     def kind(self) -> str:
-        """One of `rules.CONDITION_KINDS` (the attribute, or pose, action, object or interaction), or free."""
+        """Kind of the condition: one of `rules.CONDITION_KINDS` (an attribute, pose, action, ...), or "free"."""
         if self.attribute is not None:
             return self.attribute if self.attribute in ATTRIBUTES else "free"
         if self.action is not None:
@@ -122,7 +123,7 @@ class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_
 
     @property
     def wanted(self) -> tuple[str, str]:
-        """Name and value of the attribute that fulfils it, as an agent writes it."""
+        """Name and value of the belief that fulfils the condition, as an agent writes them."""
         if self.attribute is not None:
             text = str(self.value)
             return self.attribute, text if self.attribute in ATTRIBUTES else free_value(text)
@@ -137,7 +138,7 @@ PERSON: Final = "person"
 
 
 class Node(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A person of the pattern, or a thing of a `kind` (its category). All nodes of a plan are different ones.
+    """A person of the pattern, or a thing of a `kind` (its category). Different nodes are different people or things.
 
     The conditions of a thing are free attributes.
     """
@@ -150,7 +151,8 @@ class Node(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A relation from `source` to `target` at a time.
 
-    To a thing it is what the person does with it (a verb), a window of the robot's view, or free words, as "next to".
+    If the target is a thing, the relation is a verb such as "holding", a window of the robot's view, or free words such
+    as "next to".
     """
 
     source: Name
@@ -160,15 +162,15 @@ class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def wanted(self) -> str:
-        """The name of the relation that fulfils it, as an agent writes it."""
+        """Name of the relation that fulfils the edge, as an agent writes it."""
         return free_value(self.relation)
 
 
 class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """What is read for the answer: `read` of node `of` at one time, or at a list of times.
+    """The read of the answer: `read` of node `of` at one time, or at a list of times.
 
-    `relation` is the relation counted by the read `count`: different people who are in it with `of` at any moment
-    from the first of two stated times to the second. `attribute` is the one whose value the read `attribute` gives.
+    The read `count` counts the people who are in `relation` with `of` at any frame from the first of two stated times
+    to the second. The read `attribute` returns the value of `attribute`.
     """
 
     mode: AnswerMode
@@ -185,7 +187,7 @@ class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A program: nodes and edges at named times, searched from `root`; the answer is read of `target`."""
+    """A program: nodes and edges at named times. The search begins at `root`, and the answer is read of `target`."""
 
     root: Name
     target: Name
@@ -196,25 +198,35 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def things(self) -> dict[str, str]:
-        """The nodes that are things, each with its kind."""
+        """Kind of each node that is a thing, by the node."""
         return {node.id: node.kind for node in self.nodes if node.kind and node.kind != PERSON}
 
     @property
     def ways(self) -> list[tuple[str, str]]:
-        """From which node to which edges lead: from source to target, and from a thing back as well."""
+        """Pairs of nodes in the directions of the search: from source to target, and back from a thing."""
         things = self.things
         return [(e.source, e.target) for e in self.edges] + [
             (e.target, e.source) for e in self.edges if e.target in things
         ]
 
 
-# Made at import: threads that meet a type first at the same time crash the decoder.
+# Made at import, because the decoder crashes if two threads use a new type at the same time.
 _DECODER: Final = msgspec.json.Decoder(Plan)
 _TIMES: Final = msgspec.json.Decoder(dict[Name, Time])
 
 
 def parse_plan(text: str | bytes) -> Plan:
-    """Read a plan from JSON and validate it. Raises PlanError naming the field."""
+    """Read a plan from JSON and validate it.
+
+    Args:
+        text: JSON of the plan.
+
+    Returns:
+        The plan.
+
+    Raises:
+        PlanError: If the text is not JSON or not a valid plan. The error names the faulty field.
+    """
     try:
         plan = _DECODER.decode(text)
     except msgspec.ValidationError as error:
@@ -222,7 +234,7 @@ def parse_plan(text: str | bytes) -> Plan:
         where = where.replace("key` in `$.times", "$.times[...]").strip("`$.")
         if "[...]" in where:
             where = where.replace("times[...]", f"times.{_bad_time(text)}")
-        # An unknown key stands in the message as it was written.
+        # An unknown key is in the message as it was written, with its white space.
         words = " ".join((message + hint_for(where, message)).split())
         raise PlanError(" ".join(where.split()) or "plan", words) from None
     except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
@@ -232,15 +244,15 @@ def parse_plan(text: str | bytes) -> Plan:
 
 
 def _bad_time(text: str | bytes) -> str:
-    """The name of the first time that cannot be read: the decoder says only that it is one of them.
+    """Return the name of the first time that cannot be read, because the decoder's message does not name it.
 
-    "..." where the text is no JSON further on, which the decoder had not come to.
+    The result is "..." if the text is not JSON after the position at which the decoder stopped.
     """
     try:
         times: dict[str, Any] = msgspec.json.decode(text, type=dict[str, Any])["times"]
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return "..."
-    # Of a key that stands there twice, this decoder has read the last.
+    # If a key is given twice, this decoder has read the last one.
     for name, time in times.items() if isinstance(times, dict) else ():
         try:
             _TIMES.decode(msgspec.json.encode({name: time}))
@@ -250,17 +262,24 @@ def _bad_time(text: str | bytes) -> str:
 
 
 def canonical(plan: Plan) -> str:
-    """The plan's one text: sorted keys, no spaces, defaults left out."""
+    """Return the JSON text of a plan with sorted keys, without spaces and defaults. Equal plans have equal texts."""
     return msgspec.json.encode(plan, order="sorted").decode()
 
 
 def plan_json_schema() -> dict[str, Any]:
-    """The plan's JSON Schema, as an agent receives it."""
+    """Return the JSON Schema of a plan."""
     return msgspec.json.schema(Plan)
 
 
 def validate(plan: Plan) -> None:
-    """Refuse a plan that cannot be run. Raises PlanError naming the field of the first fault."""
+    """Refuse a plan that cannot run.
+
+    Args:
+        plan: Plan.
+
+    Raises:
+        PlanError: If the plan has a fault. The error names the field of the first fault.
+    """
     ids = [node.id for node in plan.nodes]
     for position, identifier in enumerate(ids):
         if identifier in ids[:position]:
@@ -363,7 +382,7 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
 
 
 def _check_attribute(field: str, name: str | None) -> None:
-    """Refuse a name that the schema has another form for."""
+    """Refuse an attribute that must be written in another form."""
     if name is not None and (instead := hint("attribute", name)):
         raise PlanError(field, f"{name!r} is no attribute{instead}")
 

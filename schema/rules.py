@@ -79,7 +79,7 @@ class LoadRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clear_max_width: Pixels = 480.0
     """Maximum width of a box for a clear view, in pixels. A wider box does not fit into a crop."""
     visibility: Literal["clear", "any"] = "clear"
-    """With clear, occlusion attributes, or else nearer boxes and group labels, decide on clear views. With any, not."""
+    """Without occlusion attributes, clear judges views by nearer boxes and group labels; any takes all as clear."""
     max_covered: Share = 0.5
     """Minimum covered share of a box that is no clear view. Applies to sequences without occlusion attributes."""
     min_covered: Share = 0.8

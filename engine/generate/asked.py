@@ -1,4 +1,4 @@
-"""Proven questions before and after the selection of their choices, and how many of them a template may have."""
+"""Records of proven questions before and after the selection of their choices; contexts and caps of the selection."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Candidate(NamedTuple):
 
     @property
     def moment(self) -> tuple[str, int, tuple[int, ...]]:
-        """The person and the times asked. A template has one question only about them."""
+        """The person and the times asked. A template has at most one question about them."""
         return self.sequence, self.track, self.asked
 
     @property

@@ -31,7 +31,7 @@ from jrdb_avr.schema.templates import Template
 from jrdb_avr.schema.wording.text import actions_of, form_of, parse, stated_frames
 
 INFORMATION: Final = ("frame", "least label", "least set", "least pair")
-"""Counting guessers that are not held against the aim."""
+"""Counting guessers that have no aim."""
 
 GUESSERS: Final = (
     *("uniform", "constant", "offset", *COUNTING, "people", "logistic", "boosting", "other_store"),
@@ -142,11 +142,11 @@ def blind_check(questions: Iterable[QuestionText], guessers: Sequence[Guesser]) 
         guessers: Guessers beside the simple ones.
 
     Returns:
-        One row per form: n, the share of right answers of each guesser of `GUESSERS` and of right boxes of each of
-        `BOXES`, the aim, and the guessers of answers above the aim as the reason, None without any. `combined` is the
-        share of questions that the best guesser of answers and the best guesser of boxes both have right. A guesser
-        that does not apply has None. Counts of people have no aim. If a form has time twins, a second row, "FORM, two
-        twins", has their number of pairs as n and the shares of pairs with both right.
+        One row per form. It has n, the share of right answers of each guesser of `GUESSERS`, the share of right boxes
+        of each guesser of `BOXES`, and the aim. A guesser that does not apply has None. The reason names the guessers
+        of answers above the aim, or is None. `combined` is the share of questions that the best guesser of answers and
+        the best guesser of boxes both have right. Counts of people have no aim. If a form has time twins, a second row,
+        "FORM, two twins", has their number of pairs as n and the shares of pairs with both right.
     """
     groups: dict[tuple[str, str], list[QuestionText]] = defaultdict(list)
     for question in questions:

@@ -59,7 +59,7 @@ def false_labels(timeline: Timeline, frame: int) -> frozenset[str]:
 
 @lru_cache(maxsize=4096)
 def different_labels(labels: ListedActions | None) -> tuple[str, ...]:
-    """Return the actions with the outcome "different". The parameter is that of `outcome_of_action`."""
+    """Return the actions that are certainly false at a keyframe, by the labels of a person (None: there is no list)."""
     return tuple(label for label in CHOICE_LABELS if outcome_of_action(labels, label) == "different")
 
 
@@ -67,7 +67,7 @@ def different_labels(labels: ListedActions | None) -> tuple[str, ...]:
 def wrong_choices(
     truth: str, false: frozenset[str], implied: frozenset[str], present: frozenset[str]
 ) -> frozenset[str]:
-    """Find the actions that may stand as wrong choices beside a right one.
+    """Find the actions that may be wrong choices beside a right one.
 
     Args:
         truth: The right choice.

@@ -99,7 +99,7 @@ class CypherFacts:
         return values
 
     def count(self, sequence: str, relation: str, track: int, first: int, last: int) -> int | None:
-        """Return with how many different people a person is in a relation in some frames, or None if it is unknown."""
+        """Return the number of people who are in a relation with a person in some frames, or None if it is unknown."""
         return self._reader.counts([(Person(0, sequence, track), relation, first, last)]).get(0)
 
     def keyframes(self, sequence: str) -> list[int]:

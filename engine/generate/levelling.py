@@ -45,7 +45,7 @@ _PASSES: Final = 6
 _SWAP_PASSES: Final = 2
 
 _STEPS: Final = 20
-"""Sizes of a template are so many parts of its quota."""
+"""Number of equal steps of a quota. Each size of a template is a whole number of steps."""
 
 Twins = tuple[Candidate, Candidate]
 
@@ -62,7 +62,7 @@ class Selector:
         taken: Account of near-duplicates and caps of all templates.
         cap: Maximum number of questions from one sequence.
         chosen: The selected question of each moment, by the moment's hash.
-        pairs: The moments of each two twins, which stay selected.
+        pairs: The two moments of each pair of twins. Twins stay selected.
     """
 
     moments: dict[int, list[Candidate]]
@@ -81,7 +81,7 @@ class Selector:
         self.taken.add(question.candidate)
 
     def take_out(self, moment: int) -> Question:
-        """Select a question no more, and return it."""
+        """Remove a question from the selection, and return it."""
         question = self.chosen.pop(moment)
         self.level.add(question, -1)
         self.taken.remove(question.candidate)
@@ -116,7 +116,7 @@ class Selector:
                     break
 
     def part_twins(self) -> None:
-        """Let the last two twins be ordinary questions, and look for better ones."""
+        """Make the last pair of twins ordinary questions, and look for better choices and moments for them."""
         pair = self.pairs.pop()
         for moment in pair:
             self.put(self.take_out(moment)._replace(twin=None))
@@ -226,9 +226,10 @@ def make_selector(candidates: Sequence[Candidate], counts: LabelCounts, taken: T
     """Make the selection of a template, with nothing selected.
 
     Args:
-        candidates: Candidates of the template, in any order. Of each moment and right choice, the smallest key stays.
+        candidates: Candidates of the template, in any order. For each moment and right choice, the one with the
+            smallest key counts.
         counts: How common actions are.
-        taken: Account of near-duplicates and caps of all templates. It stays as it is.
+        taken: Account of near-duplicates and caps of all templates. The selection changes a copy of it.
         cap: Maximum number of questions from one sequence.
 
     Returns:
@@ -316,11 +317,12 @@ def find_twins(candidates: Iterable[Candidate], rules: Rules) -> dict[int, dict[
 
     Args:
         candidates: The proven candidates of one template, in any order. Twins have equal descriptions, so all
-            candidates of a moment count, with whichever description.
+            candidates of a moment count, each with its description.
         rules: The thresholds.
 
     Returns:
-        A pair for each two moments, by the hash of either moment, then by that of the other moment.
+        The pair of candidates for each two moments that can be twins, by the hash of one moment, then by the hash of
+        the other. Each pair is in the result in both directions.
     """
     groups: dict[tuple[str, int, str], list[Candidate]] = defaultdict(list)
     for candidate in sorted(candidates, key=lambda candidate: candidate.key):

@@ -15,7 +15,7 @@ Person = tuple[str, int]
 
 
 def near_frames(template: str, rules: Rules) -> int:
-    """Return the maximum number of frames between the times of two questions that read the same."""
+    """Return the maximum number of frames between the times of two near-duplicates."""
     return frames(rules.near_presence_s if template == "presence" else rules.near_duplicate_s)
 
 
@@ -41,19 +41,19 @@ class Taken:
         return not any(are_near(candidate.asked, asked, near) for asked in others)
 
     def add(self, candidate: Candidate) -> None:
-        """Count a question as chosen."""
+        """Add a chosen question to the account."""
         self.reads[candidate.person, candidate.template].append(candidate.asked)
         self.questions[candidate.person] += 1
         if candidate.event is not None:
             self.events.add((candidate.person, candidate.event))
 
     def remove(self, candidate: Candidate) -> None:
-        """Count a question as chosen no more."""
+        """Remove a chosen question from the account."""
         self.reads[candidate.person, candidate.template].remove(candidate.asked)
         self.questions[candidate.person] -= 1
         self.events.discard((candidate.person, candidate.event or ""))
 
 
 def are_near(first: Sequence[int], second: Sequence[int], near: int) -> bool:
-    """Return whether all frames of two questions are near each other. Forms that read at more frames are not alike."""
+    """Return whether two questions read equally many frames, and these are near each other, one by one."""
     return len(first) == len(second) and max(map(abs, map(sub, first, second))) <= near

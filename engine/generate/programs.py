@@ -1,4 +1,4 @@
-"""Programs: plans that can be run, and their changes, with a hop left out or with other times."""
+"""Programs: plans in the form that proofs run. A proof runs a changed program, without a hop or with other times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Answer = str | FrameViewpoint
 
 
 def parse_answer(mode: str, text: str) -> Answer:
-    """Return a stored answer as programs return it: a start is decoded, a choice stays a text."""
+    """Return a stored answer as programs return it. A start is decoded, and a choice remains a text."""
     return cast(FrameViewpoint, decode_answer(mode, text)) if mode == "frame_viewpoint" else text
 
 

@@ -84,7 +84,7 @@ class Proposal:
 
     @property
     def read(self) -> tuple[int, ...]:
-        """Frames of the answer."""
+        """Frames at which the answer is read."""
         return tuple(self.frames[name] for name in self.template.read)
 
     @cached_property
@@ -122,7 +122,7 @@ class Proposal:
 
     @cached_property
     def key(self) -> str:
-        """Hash of sequence, target and plan, which decides among equals."""
+        """Hash of sequence, target and plan. It decides among equally good proposals."""
         return hashlib.sha256(f"{self.sequence}\n{self.target}\n{canonical(self.plan)}".encode()).hexdigest()
 
 
@@ -192,7 +192,7 @@ _UNSEEN: Final = -1
 def _counts(layer: Layer) -> Iterator[TableRow]:
     """Yield the people in a relation with a described person, from keyframe to keyframe until one is unknown.
 
-    What lies between keyframes is left to the proof.
+    The proof checks the frames between keyframes.
     """
     facts, rules = layer.facts, layer.rules
     for row in layer.search("described"):

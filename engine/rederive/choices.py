@@ -17,7 +17,7 @@ _COUNT: Final = 4
 """Number of choices."""
 
 _WINDOW: Final = 3
-"""Number of keyframes before and after the asked time without a label of a false choice. For a pose, it is 1."""
+"""Number of keyframes before and after the asked time without a label of a wrong choice. For a pose, it is 1."""
 
 
 def check_choices(resolved: ResolvedPlan, answer: str, frame: int) -> None:

@@ -86,7 +86,7 @@ def find_people(annotations: Annotations, plan: Plan, template: str, rules: Rule
         The plan with its people, and the rules of descriptions and joins that it breaks.
 
     Raises:
-        Undefined: If a node is not certainly one single person.
+        Undefined: If a node is not certainly one person.
     """
     stated = {name: time.frame for name, time in sorted(plan.times.items()) if time.frame is not None}
     root = next(node for node in plan.nodes if node.id == plan.root)
@@ -150,7 +150,7 @@ def join(resolved: ResolvedPlan, edges: list[Edge]) -> int:
         Track of the only person who is the target of all edges.
 
     Raises:
-        Undefined: If they do not certainly lead to one single person.
+        Undefined: If the edges do not certainly lead to one person.
     """
     annotations, frame = resolved.annotations, resolved.t0
     candidates = [track for track in annotations.uncovered_people(frame) if track not in resolved.people.values()]

@@ -59,7 +59,10 @@ def reading_of(resolved: ResolvedPlan, choices: Sequence[str] = ()) -> Reading:
 
 
 def read_action(resolved: ResolvedPlan) -> Reading:
-    """Read the only true choice at a time. If this is a later time, the choice must be false at the description."""
+    """Read the only choice that is true at the time asked.
+
+    If the time asked is later than the description, the choice must be false at the time of the description.
+    """
     annotations, target = resolved.annotations, resolved.target
     frame, rules = resolved.frame(0), resolved.rules
     later = resolved.plan.answer.times[0] != resolved.described

@@ -101,7 +101,7 @@ class SocialFacts(ActionFacts):
         return None
 
     def is_complete(self, track: int, frame: int, layer: str) -> bool:
-        """Return whether the whole list of a person was read, so that a fact without a label is false."""
+        """Return whether the whole list of a person was read. If it was, a fact without a label is false."""
         return (frame, track) in self._listed[layer]
 
     # -- attributes ---------------------------------------------------------------------------------------------

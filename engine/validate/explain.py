@@ -127,14 +127,14 @@ def explain(store: Store, question_id: str) -> Explanation:
 def _run(graph: Graph, stored: StoredPlan, rules: Rules) -> tuple[list[tuple[Proof, list[int]]], list[ProofQuery]]:
     """Return the proofs and the statements of an explanation."""
     source = CypherFacts(graph, rules.load)
-    setting = Setting(source, source.keyframes(stored.record.sequence), rules)
-    complete = source.complete(lambda: require_all(iterate_stored_proofs(stored, setting)))
+    keyframes = source.keyframes(stored.record.sequence)
+    complete = source.complete(lambda: require_all(iterate_stored_proofs(stored, Setting(source, keyframes, rules))))
     proofs: list[tuple[Proof, list[int]]] = []
     statements: list[ProofQuery] = []
     ids: dict[Key, int] = {}
     source.asked.clear()
-    # The second pass asks for the facts of one proof after another.
-    for proof, _ in zip(complete, iterate_stored_proofs(stored, setting), strict=True):
+    # The second pass asks for the facts of one proof after another. It shares no proof with the first one.
+    for proof, _ in zip(complete, iterate_stored_proofs(stored, Setting(source, keyframes, rules)), strict=True):
         new = sorted(source.asked - ids.keys(), key=lambda key: (statement_of(key), repr(key)))
         for name, group in itertools.groupby(new, statement_of):
             keys = list(group)

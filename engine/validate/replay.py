@@ -201,7 +201,7 @@ def iterate_stored_proofs(stored: StoredPlan, setting: Setting) -> Iterator[Proo
         The proofs.
 
     Raises:
-        NoAnswerError: If the plan does not lead to one single person.
+        NoAnswerError: If the plan does not lead to exactly one person.
         MissingFactsError: If facts that are needed to find the people are missing.
     """
     record, program = stored.record, stored.program

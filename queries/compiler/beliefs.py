@@ -1,9 +1,9 @@
-"""What plans read of an agent's beliefs about people who are found.
+"""Reads of plans over an agent's beliefs about the people that a plan finds.
 
-An agent looks at a person only now and then. Without a belief that a seen person acts, the person does not: a model
-cannot write a negation. A person is absent from a frame if the whole panorama of it was observed and the person was not
-seen; at any other frame the presence is unknown. A moment lies between two looks, and is known where these are at most
-`RESOLVED_FRAMES` apart; it is the middle of them.
+An agent sees a person only in some frames. A model cannot write a negation. So a seen person without a belief in an
+action does not do it. A person is absent from a frame if the whole panorama of the frame was observed and the person
+was not seen. At a frame without either, the presence is unknown. The time of an event is the middle of the looks before
+and after it. It is known if these two looks are at most `RESOLVED_FRAMES` apart.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.relations import SYMMETRIC
 
 RESOLVED_FRAMES: Final = 30
-"""Looks farther apart leave a moment unresolved, by the protocol of the reference agent."""
+"""Maximum frames between two looks that resolve the time of an event, by the protocol of the reference agent."""
 
 DISTANCE_CUT_M: Final = 1.0
-"""Change of distance from which on it is closer or farther, by the protocol of the reference agent."""
+"""Minimum change of distance in metres for "closer" or "farther", by the protocol of the reference agent."""
 
 
 BeliefRows = Mapping[str, Rows]
@@ -37,7 +37,7 @@ BeliefRows = Mapping[str, Rows]
 
 @dataclass(frozen=True)
 class Sighting:
-    """Somebody at a frame: actions and distance in metres, as far as known."""
+    """A person at a frame: the known actions, and the distance in metres or None."""
 
     frame: int
     actions: tuple[str, ...]
@@ -45,7 +45,7 @@ class Sighting:
 
     @property
     def pose(self) -> str | None:
-        """The posture, None where it was not written down, or two were."""
+        """The pose, or None if no pose or more than one pose was written."""
         poses = {action for action in self.actions if action in POSES}
         return poses.pop() if len(poses) == 1 else None
 
@@ -61,11 +61,11 @@ class Moment:
 
 
 class BeliefReader(Reader):
-    """Reads the beliefs of one episode, for one solving.
+    """Reader of the beliefs of one episode, for one solution of a plan.
 
-    notes: why something is unknown; evidence: frames in which the answer can be seen, the best last; both by the number
-    of the question. rows: the current beliefs, where they are at hand; the reads then do not query the graph.
-    anywhen: whether a moment may lie between any two looks, however far apart.
+    notes: reasons why values are unknown, by the number of the question. evidence: frames that show the answer, the
+    best last, by the number of the question. rows: the current beliefs, or None to query the graph. anywhen: whether
+    two looks resolve the time of an event at any distance.
     """
 
     def __init__(
@@ -85,11 +85,11 @@ class BeliefReader(Reader):
         return outcome_of_target(plan, [people_of(find, row) for row in rows])
 
     def prepare(self, find: Find) -> None:
-        """Have a plan's statement checked and parsed. Raises QueryError."""
+        """Check and parse the statement of a plan. Raises QueryError."""
         self.graph.prepare(find.cypher, {**find.row, "hash": self.values["hash"]}, ordered=False)
 
     def run(self, cypher: str, rows: Rows) -> list[dict[str, Any]]:
-        """The rows of a compiled statement, run for one plan after the other, in any order. Raises QueryError."""
+        """Run a compiled statement for each plan, and return the rows in any order. Raises QueryError."""
         own = [name for name in parameters(cypher) if name not in self.values]
         return [
             {"id": row["id"], **found}
@@ -100,14 +100,14 @@ class BeliefReader(Reader):
     # -- beliefs of the episode -----------------------------------------------------------------------------------
 
     def all(self, name: str) -> Rows:
-        """Rows of a statement over the whole episode, without replaced ones."""
+        """Return the rows of a statement over the whole episode, without replaced rows."""
         if name not in self._rows:
             rows = self.query(read_statement(f"reads/world/{name}.cypher"), {})
             self._rows[name] = [row for row in rows if row.get("current", True)]
         return self._rows[name]
 
     def sightings(self, who: PersonId) -> list[Sighting]:
-        """Sightings of somebody, by frame."""
+        """Return the sightings of a person, ordered by frame."""
         if who not in self._sightings:
             frames = {moment.frame for moment in self.moments(who)}
             rows = [row for row in self.all("attributes") if row["who"] == who]
@@ -115,7 +115,7 @@ class BeliefReader(Reader):
         return self._sightings[who]
 
     def moments(self, who: PersonId) -> list[Moment]:
-        """Boxes of somebody, by frame, then the newest last."""
+        """Return the boxes of a person, ordered by frame. In a frame the newest is last."""
         return [
             Moment(row["frame"], Box(*(row["box"][key] for key in "xywh")), row["angle"], row["written"])
             for row in self.all("sighted")
@@ -123,14 +123,14 @@ class BeliefReader(Reader):
         ]
 
     def covered(self) -> list[int]:
-        """Frames of which the whole panorama was observed, ascending."""
+        """Return the frames with a panorama that was observed as a whole, ascending."""
         looks: dict[int, list[tuple[int, int]]] = {}
         for row in self.all("looks"):
             looks.setdefault(row["frame"], []).append((row["edge"], row["width"]))
         return sorted(frame for frame, crops in looks.items() if goes_round(crops))
 
     def nodes(self) -> dict[str, str]:
-        """Names of all entities, each with its node of the plan, "" for none."""
+        """Return the node of the plan for each entity by name, or "" if it has none."""
         return {row["who"]: row["node"] for row in self.all("entities")}
 
     # -- reads ----------------------------------------------------------------------------------------------------
@@ -250,7 +250,7 @@ class BeliefReader(Reader):
         return next((one for one in self.sightings(person.name) if one.frame == frame), None)
 
     def _between(self, person: Person, kind: str, what: str, before: int, after: int) -> int | None:
-        """The middle of two looks, None (and noted) where they are too far apart."""
+        """Return the middle of two looks. If they are too far apart, note this and return None."""
         if self.anywhen or after - before <= RESOLVED_FRAMES:
             return (before + after) // 2
         how = f"to {after - before} frames only, from {before:06d} to {after:06d}; {RESOLVED_FRAMES} are needed"
@@ -265,7 +265,7 @@ class BeliefReader(Reader):
 
 
 def notes_of(plan: Plan, notes: Sequence[tuple[str, str]]) -> list[str]:
-    """The notes of a reader that matter to a plan: ends of actions and returns only where it has such events."""
+    """Return the notes that concern a plan. Notes of ends and returns count only if the plan has such events."""
     events = {time.event for time in plan.times.values()}
     read = plan.answer.read
     matters: Mapping[str, bool] = {
@@ -277,13 +277,13 @@ def notes_of(plan: Plan, notes: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def goes_round(crops: Sequence[tuple[int, int]]) -> bool:
-    """Whether crops, as left columns and widths in pixels, leave out no column of the panorama."""
-    # Where each crop ends another one goes on, so that there is no last column before a gap.
+    """Return whether crops show each column of the panorama. A crop is its left column and width in pixels."""
+    # The panorama is a circle: there is no gap if another crop covers the end of each crop.
     return all(any((left + width - begin) % WIDTH < wide for begin, wide in crops) for left, width in crops)
 
 
 def _sighting(rows: Rows, frame: int) -> Sighting:
-    """Somebody at a frame, by rows of beliefs."""
+    """Return the sighting of a person at a frame, from rows of beliefs."""
     current = [row for row in rows if row["first"] <= frame <= row["last"]]
     distances = {row["number"] for row in current if row["name"] == "distance_m"}
     actions = tuple(row["value"] for row in current if row["name"] == "action")

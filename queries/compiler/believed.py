@@ -23,15 +23,16 @@ _IS: Final = "r.name = ${0}_name AND r.value = ${0}_value"
 def find_believed(plan: Plan) -> Find:
     """Compile a plan to a Cypher statement over one episode's beliefs that finds the people of its nodes.
 
-    Its parameters are the values of `Find.row` and the episode's `hash`. It gives columns who0, who1, ..., every
-    binding once, in any order. Raises PlanError where the plan is invalid or not of stated times.
+    The parameters of the statement are the values of `Find.row` and the episode's `hash`. It returns the columns who0,
+    who1, ..., with each binding once, in any order. Raises PlanError if the plan is invalid or has other than stated
+    times.
     """
     validate(plan)
     return _Pattern(plan).compiled()
 
 
 class _Pattern:
-    """Builds the statement, a person at a time, in the order in which edges reach them."""
+    """Builder of the statement. It adds the people in the order in which edges reach them."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -59,7 +60,7 @@ class _Pattern:
         return Find("\n".join(lines), tuple(self.nodes), self.row)
 
     def _kind(self, node: str) -> str:
-        """The test that a thing is of its kind, and that nobody is of the kind of one of the plan's things."""
+        """Return the test that a thing has its kind, or that a person has no kind of a thing of the plan."""
         things, own = self.plan.things, self.nodes[node]
         if not things:
             return ""
@@ -67,7 +68,7 @@ class _Pattern:
         return f" AND {own}.kind = ${own}_kind" if node in things else f" AND NOT {own}.kind IN $kinds"
 
     def _parts(self, node: str, edges: Edges) -> Iterator[str]:
-        """What must be believed of a node and of the edges to those before; the first part introduces its variable."""
+        """Yield the clauses of a node and of its edges to earlier nodes. The first clause introduces the variable."""
         own = self.nodes[node]
         for place, (i, edge) in enumerate(edges):
             yield self._edge(f"e{i}", edge, new="" if place else node)

@@ -332,7 +332,7 @@ def compile_count(relation: str) -> str:
 
 
 def events_of(plan: Plan) -> list[str]:
-    """Return the names of the events of a plan. An event comes after the times that it follows.
+    """Return the names of the events of a plan. An event comes later in the list than the time that it follows.
 
     Args:
         plan: Plan.

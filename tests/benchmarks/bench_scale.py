@@ -11,6 +11,7 @@ images; and what scoring and reporting cost, of 25 made-up runs. Synthetic, all 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import os
@@ -20,11 +21,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import many_runs
-import pyarrow as pa
+import msgspec
 import pyarrow.parquet as pq
 
 FRAMES, PEOPLE, SEQUENCES = 300, 20, 2
@@ -98,45 +100,45 @@ def measure(folder, count, workers):
 
 
 def found_in(folder, workers):
-    """A file with the candidates of a small store."""
-    from jrdb_avr.engine.generate.run import SearchJob, search_sequence
+    """What the searches of a small store find."""
+    from jrdb_avr.engine.generate.run import search_sequence
     from jrdb_avr.engine.generate.stored_layer import ensure_layer
+    from jrdb_avr.queries.graph.handle import hold_graph
     from jrdb_avr.queries.store import Store
     from jrdb_avr.schema.rules import Rules
 
     write(folder / "root", SEQUENCES, workers)
     load(folder / "root", folder / "store", workers)
-    lows = ensure_layer(Store(folder / "store"), Rules(), workers)
-    jobs = [SearchJob(folder / "store", name, low, Rules()) for name, low in lows.items()]
-    pq.write_table(pa.concat_tables(search_sequence(job).pool for job in jobs), folder / "pool.parquet")
-    return folder / "pool.parquet"
+    store = Store(folder / "store")
+    jobs = ensure_layer(store, Rules(), workers)
+    with hold_graph(store.graph_path, 1):
+        return [search_sequence(job) for job in jobs]
 
 
 def select_copies(found, copies):
     """Select among the same candidates many times, as of sequences of other names."""
-    from jrdb_avr.engine.generate.run import SELECTED_BY
+    from jrdb_avr.engine.generate.asked import Candidate
+    from jrdb_avr.engine.generate.guessers import LabelCounts
     from jrdb_avr.engine.generate.selection import select
     from jrdb_avr.schema.rules import Rules
 
-    pool, parts = pq.read_table(found).select(SELECTED_BY), []
-    pool = pool.append_column("row", pa.array(range(len(pool)), pa.int64()))
-    for number in range(copies):
-        columns = {name: [f"{number} {text}" for text in pool[name].to_pylist()] for name in ("sequence", "key")}
-        part = pool
-        for name, texts in columns.items():
-            part = part.set_column(part.column_names.index(name), part.schema.field(name), [texts])
-        parts.append(part)
-    select(pa.concat_tables(parts), Rules(), "all", 0)
+    pool, counts = defaultdict(list), {}
+    for copy, sequence in itertools.product(range(copies), found):
+        name = f"{copy} {sequence.head['sequence']}"
+        counts |= {(name, frame): actions for frame, actions in sequence.counts.items()}
+        for row in msgspec.msgpack.decode(sequence.pool, type=list[Candidate]):
+            contexts = tuple((text.replace(row.sequence, name), weight) for text, weight in row.contexts)
+            pool[row.template].append(row._replace(sequence=name, key=f"{copy} {row.key}", contexts=contexts))
+    select(pool, LabelCounts(counts), Rules(), "all", None)
 
 
 def measure_selection(folder, workers):
     """Cost of selection among 50 and 200 times the candidates of the small store."""
     found = found_in(folder, workers)
-    rows = pq.read_metadata(found).num_rows
-    costs = {copies: in_new_process(select_copies, found, copies) for copies in (50, 200)}
-    print("\nselection:")
-    for copies, row in costs.items():
-        print(f"{rows * copies:9,} candidates {row['cpu']:8.1f} cpu s {row['leads']:8.0f} MB")
+    print("\nselection:", flush=True)
+    for copies in (50, 200):
+        row = in_new_process(select_copies, found, copies)
+        print(f"{copies:5} copies {row['cpu']:8.1f} cpu s {row['leads']:8.0f} MB", flush=True)
 
 
 def command(*arguments):

@@ -68,6 +68,7 @@ def test_each_proof_names_the_statements_that_decide_it(sample_benchmark, asked)
         assert {"condition"} < kinds <= {"people", "condition", "relation"}
         assert used["evidence clear views"] == {"seen"}
         assert not used["view.single any angle"] and not used["rederive annotations"]
+        assert "time.drop all keyframes" not in used or used["time.drop all keyframes"]
         # A proof that leaves a condition out uses only the other conditions.
         for name, statements in used.items():
             if name.startswith("anchor without"):
