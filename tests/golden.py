@@ -19,7 +19,8 @@ number and its columns in grey, so that a request's pictures can be reduced to (
 
 `python tests/golden.py replies PICTURES` records the replies again, if prompts change on purpose. The replies come from
 the simulated model that reads marks. PICTURES is the folder `images/image_stitched` that commit a85789c writes with
-`jrdb-avr sample ROOT --sequences 1 --frames 450 --people 18`.
+`jrdb-avr sample ROOT --sequences 1 --frames 450 --people 18`. If question ids change, `golden_monolithic-*.jsonl` are
+made from a store of that ROOT by the evaluation at the start of `docs/tour.md` and `export --jsonl`.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ REAL = Path(os.environ.get("JRDB_REAL", HERE.parents[1] / "shared" / "jrdb-real"
 QUESTIONS = "question_id, sequence, family, template, question, choices, answer_mode"
 ANSWERS = (
     "question_id, answer, target_track, plan, proofs, rules, hops, time_gap_s, separation_deg, "
-    "people_in_scene, bindings, needed"
+    "people_in_scene, bindings, needed, twin_id"
 )
 EVIDENCE = "sequence, track, frame, x, y, w, h"
 REFUSED = "sequence, family, template, rule, candidates"
