@@ -152,7 +152,8 @@ class Facts:
         groups: dict[tuple[int, Any], _Marks] = defaultdict(dict)
         for row in rows:
             _mark(groups[row["frame"], row["value"]], row["who"], row["certain"])
-            self._grouped[row["frame"]].add(row["who"])
+            if row["certain"]:
+                self._grouped[row["frame"]].add(row["who"])
         for (frame, _), marks in groups.items():
             for (track, certain), (other, also) in permutations(marks.items(), 2):
                 _mark(self._pairs[frame][track][SAME_GROUP], other, certain and also)

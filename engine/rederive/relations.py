@@ -169,7 +169,7 @@ class SocialFacts(ActionFacts):
         shared = first.keys() & second.keys()
         if shared:
             return TRUE if any(first[cluster] and second[cluster] for cluster in shared) else UNKNOWN
-        return FALSE if first and second else UNKNOWN
+        return FALSE if any(first.values()) and any(second.values()) else UNKNOWN
 
     def _memberships(self, track: int, frame: int) -> dict[int, bool]:
         """Return the groups that a person is or could be in, and whether certainly."""

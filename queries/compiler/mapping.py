@@ -134,7 +134,7 @@ _GROUPED: Final = in_rows(
     then=in_rows("(g)<-[o:MemberOf]-({m})", may="MayBelong", span="o"),
 )
 _MEMBER: Final = (
-    "EXISTS {{ MATCH ({n})-[r:MemberOf|MayBelong]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} }}"
+    "EXISTS {{ MATCH ({n})-[r:MemberOf]->(:SocialGroup) WHERE r.first <= {t} AND r.last >= {t} AND r.certain }}"
 )
 _THING_SEEN: Final = ("({m})-[{z}:SeenIn]->(:Frame)", BOXED.replace("{s}", "{z}"))
 _SOCIAL: Final = unless_both_listed(

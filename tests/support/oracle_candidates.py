@@ -229,7 +229,7 @@ class People(Oracle):
     def tells(self, frame, track, label):
         """Whether all of a person's relations of this kind are known."""
         if label == GROUP:
-            return bool(self.groups_of(frame, track))
+            return YES in self.groups_of(frame, track).values()
         column = "interactions_listed" if label in TOGETHER else "located" if label in PLACES else None
         return column is None or self.sights[frame, track][column]
 
