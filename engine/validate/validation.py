@@ -9,7 +9,7 @@ from typing import Any, Final
 from jrdb_avr.queries.display import Displayed, Tables
 
 CHECKS: Final = {
-    "files": "columns and metadata are right; public files have no private columns",
+    "files": "columns, metadata and frame rates are right; public files have no private columns",
     "ids": "each question is once in each file; its id is the hash of its public columns",
     "choices": "a choice question has four choices in the order of a hash, and no two may be called the same; "
     "other questions have none",
