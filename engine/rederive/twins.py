@@ -10,7 +10,7 @@ from jrdb_avr.schema.rules import Rules, frames
 from jrdb_avr.schema.wording.text import stated_frames
 
 
-def find_difference(first: QuestionRecord, second: QuestionRecord, rules: Rules) -> str | None:
+def compare_twins(first: QuestionRecord, second: QuestionRecord, rules: Rules) -> str | None:
     """Find out why two questions are no time twins.
 
     Both have equal choices and one true choice. So each answer is false in the other question if the answers differ.

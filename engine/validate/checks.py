@@ -22,7 +22,7 @@ from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
-from jrdb_avr.engine.rederive.twins import find_difference
+from jrdb_avr.engine.rederive.twins import compare_twins
 from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.display import Progress, step_counter
@@ -336,7 +336,7 @@ def _check_twins(report: Validation, records: Sequence[QuestionRecord], rules: R
             key = min(keys[name] for name in names)
             keys |= dict.fromkeys(names, key)
             report.check("twins", twin == f"{hash_of(key):016x}", f"{named} have another twin_id")
-            fault = find_difference(group[0], group[1], rules)
+            fault = compare_twins(group[0], group[1], rules)
             report.check("twins", fault is None, f"{named} {fault}")
     return keys
 

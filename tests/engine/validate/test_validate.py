@@ -12,7 +12,7 @@ from processes import run
 from question_files import keep_only, rewrite
 
 from jrdb_avr.engine.rederive.labels import Annotations
-from jrdb_avr.engine.rederive.twins import find_difference
+from jrdb_avr.engine.rederive.twins import compare_twins
 from jrdb_avr.engine.validate.checks import read_records, validate
 from jrdb_avr.engine.validate.validation import CHECKS
 from jrdb_avr.queries.store import Store
@@ -247,7 +247,7 @@ def test_time_twins_differ_in_one_time_and_in_their_answers_alone(twin_benchmark
     assert report.sound and report.checked["twins"] > 20, report.faults
     records = [record for record in read_records(twin_benchmark, report) if record.twin_id]
     first, second = sorted(records, key=lambda record: record.twin_id)[:2]
-    assert find_difference(first, second, RULES) is None
+    assert compare_twins(first, second, RULES) is None
     plan = parse_plan(second.plan)
     described = canonical(replace(plan, times=plan.times | {"t0": Time(frame=0)}))
     for spoiled, reason in (
@@ -256,8 +256,8 @@ def test_time_twins_differ_in_one_time_and_in_their_answers_alone(twin_benchmark
         ({"plan": first.plan}, "do not differ in exactly one time asked, by more than near-duplicates"),
         ({"answer": first.answer}, "have the same answer"),
     ):
-        assert find_difference(first, replace(second, **spoiled), RULES) == reason
-    assert find_difference(first, second, Rules(near_duplicate_s=99, near_presence_s=99)).startswith("do not differ")
+        assert compare_twins(first, replace(second, **spoiled), RULES) == reason
+    assert compare_twins(first, second, Rules(near_duplicate_s=99, near_presence_s=99)).startswith("do not differ")
 
 
 def test_a_private_column_in_a_public_file_is_found(few):
