@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import random
 import shutil
 import signal
 import tempfile
@@ -92,6 +93,28 @@ def sample_benchmark(once):
     from jrdb_avr.queries.store import Store
 
     return Store(once("benchmark", make_benchmark) / "store")
+
+
+@pytest.fixture(scope="session")
+def twin_benchmark(once):
+    """A store with time twins of each template that has them, beside its root. Not to be written to."""
+    from jrdb_avr.queries.store import Store
+
+    return Store(once("twins", make_twins) / "store")
+
+
+def make_twins(folder):
+    from keyframe_layers import layers_in_memory
+    from loaded_stores import graphless_store
+    from random_worlds import sociable_world, with_chorus
+
+    from jrdb_avr.engine.generate.run import generate
+
+    rng, worlds = random.Random(2), {}
+    for number in range(2):
+        worlds |= with_chorus(sociable_world)(rng, f"yard-2020-01-0{number + 1}_0")
+    with layers_in_memory():
+        generate(graphless_store(folder, worlds), profile="paper", workers=1)
 
 
 def make_benchmark(folder):

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 def command(store: Store, replay: bool, overrides: list[tuple[str, str]], form: RowFormat) -> None:
     """Check the questions of a store, and derive all answers and proofs again with a second program.
 
-    The command checks files, ids, choices, answers, texts and evidence. The second program reads only the annotation
-    tables, and shares no code with 'generate'. With --replay, Cypher statements on the graph repeat all proofs of the
-    stored plans too. Then each plan runs as one Cypher query, which must find the stored people and the stored answer.
-    Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
+    The command checks files, ids, choices, answers, texts, evidence and time twins. The second program reads only the
+    annotation tables, and shares no code with 'generate'. With --replay, Cypher statements on the graph repeat all
+    proofs of the stored plans too. Then each plan runs as one Cypher query, which must find the stored people and the
+    stored answer. Each difference is printed with its question and proof. The exit code is 1 if there is a fault.
     """
     from jrdb_avr.engine.validate.checks import validate
     from jrdb_avr.schema.rules import Rules, override

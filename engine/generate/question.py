@@ -134,10 +134,9 @@ def _make_record(proposal: Proposal, question: Question, proofs: list[Proof]) ->
     turns = [angle_error(layer.boxes[box.track, box.frame]["angle"], angle) for box in needed if box.decisive]
     public: dict[str, Any] = {"sequence": proposal.sequence, "family": template.family, "template": template.name}
     about, in_view = layer.head["action_step"] == KEYFRAME_STEP, layer.facts.judges_views
-    public["question"] = render(template.name, plan, proposal.key, about, in_view)
-    answer, labels = proposal.answer, question.choices if question.wrong else ()
-    if labels:
-        answer = encode_answer(Choice(labels.index(proposal.answer) + 1))
+    public["question"] = render(template.name, plan, (question.twin or proposal.key)[:64], about, in_view)
+    labels = question.choices if question.wrong else ()
+    answer = encode_answer(Choice(labels.index(proposal.answer) + 1)) if labels else proposal.answer
     public |= {"choices": tuple(map(choice_text, labels)), "answer_mode": plan.answer.mode}
     return QuestionRecord(
         question_id=question_id(**public),

@@ -21,6 +21,7 @@ from jrdb_avr.engine.pages.view_question import question_page
 from jrdb_avr.engine.report.comparison import Comparison
 from jrdb_avr.engine.report.run_scores import predictions_path
 from jrdb_avr.engine.report.scored_runs import SCORES, distinguishing_settings
+from jrdb_avr.engine.report.time_grounding import find_pairs
 from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences
 from jrdb_avr.queries.runs import RunManifest, questions_hash, read_run_manifest, run_ids
@@ -222,14 +223,12 @@ class Viewer:
 
         The twin's answer comes first, then the question's.
         """
-        pairs: dict[str, list[StoredRow]] = {}
-        for row in self.store.questions("answers", ["question_id", "answer", "twin_id"]).to_pylist():
-            if row["twin_id"] is not None:
-                pairs.setdefault(row["twin_id"], []).append(row)
+        answers = self.store.questions("answers", ["question_id", "answer", "twin_id"])
+        rows, pairs = answers.to_pylist(), find_pairs(answers["twin_id"].to_pylist()).tolist()
         return {
             first["question_id"]: (self._by_id[second["question_id"]], second["answer"], first["answer"])
-            for pair in pairs.values()
-            for first, second in permutations(pair, 2)
+            for pair in pairs
+            for first, second in permutations((rows[position] for position in pair), 2)
         }
 
     def answer_of(self, run: ViewedRun, question: QuestionRow) -> str:

@@ -7,7 +7,8 @@ question is published only if both programs agree.
 Each module adds facts to the module before it: `people` (boxes), `actions` (actions of a person), `relations`
 (relations to people and things, and positions), `labels` (conditions and relations as three-valued facts). Then `plan`
 finds the people of a plan, and `reads` reads the answer: `read_<read>` for each read of `schema.plan`. `choices` judges
-the choices of questions about actions. `perturbations` evaluates every proof of the plan in the same way.
+the choices of questions about actions, and `twins` pairs of questions. `perturbations` evaluates every proof of the
+plan in the same way.
 """
 
 from __future__ import annotations

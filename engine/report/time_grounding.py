@@ -6,6 +6,7 @@ has at most one of the two right. As the pairs are few, methods are never ranked
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Final
@@ -16,6 +17,7 @@ from jrdb_avr.engine.report.bootstrap import intervals, mean_ratio, numbered_sum
 from jrdb_avr.engine.report.scored_runs import QuestionIndex, ScoredRun, percent_of
 from jrdb_avr.engine.report.tables import Line, interval_label, run_names, with_bounds
 from jrdb_avr.schema.arrays import Ints
+from jrdb_avr.schema.errors import AvrWarning
 
 _DIFFERENT: Final = {"presence": 1 / 4}
 """Share of pairs that a guesser of two different answers has right, by template. In presence the twins share a time, so
@@ -35,16 +37,29 @@ def twin_rows(index: QuestionIndex, runs: Sequence[ScoredRun]) -> list[Line]:
         addition, each with an interval over sequences. `single` is the share of right answers to the same questions.
         The list is empty if no run has a pair.
     """
-    rows = [_row(index, run, pairs) for run in runs if len(pairs := _pairs(index, run.rows))]
-    return rows and rows + _guessers(index)
+    pairs, rows = find_pairs(index.twins), []
+    for run in runs:
+        complete = pairs[np.isin(pairs, run.rows).all(axis=1)]
+        rows += [_row(index, run, np.searchsorted(run.rows, complete))] if len(complete) else []
+    return rows and rows + _guessers(index, pairs)
 
 
-def _pairs(index: QuestionIndex, rows: Ints) -> Ints:
-    """Return the positions in `rows` of the two questions of each pair. Shape: (pairs, 2)."""
+def find_pairs(twin_ids: Sequence[str | None]) -> Ints:
+    """Find the pairs of time twins among questions. An AvrWarning names the ids that are not on exactly two questions.
+
+    Args:
+        twin_ids: The `twin_id` of each question of a store.
+
+    Returns:
+        The positions of the two questions of each pair. Shape: (pairs, 2).
+    """
     by_twin: dict[str, list[int]] = defaultdict(list)
-    for position, row in enumerate(rows.tolist()):
-        if (twin := index.twins[row]) is not None:
+    for position, twin in enumerate(twin_ids):
+        if twin is not None:
             by_twin[twin].append(position)
+    if strays := sorted(twin for twin, positions in by_twin.items() if len(positions) != 2):
+        line = f"twin_id {', '.join(strays[:3])}: not on exactly two questions, so left out ({len(strays)} in all)"
+        warnings.warn(f"{line}: run 'jrdb-avr validate'", AvrWarning, stacklevel=2)
     return np.array([pair for pair in by_twin.values() if len(pair) == 2], np.int64).reshape(-1, 2)
 
 
@@ -59,10 +74,9 @@ def _row(index: QuestionIndex, run: ScoredRun, pairs: Ints) -> Line:
     return row | {"sequences": len(sequences), "interval": interval_label(len(sequences))}
 
 
-def _guessers(index: QuestionIndex) -> list[Line]:
+def _guessers(index: QuestionIndex, pairs: Ints) -> list[Line]:
     """Return the row of each guesser over all pairs of the store."""
-    pairs, template = _pairs(index, np.arange(len(index.twins))), index.labels["template"]
-    n = len(pairs)
+    n, template = len(pairs), index.labels["template"]
     different = sum(_DIFFERENT.get(template.names[code], 1 / 12) for code in template.numbers[pairs[:, 0]].tolist())
     # The names have spaces, so that no run id is equal to one of them.
     shares = {"uniform answers": (n / 16, 25.0), "two answers": (different, 25.0), "time ignored": (0, 50.0)}

@@ -6,10 +6,10 @@ request, statements over the graph repeat the proofs too (`replay`).
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,9 +18,11 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jrdb_avr.engine.generate.near_duplicates import near_frames
+from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
+from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.rederive import Annotations, Outcome, prove_again, rederive
+from jrdb_avr.engine.rederive.twins import compare_twins
 from jrdb_avr.engine.validate.replay import compare_record, read_plans, replay, run_compiled
 from jrdb_avr.engine.validate.validation import Validation
 from jrdb_avr.queries.display import Progress, step_counter
@@ -29,17 +31,16 @@ from jrdb_avr.schema.answer_modes import MODES, decode_answer, frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.choice_labels import CHOICE_COUNT
 from jrdb_avr.schema.errors import AvrError, DecodeError, StoreError
+from jrdb_avr.schema.labels import answer_of_choice
 from jrdb_avr.schema.panorama import Box, angle_error
 from jrdb_avr.schema.plan import Plan, canonical, parse_plan
 from jrdb_avr.schema.questions import DISJOINT_KEY, PROFILE_KEY, QuestionRecord
-from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash, training_rules
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, Rules, rules_hash, training_rules
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
 from jrdb_avr.schema.templates import forms_of
 from jrdb_avr.schema.wording.text import parse, question_id, question_key, render
 
 _FILES: Final = ("questions", "sequences", "answers", "evidence", "rejected")
-_STATED_TIME: Final = re.compile(r"(\S+) s \(frame (\d+)\)")
-"""Pattern of a time in the text of a question: its seconds and its frame."""
 
 
 def validate(
@@ -85,13 +86,14 @@ def validate(
     boxes = _read_evidence(tables["evidence"])
     stray = sorted(boxes.keys() - {(record.sequence, record.target_track) for record in records})
     report.check("evidence", not stray, f"boxes of {stray[:3]}, but no question asks about these people")
+    keys = _check_twins(report, records, rules)
     for sequence in sorted({record.sequence for record in records}):
         if not report.check("files", sequence in infos, f"sequences.parquet lacks {sequence}"):
             continue
         annotations = Annotations.read(store, sequence, rules)
         _check_sequence(report, infos[sequence], annotations)
         for record in (record for record in records if record.sequence == sequence):
-            check = _QuestionCheck(report, record, infos[sequence], annotations, rules)
+            check = _QuestionCheck(report, record, infos[sequence], annotations, rules, keys[record.question_id])
             check.run(boxes[sequence, record.target_track])
             advance(1)
     _check_selection(report, records, rules)
@@ -160,11 +162,8 @@ def _read(store: Store, table_name: str, report: Validation, training: bool) -> 
     if not path.exists():
         raise StoreError(f"{path} is missing: run 'jrdb-avr generate --store {store.path}'")
     name, table = path.relative_to(store.path / "questions"), read_table(path)
-    same = report.check(
-        "files",
-        table.schema.remove_metadata().equals(schema),
-        f"{name} has the columns {_list_columns(table.schema)}; expected {_list_columns(schema)}",
-    )
+    columns, same = _list_columns(table.schema), table.schema.remove_metadata().equals(schema)
+    report.check("files", same, f"{name} has the columns {columns}; expected {_list_columns(schema)}")
     metadata = {key: value for key, value in (pq.read_metadata(path).metadata or {}).items() if key != b"ARROW:schema"}
     keys = {GENERATION_KEY, PROFILE_KEY, DISJOINT_KEY} if training else {GENERATION_KEY, "canary"}
     report.check(
@@ -200,11 +199,8 @@ def _check_ids(report: Validation, tables: Mapping[str, pa.Table]) -> None:
         report.check("ids", question_id(**row) == name, f"{name}: the hash of the public columns differs")
     questions, answers = (Counter(tables[name]["question_id"].to_pylist()) for name in ("questions", "answers"))
     for name in sorted(questions | answers):
-        report.check(
-            "ids",
-            questions[name] == answers[name] == 1,
-            f"{name}: {questions[name]} times in questions, {answers[name]} times in answers",
-        )
+        counts = questions[name], answers[name]
+        report.check("ids", counts == (1, 1), f"{name}: {counts[0]} times in questions, {counts[1]} times in answers")
 
 
 def _check_sequence(report: Validation, info: dict[str, Any], annotations: Annotations) -> None:
@@ -213,6 +209,7 @@ def _check_sequence(report: Validation, info: dict[str, Any], annotations: Annot
     report.check("files", frames == sorted(images), f"sequences.parquet: not the annotated frames of {name}")
     inside = bool(frames) and frames[-1] < info["frame_count"]
     report.check("files", inside, f"sequences.parquet: {name} has frames beyond its frame_count")
+    report.check("files", info["fps"] == FPS, f"sequences.parquet: {name} has {info['fps']} frames per second")
 
 
 # -- one question -----------------------------------------------------------------------------------------------------
@@ -220,13 +217,17 @@ def _check_sequence(report: Validation, info: dict[str, Any], annotations: Annot
 
 @dataclass(frozen=True)
 class _QuestionCheck:
-    """The checks of one question. `info` is the row of its sequence in `sequences`."""
+    """The checks of one question.
+
+    `info` is the row of its sequence in `sequences`. `key` chooses the paraphrase and the order of the choices.
+    """
 
     report: Validation
     record: QuestionRecord
     info: Mapping[str, Any]
     annotations: Annotations
     rules: Rules
+    key: str
 
     def check(self, name: str, holds: bool, fault: str) -> None:
         self.report.check(name, holds, f"{self.record.question_id}: {fault}")
@@ -250,6 +251,8 @@ class _QuestionCheck:
         self.check("plans", canonical(plan) == record.plan, "the plan is not in its canonical form")
         self.check("plans", plan.answer.mode == mode, f"the answer of the plan has the mode {plan.answer.mode}")
         self.check("plans", family == record.family, f"template {record.template!r} belongs to the family {family!r}")
+        labels = tuple(map(answer_of_choice, record.choices))
+        self.check("choices", in_hash_order(labels, self.key) == labels, "the choices are in another order")
         self._check_text(plan)
         self._check_proofs(plan)
         outcome = rederive(self.annotations, plan, record.template, self.rules, record.choices)
@@ -280,19 +283,15 @@ class _QuestionCheck:
 
     def _check_text(self, plan: Plan) -> None:
         record = self.record
-        key = question_key(record.sequence, record.target_track, plan)
         at_keyframes = self.annotations.step == KEYFRAME_STEP and "actions" in self.annotations.layers
         try:
-            written = render(record.template, plan, key, at_keyframes, self.annotations.judges_views)
+            written = render(record.template, plan, self.key[:64], at_keyframes, self.annotations.judges_views)
             template, stated = parse(record.question)
         except AvrError as error:
             self.check("text", False, str(error))
             return
         self.check("text", written == record.question, f"the text of the plan is {written!r}")
         self.check("text", (template, canonical(stated)) == (record.template, record.plan), "the text has another plan")
-        times = _STATED_TIME.findall(record.question)
-        fitting = all(seconds == f"{int(frame) / self.info['fps']:.1f}" for seconds, frame in times)
-        self.check("text", bool(times) and fitting, "stated seconds are not frame / fps")
 
     def _check_proofs(self, plan: Plan) -> None:
         record = self.record
@@ -314,6 +313,34 @@ def _is_inside(answer: Answer, choices: int, frame_count: int) -> bool:
 # -- all questions together -------------------------------------------------------------------------------------------
 
 
+def _parse_plans(records: Sequence[QuestionRecord]) -> Iterator[tuple[QuestionRecord, Plan]]:
+    """Yield each question with its plan, if the plan is valid. The check "plans" reports the other plans."""
+    for record in records:
+        with contextlib.suppress(AvrError):
+            yield record, parse_plan(record.plan)
+
+
+def _check_twins(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> dict[str, str]:
+    """Check the pairs of time twins. Return the key of each question, which twins share, by the question's id."""
+    keys: dict[str, str] = defaultdict(str)
+    groups: dict[str, list[QuestionRecord]] = defaultdict(list)
+    for record, plan in _parse_plans(records):
+        answer = f" {record.answer_text}" if plan.answer.read in ("action", "next_action") else ""
+        keys[record.question_id] = question_key(record.sequence, record.target_track, plan) + answer
+        if record.twin_id is not None:
+            groups[record.twin_id].append(record)
+    for twin, group in groups.items():
+        names = [record.question_id for record in group]
+        named = f"{twin}: {', '.join(names)}"
+        if report.check("twins", len(group) == 2, f"{named}: a twin_id is not on exactly two questions"):
+            key = min(keys[name] for name in names)
+            keys |= dict.fromkeys(names, key)
+            report.check("twins", twin == f"{hash_of(key):016x}", f"{named} have another twin_id")
+            fault = compare_twins(group[0], group[1], rules)
+            report.check("twins", fault is None, f"{named} {fault}")
+    return keys
+
+
 def _check_selection(report: Validation, records: Sequence[QuestionRecord], rules: Rules) -> None:
     persons: Counter[tuple[str, int, str]] = Counter()
     for record in records:
@@ -328,15 +355,10 @@ def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: R
     """Check for near-duplicates: questions about the same start, and questions of one template with near times."""
     starts: dict[tuple[str, int, str | None, int], list[str]] = defaultdict(list)
     reads: dict[tuple[str, int, str], list[tuple[str, tuple[int, ...]]]] = defaultdict(list)
-    for record in records:
-        try:
-            plan = parse_plan(record.plan)
-        except AvrError:
-            continue  # Because the check "plans" reports it.
+    for record, plan in _parse_plans(records):
         times = [plan.times[name] for name in plan.answer.times]
         if frames := frames_of_answer(decode_answer(record.answer_mode, record.answer)):
-            start = record.sequence, record.target_track, times[0].action, frames[0]
-            starts[start].append(record.question_id)
+            starts[record.sequence, record.target_track, times[0].action, frames[0]].append(record.question_id)
         stated = tuple(time.frame for time in times if time.frame is not None)
         if len(stated) == len(times):
             reads[record.sequence, record.target_track, record.template].append((record.question_id, stated))
@@ -344,6 +366,6 @@ def _check_alike(report: Validation, records: Sequence[QuestionRecord], rules: R
         report.check("selection", len(names) == 1, f"{', '.join(names)} are about one start")
     for (_, _, template), questions in reads.items():
         near = near_frames(template, rules)
-        for (first, frames_of_first), (second, frames_of_second) in itertools.combinations(questions, 2):
-            far = any(abs(a - b) > near for a, b in zip(frames_of_first, frames_of_second, strict=False))
+        for (first, asked), (second, asked_too) in itertools.combinations(questions, 2):
+            far = not are_near(asked, asked_too, near)
             report.check("selection", far, f"{first} and {second} read at nearly the same times")

@@ -33,10 +33,11 @@ from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.errors import AvrError, PlanError
-from jrdb_avr.schema.plan import Plan, canonical, parse_plan
+from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.questions import Proof, QuestionRecord
 from jrdb_avr.schema.rules import Rules
-from jrdb_avr.schema.templates import Template, forms_of
+from jrdb_avr.schema.templates import Template
+from jrdb_avr.schema.wording.text import form_of
 
 _TOLERANCE: Final = 1e-9
 """Maximum difference of two equal numbers, in seconds or degrees."""
@@ -128,22 +129,14 @@ def read_plans(records: Iterable[QuestionRecord]) -> tuple[list[StoredPlan], lis
         try:
             plan = parse_plan(record.plan)
             compile_find(plan)
-            plans.append(StoredPlan(record, plan, _find_form(record.template, plan)))
+            form, slots = form_of(record.template, plan)
+            # Programs read all conditions at one time.
+            if any(condition.at not in (None, form.described) for condition in slots.conditions):
+                raise PlanError("nodes[0].conditions", f"must hold at {form.described!r}")
+            plans.append(StoredPlan(record, plan, form))
         except AvrError as error:
             unreadable.append(f"{record.question_id}: plan: {error}")
     return plans, unreadable
-
-
-def _find_form(name: str, plan: Plan) -> Template:
-    """Return the form of a template that a plan has. Raise PlanError if the template has no such form."""
-    for template in forms_of(name):
-        slots = template.slots(plan)
-        if slots is None or canonical(template.build(slots)) != canonical(plan):
-            continue
-        # Programs read all conditions at one time.
-        if all(condition.at in (None, template.described) for condition in slots.conditions):
-            return template
-    raise PlanError("plan", f"the template {name!r} has no such plan")
 
 
 # -- proofs -----------------------------------------------------------------------------------------------------------
@@ -260,13 +253,11 @@ def run_compiled(
     with Graph.open(store.graph_path, read_only=True) as graph:
         queries = [PlanQuery(stored.plan, stored.record.sequence, stored.record.choices) for stored in plans]
         solutions = solve(SceneReader(graph, rules.load), queries, rules, advance)
-    differences = []
+    differences: list[str] = []
     for (record, plan, _), solution in zip(plans, solutions, strict=True):
-        if solution.outcome != "defined":
-            stored = _shorten(record.answer_text)
-            differences.append(f"{record.question_id}: compiled: stored {stored}, now {solution.outcome}")
-            continue
-        bindings = dict(solution.people) | dict(solution.times)
-        again = {"answer": solution.answer, "target_track": solution.people[plan.target], "bindings": bindings}
+        again: dict[str, Any] = {"answer": solution.outcome}
+        if solution.outcome == "defined":
+            bindings = dict(solution.people) | dict(solution.times)
+            again = {"answer": solution.answer, "target_track": solution.people[plan.target], "bindings": bindings}
         differences += compare_record(record, again)
     return differences

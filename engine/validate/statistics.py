@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -84,6 +85,7 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
     texts = question_texts(questions, answers)
     measured = [_measured(QuestionRecord.read(*row), text) for row, text in zip(rows, texts, strict=True)]
     layers = {name: entry.layers for name, entry in store.manifest().sequences.items()}
+    present = Counter(name for own_layers in layers.values() for name in own_layers)
     counted = tallies(rejected, questions, layers)
     evidence = store.visibility()
     visibility = pa.array([evidence.get(name) for name in layers], pa.string())
@@ -95,14 +97,7 @@ def statistics(store: Store, blind_from: Store | None = None) -> dict[str, list[
     }
     derived = {
         "shortfall": [{name: row[name] for name in _SHORTFALL} for row in counted],
-        "layer": [
-            {
-                "layer": name,
-                "sequences_with": sum(name in present for present in layers.values()),
-                "sequences": len(layers),
-            }
-            for name in LAYERS
-        ],
+        "layer": [{"layer": name, "sequences_with": present[name], "sequences": len(layers)} for name in LAYERS],
         "blind": check_store(store, texts, blind_from),
     }
     with open_tables(store.path, tables) as select:

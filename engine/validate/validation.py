@@ -9,16 +9,18 @@ from typing import Any, Final
 from jrdb_avr.queries.display import Displayed, Tables
 
 CHECKS: Final = {
-    "files": "columns and metadata are right; public files have no private columns",
+    "files": "columns, metadata and frame rates are right; public files have no private columns",
     "ids": "each question is once in each file; its id is the hash of its public columns",
-    "choices": "a choice question has four choices, and no two may be called the same; other questions have none",
+    "choices": "a choice question has four choices in the order of a hash, and no two may be called the same; "
+    "other questions have none",
     "answers": "the stored answer is readable and inside the sequence",
     "plans": "the plan is valid and fits the template of the question",
-    "text": "the text states the plan and nothing else; stated seconds are frame / fps",
+    "text": "the text states the plan and nothing else",
     "evidence": "the evidence has all boxes of the target and no other box",
     "proofs": "all required proofs hold; bindings fit",
     "rules": "generation used the same rules",
     "selection": "the number of questions per person obeys the rules; no two questions are alike",
+    "twins": "questions with one twin_id are a pair that differs in one asked time and in the answer",
     "rederive": "the second program finds the same person, answer, needed boxes, measures and proofs",
 }
 """Meanings of the checks of stored questions by name, in the order of the report."""

@@ -7,6 +7,7 @@ import shutil
 import msgspec
 import pytest
 from browser import browser, complaints, fetch, serving
+from question_files import rewrite
 from scored_runs import BOX, CASES, ELSEWHERE, stored_failures
 from traced_runs import HOSTILE, stored_run, trace_runs
 from twin_runs import twin_store
@@ -15,7 +16,7 @@ from jrdb_avr.engine.pages.view import SCORE_OUTCOMES, Viewer, address
 from jrdb_avr.engine.report.comparison import report, score
 from jrdb_avr.queries.runs import read_run_manifest, write_run_manifest
 from jrdb_avr.queries.store import Store, read_table
-from jrdb_avr.schema.errors import StoreError
+from jrdb_avr.schema.errors import AvrWarning, StoreError
 
 
 @pytest.fixture(scope="module")
@@ -192,6 +193,9 @@ def test_a_time_twin_is_shown_beside_its_question_with_the_time_that_differs(tmp
     for viewer, question in ((scored, "e"), (public, "b1"), (public, "e")):
         text = page(viewer, question)
         assert "<mark>" not in text and 'class="twins"' not in text and "win:" not in text
+    rewrite(store, "answers", lambda rows: rows[-1].update(twin_id="b"))
+    with pytest.warns(AvrWarning, match="twin_id b: not on exactly two questions"):
+        assert "<mark>" not in page(Viewer(store, None, report(store)), "b1")
 
 
 @pytest.mark.slow

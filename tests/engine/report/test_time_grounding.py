@@ -12,6 +12,7 @@ from twin_runs import QUESTIONS_ASKED, twin_store
 from jrdb_avr.engine.commands.report import report as report_command
 from jrdb_avr.engine.pages.report import report_page
 from jrdb_avr.engine.report.comparison import report
+from jrdb_avr.schema.errors import AvrWarning
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +38,12 @@ def test_a_pair_counts_only_if_both_are_right(store):
 def test_a_question_without_its_twin_is_left_out(tmp_path):
     run, *_ = report(twin_store(tmp_path, ids=["a1", "b1", "b2", "e"])).table("twins")
     assert (run["n"], run["both_answers"], run["both_combined"], run["single"]) == (1, 100.0, 0.0, 100.0)
+
+
+def test_a_twin_id_on_three_questions_is_named_and_left_out(tmp_path):
+    with pytest.warns(AvrWarning, match="twin_id d: not on exactly two questions"):
+        run, *_ = report(twin_store(tmp_path, [*QUESTIONS_ASKED, ("f", *QUESTIONS_ASKED[-2][1:])])).table("twins")
+    assert run["n"] == 3
 
 
 def test_questions_without_twins_have_no_table(tmp_path):
@@ -65,7 +72,6 @@ def test_every_form_of_the_report_has_it(store):
 
 
 def test_methods_are_not_ranked_by_it(store):
-    assert "both_answers" not in report(store).table("main")[0]
     assert set(report(store).table("main")[0]) & {"both_answers", "both_combined", "single"} == set()
 
 
