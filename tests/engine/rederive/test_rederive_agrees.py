@@ -2,7 +2,7 @@
 
 import itertools
 import random
-from collections import Counter
+from collections import Counter, defaultdict
 
 import loaded_stores
 import pytest
@@ -156,12 +156,15 @@ def compare_refused(store, sequence, most=30):
     annotations, counts = Annotations.read(store, sequence, RULES), Counter()
     with searched(store, sequence, RULES) as search:
         for template in forms_in(store, sequence):
-            prover = make_prover(search)
+            prover, refused = make_prover(search), defaultdict(list)
             for one in some_of([*proposals(search, template)], 150):
                 if choices_of(search, one) is not None:
+                    before = Counter(prover.counts)
                     prover.prove(one)
+                    for rule in prover.counts - before:
+                        refused[rule].append(one)
             for rule in ("hop.stop", "hop.skip", "time.shift", "time.drop"):
-                for one, _ in some_of(prover.examples[rule], most):
+                for one in some_of(refused[rule], most):
                     own = rederive(annotations, one.plan, template.name, RULES, choices_of(search, one))
                     again = prove_again(annotations, one.plan, template.name, RULES, own)
                     again = {(proof.kind, proof.variant): (proof.outcome, proof.answer) for proof in again}
