@@ -122,7 +122,7 @@ def stolen_and_all():
 
 
 def play(world, number, start, played):
-    question = Question(f"{number:016x}", "s", f"{number}?", ("sitting", "walking"), "multiple_choice")
+    question = Question(f"{number:016x}", "s", f"{number}?", ACTIONS, "multiple_choice")
     episode, solver = world.episode(question, lambda write: None), beliefs_of(world, question)
     plan = plan_of(number, SHAPES[number % len(SHAPES)])
     with timed("plan"):
