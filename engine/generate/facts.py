@@ -152,9 +152,8 @@ class Facts:
         groups: dict[tuple[int, Any], _Marks] = defaultdict(dict)
         for row in rows:
             _mark(groups[row["frame"], row["value"]], row["who"], row["certain"])
-            if row["certain"]:
-                self._grouped[row["frame"]].add(row["who"])
         for (frame, _), marks in groups.items():
+            self._grouped[frame] |= {who for who, certain in marks.items() if certain}
             for (track, certain), (other, also) in permutations(marks.items(), 2):
                 _mark(self._pairs[frame][track][SAME_GROUP], other, certain and also)
 
