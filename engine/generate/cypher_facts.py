@@ -26,7 +26,7 @@ from jrdb_avr.schema.rules import LoadRules
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
 
-_BY_READS: Final = ("seen", "start")
+_BY_READS: Final = ("seen", "start", "count")
 """Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
 
 
@@ -98,10 +98,6 @@ class CypherFacts:
             self._fill()
         return values
 
-    def count(self, sequence: str, relation: str, track: int, first: int, last: int) -> int | None:
-        """Return the number of people who are in a relation with a person in some frames, or None if it is unknown."""
-        return self._reader.counts([(Person(0, sequence, track), relation, first, last)]).get(0)
-
     def keyframes(self, sequence: str) -> list[int]:
         """Return the keyframes of a sequence, in order."""
         if sequence not in self._keyframes:
@@ -160,6 +156,11 @@ class CypherFacts:
         asked = [(Person(i, scope, track), action, after) for i, (_, scope, track, action, after) in enumerate(keys)]
         starts = self._reader.starts(asked)
         return [FrameViewpoint(starts[i].start, starts[i].angle) if i in starts else None for i in range(len(keys))]
+
+    def _read_count(self, keys: Sequence[Key]) -> list[int | None]:
+        asked = [(Person(i, scope, track), *about) for i, (_, scope, track, *about) in enumerate(keys)]
+        counts = self._reader.counts(asked)
+        return [counts.get(i) for i in range(len(keys))]
 
 
 def statement_of(key: Key) -> str:
