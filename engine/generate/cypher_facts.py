@@ -15,7 +15,6 @@ from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS, may_be_called
@@ -121,8 +120,7 @@ class CypherFacts:
             text, values = read_statement(f"reads/scene/{name}.cypher"), {"plans": rows}
         else:
             text, values = read_statement(f"necessity/{name}.cypher"), {"asked": rows}
-        own = {name: self._reader.values[name] for name in parameters(text) if name not in values}
-        return text, values | own
+        return text, self._reader.with_values(text, values)
 
     def _look_up(self, name: str, keys: Sequence[Key]) -> None:
         if name in _BY_READS:
@@ -186,7 +184,7 @@ def row_of(key: Key) -> dict[str, Any]:
     frame = about[-1]
     if kind in _BY_READS:
         return {"scope": scope, "who": about[0], "t": frame}
-    row: dict[str, Any] = {"at": f"{scope}/{frame:06d}", "t": frame}
+    row: dict[str, Any] = {"scope": scope, "at": f"{scope}/{frame:06d}", "t": frame}
     if kind == "match":
         return row | _condition_values(about[0])
     if kind == "labels":
