@@ -47,7 +47,7 @@ STAGES: Final = (*_ORDER, *((name,) for name in FAMILIES if name not in {*chain.
 As a person is in few questions, templates with few candidates come first. Templates without a position come last.
 """
 
-_POOL_CAPS: Final = 8
+_POOL_CAPS: Final = 4
 """Number of candidates in one sequence for each question that may be selected there."""
 
 _CHANGE_QUOTA: Final = 350
