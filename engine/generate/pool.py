@@ -10,7 +10,7 @@ from bisect import bisect_left
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from itertools import islice
+from itertools import compress, islice
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -181,10 +181,10 @@ def _fill_moments(layer: Layer, forms: Sequence[Template], prover: Prover, limit
         tried = prover.with_choices(form, sorted(moments[moment], key=partial(_rank, layer)))
         return list(islice(prover.proven(islice(tried, _TRIES)), 1))
 
-    for proposal in _stop_at(limit, _take_turns(map(prove_described, _in_order(layer, described)))):
+    for proposal in _take_turns(limit, map(prove_described, _in_order(layer, described))):
         moments.pop(_moment(form, proposal.row), None)
         yield proposal
-    yield from _stop_at(limit, map(prove_moment, _in_order(layer, moments)))
+    yield from _take_turns(limit, [map(prove_moment, _in_order(layer, moments))])
 
 
 def _moment(form: Template, row: TableRow) -> tuple[Any, ...]:
@@ -202,23 +202,15 @@ def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[list[_T]]:
     return islice(filter(None, map(list, groups)), _DESCRIPTIONS)
 
 
-def _take_turns(groups: Iterable[Iterator[_T]]) -> Iterator[_T]:
-    """Yield one item of each group in turn."""
-    queues = deque(groups)
-    while queues:
-        for item in islice(queues[0], 1):
-            yield item
-            queues.append(queues[0])
-        queues.popleft()
-
-
-def _stop_at(limit: int, groups: Iterable[Sequence[_T]]) -> Iterator[_T]:
-    """Yield whole groups until there are enough items."""
-    for group in groups:
-        yield from group
-        limit -= len(group)
-        if limit <= 0:
-            return
+def _take_turns(limit: int, queues: Iterable[Iterator[Sequence[_T]]]) -> Iterator[_T]:
+    """Yield the items of one group of each queue in turn until there are enough. Groups stay whole."""
+    waiting = deque(queues)
+    while waiting and limit > 0:
+        queue = waiting.popleft()
+        for group in islice(queue, 1):
+            yield from group
+            limit -= len(group)
+            waiting.append(queue)
 
 
 def _fill_presence(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
@@ -230,7 +222,7 @@ def _fill_presence(layer: Layer, forms: Sequence[Template], prover: Prover, limi
         ordered = sorted(described[track], key=partial(_rank, layer))
         return _take_some(_prove_pairs(layer, form, row, pairs.get(track, ()), prover) for row in ordered)
 
-    return _stop_at(limit, _take_turns(map(prove_described, _in_order(layer, described))))
+    return _take_turns(limit, map(prove_described, _in_order(layer, described)))
 
 
 def _prove_pairs(
@@ -269,13 +261,12 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
     def prove_turns() -> Iterator[list[Proposal]]:
         queues = [admitted(group) for group in _in_order(layer, groups)]
         while tried := [proposal for queue in queues for proposal in islice(queue, 1)]:
-            results = prover.prove_all(tried)
-            proven = [proposal for proposal, proofs in zip(tried, results, strict=True) if proofs is not None]
+            proven = list(compress(tried, prover.prove_all(tried)))
             for proposal in proven:
                 kept[proposal.target, proposal.answer].append(proposal.read)
             yield proven
 
-    return _stop_at(limit, prove_turns())
+    return _take_turns(limit, [prove_turns()])
 
 
 def _rank(layer: Layer, row: TableRow) -> int:

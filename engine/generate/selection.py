@@ -89,13 +89,8 @@ def pool_limits(profile: str, sequences: int) -> tuple[tuple[str, int], ...]:
         The numbers by template, none for a profile without quotas.
     """
     quotas = PROFILES[profile]
-    caps = {name: _cap_of(name, quota_of(name, quotas, {}), sequences) for name in FAMILIES if quotas}
+    caps = {name: sequence_cap(name, quota_of(name, quotas, {}), sequences) for name in FAMILIES if quotas}
     return tuple((name, _POOL_CAPS * cap) for name, cap in caps.items())
-
-
-def _cap_of(template: str, quota: int, sequences: int) -> int:
-    """Return the maximum number of questions of a template from one sequence."""
-    return sequence_cap(quota, sequences, 10 if template == "presence" else 20)
 
 
 def select(
@@ -128,7 +123,7 @@ def select(
             events = {(one.person, one.event) for one in pool.get("action_search", ())} if "start" in names else set()
             selected, shortage = list[Question](), None if quota else "the family is full"
             if candidates and quota:
-                cap = _cap_of(names[0], quota, len(counts.present))
+                cap = sequence_cap(names[0], quota, len(counts.present))
                 if forms_of(names[0])[0].answer is None:
                     selected, shortage = select_level(candidates, quota, counts, taken, cap)
                 else:

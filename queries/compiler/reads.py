@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, Literal, Protocol
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph
@@ -136,8 +137,7 @@ class Reader(Protocol):
         Raises:
             QueryError: If the statement fails or takes too long.
         """
-        values = self.with_values(cypher, params)
-        table = self.graph.query(cypher, values, ordered=ordered, timeout_s=self.timeout_s)
+        table = self.graph.query(cypher, self.with_values(cypher, params), ordered=ordered, timeout_s=self.timeout_s)
         rows: list[dict[str, Any]] = table.to_pylist()
         return rows
 
@@ -174,7 +174,8 @@ class SceneReader(Reader):
 
     def __init__(self, graph: Queryable, rules: LoadRules, timeout_s: float = _TIMEOUT_S) -> None:
         self.graph, self.timeout_s = graph, timeout_s
-        self._grids: dict[str, dict[str, int] | None] = {}
+        grid = read_statement("reads/scene/grid.cypher")
+        self._grid = cache(lambda scope: next(iter(self.query(grid, {"scopes": [scope]})), None))
         self.values = {
             "margin": rules.neighbor_margin_deg,
             "sector_true": rules.sector_true_deg + SLACK,
@@ -281,12 +282,7 @@ class SceneReader(Reader):
 
         Rows of sequences without such frames are left out.
         """
-        rows = list(rows)
-        if new := sorted({row["scope"] for row in rows} - self._grids.keys()):
-            self._grids |= dict.fromkeys(new)
-            found = self.query(read_statement("reads/scene/grid.cypher"), {"scopes": new})
-            self._grids |= {row.pop("scope"): row for row in found}
-        return [row | grid for row in rows if (grid := self._grids[row["scope"]])]
+        return [row | grid for row in rows if (grid := self._grid(row["scope"]))]
 
 
 def outcome_of_action(labels: ListedActions | None, label: str) -> Literal["same", "different", "unknown"]:
