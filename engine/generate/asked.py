@@ -150,17 +150,18 @@ def doublings(wait: int) -> int:
     return (wait // KEYFRAME_STEP).bit_length()
 
 
-def sequence_cap(quota: int, sequences: int, percent: int = 20) -> int:
+def sequence_cap(template: str, quota: int, sequences: int) -> int:
     """Return the maximum number of questions of a template from one sequence.
 
     Args:
+        template: Name of the template.
         quota: Number of questions wanted of the template.
         sequences: Number of sequences.
-        percent: Minimum share of the quota that one sequence may give.
 
     Returns:
-        The larger one of that share and 1.5 times the even share, rounded up.
+        The larger one of a fifth of the quota (a tenth for presence) and 1.5 times the even share, rounded up.
     """
+    percent = 10 if template == "presence" else 20
     return max(-(-quota * percent // 100), -(-3 * quota // (2 * sequences)))
 
 

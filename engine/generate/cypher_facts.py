@@ -15,7 +15,6 @@ from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.queries.graph.parameters import parameters
 from jrdb_avr.queries.statements import read_statement
 from jrdb_avr.schema.answers import FrameViewpoint
 from jrdb_avr.schema.labels import POSES, ROBOT_SECTORS, may_be_called
@@ -26,7 +25,7 @@ from jrdb_avr.schema.rules import LoadRules
 AT_ONCE: Final = 500
 """Maximum number of rows of one statement, because the memory of the engine is bounded."""
 
-_BY_READS: Final = ("seen", "start")
+_BY_READS: Final = ("seen", "start", "count")
 """Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
 
 
@@ -98,10 +97,6 @@ class CypherFacts:
             self._fill()
         return values
 
-    def count(self, sequence: str, relation: str, track: int, first: int, last: int) -> int | None:
-        """Return the number of people who are in a relation with a person in some frames, or None if it is unknown."""
-        return self._reader.counts([(Person(0, sequence, track), relation, first, last)]).get(0)
-
     def keyframes(self, sequence: str) -> list[int]:
         """Return the keyframes of a sequence, in order."""
         if sequence not in self._keyframes:
@@ -125,8 +120,7 @@ class CypherFacts:
             text, values = read_statement(f"reads/scene/{name}.cypher"), {"plans": rows}
         else:
             text, values = read_statement(f"necessity/{name}.cypher"), {"asked": rows}
-        own = {name: self._reader.values[name] for name in parameters(text) if name not in values}
-        return text, values | own
+        return text, self._reader.with_values(text, values)
 
     def _look_up(self, name: str, keys: Sequence[Key]) -> None:
         if name in _BY_READS:
@@ -161,6 +155,11 @@ class CypherFacts:
         starts = self._reader.starts(asked)
         return [FrameViewpoint(starts[i].start, starts[i].angle) if i in starts else None for i in range(len(keys))]
 
+    def _read_count(self, keys: Sequence[Key]) -> list[int | None]:
+        asked = [(Person(i, scope, track), *about) for i, (_, scope, track, *about) in enumerate(keys)]
+        counts = self._reader.counts(asked)
+        return [counts.get(i) for i in range(len(keys))]
+
 
 def statement_of(key: Key) -> str:
     """Return the name of the statement of a fact: a file in `queries/necessity`, or a read of the compiler."""
@@ -185,7 +184,7 @@ def row_of(key: Key) -> dict[str, Any]:
     frame = about[-1]
     if kind in _BY_READS:
         return {"scope": scope, "who": about[0], "t": frame}
-    row: dict[str, Any] = {"at": f"{scope}/{frame:06d}", "t": frame}
+    row: dict[str, Any] = {"scope": scope, "at": f"{scope}/{frame:06d}", "t": frame}
     if kind == "match":
         return row | _condition_values(about[0])
     if kind == "labels":

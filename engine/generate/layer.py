@@ -81,10 +81,9 @@ class Layer:
         self.frames = sorted(row["frame"] for row in frames_of if row[shown])
         self._images = {row["frame"] for row in frames_of if row["image"]}
         x, w = (np.array([row[side] for row in boxes], dtype=np.float64) for side in "xw")
-        ahead = views.ahead(x, w, rules.visible_share).tolist()
-        self.boxes = {
-            (row["track"], row["frame"]): row | {"ahead": shown} for row, shown in zip(boxes, ahead, strict=True)
-        }
+        for row, ahead in zip(boxes, views.ahead(x, w, rules.visible_share).tolist(), strict=True):
+            row["ahead"] = ahead
+        self.boxes = {(row["track"], row["frame"]): row for row in boxes}
         some = [row for row in segments if row["action"] in ACTIONS]
         some.sort(key=lambda row: (row["track"], row["action"], row["first"], row["last"]))
         self.segments = {

@@ -5,11 +5,12 @@ What a selection cannot use is dropped without a proof.
 
 from __future__ import annotations
 
+import sys
 from bisect import bisect_left
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from itertools import islice
+from itertools import compress, islice
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -87,32 +88,33 @@ class Prover:
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key, as `perturb` asks for them."""
-        return (self._cypher if keys[0][0] in ("start", "onsets") else self._layer.facts).ask(keys)
+        return (self._cypher if keys[0][0] in ("start", "onsets", "count") else self._layer.facts).ask(keys)
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
-        if rule := self._excluding_rule(proposal):
-            self.counts[rule] += 1
-            return None
-        template, (program, answer) = proposal.template, program_of(proposal)
-        proofs = self._cypher.complete(lambda: self._try_proofs(program, answer, template))
-        if not (lacking := failing(template.name, proofs, self._layer.rules)):
-            return proofs
-        self.counts[lacking[0].split()[0]] += 1
-        return None
+        return self.prove_all([proposal])[0]
 
-    def _excluding_rule(self, proposal: Proposal) -> str | None:
-        """Return the rule that refuses a proposal before its proofs are tried."""
+    def prove_all(self, proposals: Sequence[Proposal]) -> list[list[Proof] | None]:
+        """Return what `prove` returns, for several proposals. Statements look up the facts of all of them together."""
+        tried = {number: partial(self._try, proposal) for number, proposal in enumerate(proposals)}
+        results = self._cypher.complete_all(tried)
+        self.counts.update(result for result in results.values() if isinstance(result, str))
+        return [None if isinstance(result := results[number], str) else result for number in tried]
+
+    def _try(self, proposal: Proposal) -> list[Proof] | str:
+        """Return the proofs of a proposal, or the rule that refuses it."""
         template, frames = proposal.template, proposal.frames
         if any(_touches(proposal, extent) for extent in self._held_out):
             return "held_out"
         if not template.single_view and self._fits_one_view(proposal):
             return "view.single"
         if template.counts:
-            stretch = proposal.relations[0], proposal.target, frames["t1"], frames["t2"]
-            if self._cypher.count(proposal.sequence, *stretch) != len(proposal.counted):
+            stretch = proposal.relations[0], frames["t1"], frames["t2"]
+            if self.ask([("count", proposal.sequence, proposal.target, *stretch)]) != [len(proposal.counted)]:
                 return "count"
-        return None
+        proofs = self._try_proofs(*program_of(proposal), template)
+        lacking = failing(template.name, proofs, self._layer.rules)
+        return lacking[0].split()[0] if lacking else proofs
 
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
@@ -138,23 +140,27 @@ class Prover:
         return bool(views.single_view(x, w, self._layer.rules.visible_share))
 
 
-def fill_pool(layer: Layer, forms: Sequence[Template], prover: Prover) -> list[Candidate]:
+def fill_pool(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int = sys.maxsize) -> list[Candidate]:
     """Prove the proposals of a template, as many as selection can use.
+
+    People, and then their times, take turns in the order of a hash, so that a limit leaves out none of them first.
 
     Args:
         layer: Layer of the sequence.
         forms: Forms of the template that the layers of the sequence allow. They compete with each other.
         prover: Prover of the sequence.
+        limit: Number of candidates that are enough. All candidates with one description may be needed as time twins,
+            so a few more are returned.
 
     Returns:
         The proven candidates.
     """
     fill = _fill_presence if forms[0].name == "presence" else _fill_moments if forms[0].asks_action else _thin_out
-    made = map(make_candidate, fill(layer, forms, prover))
+    made = map(make_candidate, fill(layer, forms, prover, limit))
     return [candidate for candidate in made if candidate is not None]
 
 
-def _fill_moments(layer: Layer, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+def _fill_moments(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
     """Yield one proposal for each person, time and true answer: the first proven one in the order of a hash.
 
     Time twins have equal descriptions. A template with twins begins with all times and answers of some descriptions.
@@ -167,39 +173,56 @@ def _fill_moments(layer: Layer, forms: Sequence[Template], prover: Prover) -> It
             described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
         moments[_moment(form, row)].append(row)
 
-    for groups in described.values():
-        ordered = sorted(groups.values(), key=lambda rows: _rank(layer, rows[0]))
-        for proposal in _take_some(prover.proven(prover.with_choices(form, rows)) for rows in ordered):
-            moments.pop(_moment(form, proposal.row), None)
-            yield proposal
-    for rows in moments.values():
-        tried = prover.with_choices(form, sorted(rows, key=partial(_rank, layer)))
-        yield from islice(prover.proven(islice(tried, _TRIES)), 1)
+    def prove_described(track: int) -> Iterator[list[Proposal]]:
+        ordered = sorted(described[track].values(), key=lambda rows: _rank(layer, rows[0]))
+        return _take_some(prover.proven(prover.with_choices(form, rows)) for rows in ordered)
+
+    def prove_moment(moment: tuple[Any, ...]) -> list[Proposal]:
+        tried = prover.with_choices(form, sorted(moments[moment], key=partial(_rank, layer)))
+        return list(islice(prover.proven(islice(tried, _TRIES)), 1))
+
+    for proposal in _take_turns(limit, map(prove_described, _in_order(layer, described))):
+        moments.pop(_moment(form, proposal.row), None)
+        yield proposal
+    yield from _take_turns(limit, [map(prove_moment, _in_order(layer, moments))])
 
 
 def _moment(form: Template, row: TableRow) -> tuple[Any, ...]:
     """Return the person, the time asked and the true answer of a row."""
-    return row[form.target], row.get("segment"), row.get("t1", row["t0"]), row["answer"]
+    return row[form.target], row.get("t1", row["t0"]), row["answer"]
 
 
-def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[_T]:
-    """Yield all of the first groups that are not empty."""
-    used = 0
-    for group in groups:
-        found = list(group)
-        yield from found
-        used += bool(found)
-        if used == _DESCRIPTIONS:
-            return
+def _in_order(layer: Layer, items: Iterable[_T]) -> list[_T]:
+    """Return people or moments in the order of a hash."""
+    return sorted(items, key=partial(hash_of, layer.sequence))
 
 
-def _fill_presence(layer: Layer, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[list[_T]]:
+    """Return the first groups that are not empty."""
+    return islice(filter(None, map(list, groups)), _DESCRIPTIONS)
+
+
+def _take_turns(limit: int, queues: Iterable[Iterator[Sequence[_T]]]) -> Iterator[_T]:
+    """Yield the items of one group of each queue in turn until there are enough. Groups stay whole."""
+    waiting = deque(queues)
+    while waiting and limit > 0:
+        queue = waiting.popleft()
+        for group in islice(queue, 1):
+            yield from group
+            limit -= len(group)
+            waiting.append(queue)
+
+
+def _fill_presence(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
     """Yield, for some descriptions of each person, a few proposals with each answer, in the order of a hash."""
     (form,) = forms
     described, pairs = propose_presence(layer, form)
-    for track, descriptions in described.items():
-        ordered = sorted(descriptions, key=partial(_rank, layer))
-        yield from _take_some(_prove_pairs(layer, form, row, pairs.get(track, ()), prover) for row in ordered)
+
+    def prove_described(track: int) -> Iterator[list[Proposal]]:
+        ordered = sorted(described[track], key=partial(_rank, layer))
+        return _take_some(_prove_pairs(layer, form, row, pairs.get(track, ()), prover) for row in ordered)
+
+    return _take_turns(limit, map(prove_described, _in_order(layer, described)))
 
 
 def _prove_pairs(
@@ -217,24 +240,33 @@ def _prove_pairs(
             yield proposal
 
 
-def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover) -> Iterator[Proposal]:
+def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
     """Yield proposals in the order of their keys, but none that reads the same as one before it."""
     groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
     for form in forms:
         for row in propose(layer, form):
             proposal = Proposal(layer, form, row)
             groups[proposal.target, proposal.answer].append(proposal)
-    near = near_frames(forms[0].name, layer.rules)
-    for members in groups.values():
-        kept: list[Sequence[int]] = []
-        for proposal in sorted(members, key=lambda proposal: proposal.key):
-            if len(kept) == layer.rules.max_per_person:
+    near, kept = near_frames(forms[0].name, layer.rules), defaultdict[tuple[int, str], list[Sequence[int]]](list)
+
+    def admitted(group: tuple[int, str]) -> Iterator[Proposal]:
+        for proposal in sorted(groups[group], key=lambda proposal: proposal.key):
+            if len(kept[group]) == layer.rules.max_per_person:
                 prover.counts["max_per_person"] += 1
-            elif any(are_near(proposal.read, read, near) for read in kept):
+            elif any(are_near(proposal.read, read, near) for read in kept[group]):
                 prover.counts["near_duplicate"] += 1
-            elif prover.prove(proposal) is not None:
-                kept.append(proposal.read)
+            else:
                 yield proposal
+
+    def prove_turns() -> Iterator[list[Proposal]]:
+        queues = [admitted(group) for group in _in_order(layer, groups)]
+        while tried := [proposal for queue in queues for proposal in islice(queue, 1)]:
+            proven = list(compress(tried, prover.prove_all(tried)))
+            for proposal in proven:
+                kept[proposal.target, proposal.answer].append(proposal.read)
+            yield proven
+
+    return _take_turns(limit, [prove_turns()])
 
 
 def _rank(layer: Layer, row: TableRow) -> int:

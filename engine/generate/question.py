@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate import views
-from jrdb_avr.engine.generate.asked import Question
+from jrdb_avr.engine.generate.asked import Candidate, Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Facts, Key
 from jrdb_avr.engine.generate.hashes import hash_of
@@ -62,7 +62,7 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     annotations = Annotations.read(store, job.sequence, job.rules)
     with open_worker_graph(store.graph_path) as graph:
         layer = job.layer(graph)
-        proposals = {one.key: _propose_again(layer, one) for one in job.questions}
+        proposals = {one.key: _propose_again(layer, one.candidate) for one in job.questions}
         expected, source = _Expected(layer.facts), CypherFacts(graph, job.rules.load)
         for proposal in proposals.values():
             with contextlib.suppress(MissingFactsError):
@@ -94,8 +94,7 @@ class _Expected:
         return self._facts.ask(keys)
 
 
-def _propose_again(layer: Layer, question: Question) -> Proposal:
-    candidate = question.candidate
+def _propose_again(layer: Layer, candidate: Candidate) -> Proposal:
     return Proposal(layer, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -23,7 +24,7 @@ from jrdb_avr.engine.generate.layer import TableRow
 from jrdb_avr.engine.generate.pool import Prover, fill_pool
 from jrdb_avr.engine.generate.publish import publish
 from jrdb_avr.engine.generate.question import COLUMNS, make_questions
-from jrdb_avr.engine.generate.selection import TRAIN, select
+from jrdb_avr.engine.generate.selection import TRAIN, pool_limits, select
 from jrdb_avr.engine.generate.stored_layer import Job, ensure_layer
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.files import file_hash
@@ -111,7 +112,7 @@ def generate(
         check_intervals(store, manifest)
         layers = {name: manifest.sequences[name].layers for name in _sequences(store, manifest, require_occlusion)}
         jobs = [
-            replace(job, held_out=tuple(extents.get(job.sequence, ())))
+            replace(job, held_out=tuple(extents.get(job.sequence, ())), limits=pool_limits(profile, len(layers)))
             for job in ensure_layer(store, rules, workers, progress)
             if job.sequence in layers
         ]
@@ -249,12 +250,12 @@ def search_sequence(job: Job) -> Found:
     """
     pool, refused = [], list[TableRow]()
     with open_worker_graph(Store(job.store).graph_path) as graph:
-        layer = job.layer(graph)
+        layer, limits = job.layer(graph), dict(job.limits)
         cypher = CypherFacts(graph, job.rules.load)
         for name, forms in FORMS.items():
             allowed = [form for form in forms if set(form.layers).issubset(layer.head["layers"])]
             prover = Prover(layer, cypher, job.held_out)
-            pool += fill_pool(layer, allowed, prover) if allowed else []
+            pool += fill_pool(layer, allowed, prover, limits.get(name, sys.maxsize)) if allowed else []
             refused += [_refusal(job.sequence, name, rule, count) for rule, count in prover.counts.items()]
     head = {name: layer.head[name] for name in ("sequence", "fps", "frame_count")} | {"frames": layer.frames}
     return Found(head, msgspec.msgpack.encode(pool), layer.facts.counts, refused)

@@ -47,6 +47,9 @@ STAGES: Final = (*_ORDER, *((name,) for name in FAMILIES if name not in {*chain.
 As a person is in few questions, templates with few candidates come first. Templates without a position come last.
 """
 
+_POOL_CAPS: Final = 4
+"""Number of candidates in one sequence for each question that may be selected there."""
+
 _CHANGE_QUOTA: Final = 350
 """Maximum number of questions of the template change."""
 
@@ -73,6 +76,21 @@ def quota_of(template: str, quotas: Mapping[str, int], reached: Mapping[str, int
     if template in ("gap", "consequence"):
         return quotas[family] // _LONG_RANGE_PARTS
     return left // 2 if template == "distance" else left
+
+
+def pool_limits(profile: str, sequences: int) -> tuple[tuple[str, int], ...]:
+    """Return how many candidates of each template are enough in one sequence.
+
+    Args:
+        profile: Name of `PROFILES`.
+        sequences: Number of sequences.
+
+    Returns:
+        The numbers by template, none for a profile without quotas.
+    """
+    quotas = PROFILES[profile]
+    caps = {name: sequence_cap(name, quota_of(name, quotas, {}), sequences) for name in FAMILIES if quotas}
+    return tuple((name, _POOL_CAPS * cap) for name, cap in caps.items())
 
 
 def select(
@@ -105,7 +123,7 @@ def select(
             events = {(one.person, one.event) for one in pool.get("action_search", ())} if "start" in names else set()
             selected, shortage = list[Question](), None if quota else "the family is full"
             if candidates and quota:
-                cap = sequence_cap(quota, len(counts.present), 10 if "presence" in names else 20)
+                cap = sequence_cap(names[0], quota, len(counts.present))
                 if forms_of(names[0])[0].answer is None:
                     selected, shortage = select_level(candidates, quota, counts, taken, cap)
                 else:

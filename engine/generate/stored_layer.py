@@ -47,6 +47,7 @@ class Job:
         low: First id of a node of the sequence in the layer.
         rules: Rules of the layer.
         held_out: Extents of held-out questions about the sequence.
+        limits: Numbers of candidates of each template that are enough.
         questions: Selected questions to make.
     """
 
@@ -55,6 +56,7 @@ class Job:
     low: int
     rules: Rules
     held_out: tuple[Extent, ...] = ()
+    limits: tuple[tuple[str, int], ...] = ()
     questions: tuple[Question, ...] = ()
 
     def weigh(self) -> int:

@@ -1,13 +1,13 @@
-// The first and the last frame with a list of actions in each sequence (`low`, `high`), the number of frames from one
+// The first and the last frame with a list of actions in some sequences (`low`, `high`), the number of frames from one
 // list to the next (`step`), and the number of frames from one frame with boxes to the next (`box_step`).
 MATCH (f:Frame)
-WHERE f.annotated
+WHERE f.sequence IN $scopes AND f.annotated
 WITH f.sequence AS scope, min(f.frame) AS origin
 MATCH (f:Frame)
 WHERE f.sequence = scope AND f.annotated
 WITH scope, sum(CASE WHEN (f.frame - origin) % 15 = 0 THEN 0 ELSE 1 END) AS between
 MATCH (:Person)-[s:SeenIn]->(:Frame)
-WHERE s.sequence = scope AND s.listed
+WHERE s.sequence IN $scopes AND s.sequence = scope AND s.listed
 WITH scope, between, min(s.frame) AS low, max(s.frame) AS high
 MATCH (z:Sequence)
 WHERE z.sequence = scope

@@ -8,7 +8,7 @@ OPTIONAL MATCH (f:Frame)
 WHERE f.sequence = scope AND f.frame = near AND f.annotated
 WITH id, scope, who, t, near, count(f) AS annotated
 OPTIONAL MATCH (p:Person)-[s:SeenIn]->(:Frame)
-WHERE s.sequence = scope AND s.frame = near AND p.track = who
+WHERE p.sequence IN $scopes AND s.sequence = scope AND s.frame = near AND p.track = who
 WITH id, t, near, annotated, count(s) AS boxes,
      max(CASE WHEN near = t AND s.clear = true THEN 1 ELSE 0 END) AS clear,
      max(CASE WHEN near = t AND s.located = true THEN s.distance END) AS distance

@@ -110,7 +110,7 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
 
 
 def selected(candidates, quota=30):
-    cap = sequence_cap(quota, len(SEQUENCES))
+    cap = sequence_cap("change", quota, len(SEQUENCES))
     return select_level(candidates, quota, COUNTS, Taken(Rules()), cap)[0]
 
 
@@ -177,7 +177,7 @@ def test_selection_levels_choices_under_its_caps():
     assert sum(share > Fraction(34, 100) for share in shares.values()) >= 3
     assert len({one.candidate.moment for one in questions}) == len(questions)
     of_sequence = Counter(one.candidate.sequence for one in questions)
-    assert max(of_sequence.values()) <= sequence_cap(60, 3) == 30
+    assert max(of_sequence.values()) <= sequence_cap("change", 60, 3) == 30
     for one in questions:
         assert one.candidate.truth in one.choices
         assert set(one.choices) - {one.candidate.truth} == set(one.wrong) <= one.candidate.wrong
@@ -219,7 +219,7 @@ def presence(number):
 
 def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
     pool = [presence(number) for number in range(1500)]
-    cap = sequence_cap(120, len(SEQUENCES), 10)
+    cap = sequence_cap("presence", 120, len(SEQUENCES))
     questions = select_level(pool, 120, COUNTS, Taken(Rules()), cap)[0]
     assert questions == select_level(pool[::-1], 120, COUNTS, Taken(Rules()), cap)[0]
     answers = Counter(one.candidate.truth for one in questions)
@@ -227,7 +227,7 @@ def test_fixed_answers_are_level_although_one_is_four_times_as_frequent():
     assert len(questions) > 100
     described = Counter((one.candidate.sequence, one.candidate.described) for one in questions)
     assert max(described.values()) <= 4
-    assert max(Counter(one.candidate.sequence for one in questions).values()) <= sequence_cap(120, 3, 10)
+    assert max(Counter(one.candidate.sequence for one in questions).values()) <= sequence_cap("presence", 120, 3)
 
 
 @pytest.mark.parametrize(
