@@ -143,7 +143,7 @@ class Prover:
 def fill_pool(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int = sys.maxsize) -> list[Candidate]:
     """Prove the proposals of a template, as many as selection can use.
 
-    People, and then their times, take turns in the order of a hash, so that a limit leaves out none of them first.
+    People and moments come in the order of a hash, so that a limit prefers none of them.
 
     Args:
         layer: Layer of the sequence.

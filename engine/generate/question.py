@@ -33,7 +33,7 @@ from jrdb_avr.queries.workers import without_collector
 from jrdb_avr.schema.answers import Choice, encode_answer
 from jrdb_avr.schema.labels import choice_text
 from jrdb_avr.schema.panorama import angle_error
-from jrdb_avr.schema.plan import canonical
+from jrdb_avr.schema.plan import Plan, canonical
 from jrdb_avr.schema.questions import NeededBox, Proof, QuestionRecord
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, rules_hash
 from jrdb_avr.schema.tables import QUESTIONS
@@ -58,9 +58,19 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     Raises:
         StoreError: If a table or the graph is missing.
     """
-    store = Store(job.store)
-    annotations = Annotations.read(store, job.sequence, job.rules)
-    with open_worker_graph(store.graph_path) as graph:
+    # The layer is freed before the annotations are read, because both fill the memory.
+    made, rows, faults = _make_records(job), [], {}
+    annotations = Annotations.read(Store(job.store), job.sequence, job.rules)
+    for key, record, plan, answer, proofs in made:
+        if fault := _fault_of(record, plan, answer, proofs, annotations, job.rules):
+            faults[key] = f"{job.sequence} {record.plan}: {fault}"
+        rows.append(record.columns() | {"key": key})
+    return pa.Table.from_pylist(rows, schema=COLUMNS), faults
+
+
+def _make_records(job: Job) -> list[tuple[str, QuestionRecord, Plan, str, list[Proof]]]:
+    """Return the key, the record, the plan, the answer and the proofs by statements of each question."""
+    with open_worker_graph(Store(job.store).graph_path) as graph:
         layer = job.layer(graph)
         proposals = {one.key: _propose_again(layer, one.candidate) for one in job.questions}
         expected, source = _Expected(layer.facts), CypherFacts(graph, job.rules.load)
@@ -70,14 +80,11 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
         source.complete(lambda: source.ask(list(expected.asked)))
         setting = Setting(source, layer.facts.keyframes, job.rules)
         proofs = source.complete_all({key: partial(_prove, proposal, setting) for key, proposal in proposals.items()})
-    rows, faults = [], {}
+    made = []
     for question in job.questions:
         key, proposal, own = question.key, proposals[question.key], proofs[question.key]
-        record = _make_record(proposal, question, own)
-        if fault := _fault_of(record, proposal, own, annotations, job.rules):
-            faults[key] = f"{job.sequence} {record.plan}: {fault}"
-        rows.append(record.columns() | {"key": key})
-    return pa.Table.from_pylist(rows, schema=COLUMNS), faults
+        made.append((key, _make_record(proposal, question, own), proposal.plan, proposal.answer, own))
+    return made
 
 
 class _Expected:
@@ -107,18 +114,18 @@ def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:
 
 
 def _fault_of(
-    record: QuestionRecord, proposal: Proposal, proofs: Sequence[Proof], annotations: Annotations, rules: Rules
+    record: QuestionRecord, plan: Plan, answer: str, proofs: Sequence[Proof], annotations: Annotations, rules: Rules
 ) -> str | None:
     """Return which proofs by statements do not hold, or how the result of the second program differs."""
     if not proofs:
         return "statements find no single person"
     if lacking := failing(record.template, proofs, rules):
         return f"by statements, {', '.join(lacking)} do not hold"
-    second = rederive(annotations, proposal.plan, record.template, rules, record.choices)
+    second = rederive(annotations, plan, record.template, rules, record.choices)
     if second.outcome != "defined":
-        return f"answer {proposal.answer}, rederived {second.outcome}"
-    if (second.answer, second.target) != (proposal.answer, proposal.target):
-        return f"answer {proposal.answer} about {proposal.target}, rederived {second.answer} about {second.target}"
+        return f"answer {answer}, rederived {second.outcome}"
+    if (second.answer, second.target) != (answer, record.target_track):
+        return f"answer {answer} about {record.target_track}, rederived {second.answer} about {second.target}"
     faults = second.faults if set(second.needed) == set(record.needed) else ("other boxes are needed",)
     return next(iter(faults), None)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -121,7 +122,7 @@ def generate(
             found = map_in_order(search_sequence, jobs, workers, Job.weigh, advance)
             counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
             questions, report, left, faults = _choose(
-                [candidate for one in found for candidate in _CANDIDATES.decode(one.pool)],
+                list(_decode([one.pool for one in found])),
                 lambda pool: select(pool, counts, rules, profile, n),
                 partial(_make, jobs, workers, progress),
                 excluded,
@@ -265,6 +266,14 @@ def _refusal(sequence: str, template: str, rule: str, count: int) -> TableRow:
     """Return the row of the table `rejected` for one rule."""
     family = FAMILIES[template]
     return {"sequence": sequence, "family": family, "template": template, "rule": rule, "candidates": count}
+
+
+def _decode(pools: Iterable[bytes]) -> Iterator[Candidate]:
+    """Yield the candidates of all sequences. Equal contexts and labels are stored once, as they fill the memory."""
+    shared: dict[tuple[str, int], tuple[str, int]] = {}
+    for one in chain.from_iterable(map(_CANDIDATES.decode, pools)):
+        contexts = tuple(shared.setdefault(context, context) for context in one.contexts)
+        yield one._replace(contexts=contexts, wrong=frozenset(map(sys.intern, one.wrong)))
 
 
 # -- choice -----------------------------------------------------------------------------------------------------------

@@ -146,8 +146,8 @@ class Reader(Protocol):
 
         `$scopes` are the sequences of the rows. The engine reads a graph faster if they are constants.
         """
-        rows = params.get("asked", params.get("plans", ()))
-        values = {**self.values, "scopes": sorted({row["scope"] for row in rows if "scope" in row})}
+        scopes = {row.get("scope", "") for row in params.get("asked", params.get("plans", ()))}
+        values = {**self.values, "scopes": sorted(scopes)}
         return {**params, **{name: values[name] for name in parameters(cypher) if name not in params}}
 
     def values_at(self, queries: Offers) -> dict[int, str]:

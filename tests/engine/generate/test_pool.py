@@ -133,3 +133,15 @@ def test_of_presence_five_seconds_at_both_times_are_near():
     near = near_frames("presence", Rules())
     assert are_near((75, 25), (0, 100), near) and not are_near((0, 176), (0, 100), near)
     assert near_frames("change", Rules()) < near
+
+
+def test_a_limit_leaves_out_candidates_but_no_person_first(search):
+    search, allowed = search
+    limited = 0
+    for name, forms, _, every, _ in pools(search, allowed):
+        people = {one.track for one in every}
+        some = fill_pool(search, forms, make_prover(search), len(people))
+        assert len(some) >= min(len(every), len(people)), name
+        assert 4 * len({one.track for one in some}) >= len(people), name
+        limited += len(some) < len(every)
+    assert limited
