@@ -141,6 +141,8 @@ def _held_out(
     """Return the generation and the extents of the held-out questions, or none without a path."""
     if profile != TRAIN and (n is not None or disjoint_from is not None):
         raise InputError(f"a number of questions and held-out ones go with the profile {TRAIN!r}", field="profile")
+    if n is not None and n < 1:
+        raise InputError(f"{n} is no number of questions: give 1 or more", field="n")
     if disjoint_from is None:
         return "", {}
     if Path(disjoint_from).resolve() == store.path.resolve():

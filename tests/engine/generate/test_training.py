@@ -133,6 +133,7 @@ def test_files_without_their_marks_are_noticed(trained, copy):
 @pytest.mark.parametrize(
     ("options", "line"),
     [
+        ({"profile": "train", "n": 0}, "0 is no number of questions: give 1 or more"),
         ({"profile": "all", "n": 5}, "go with the profile 'train'"),
         ({"profile": "paper", "disjoint_from": "elsewhere"}, "go with the profile 'train'"),
     ],
