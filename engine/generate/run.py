@@ -264,8 +264,7 @@ def search_sequence(job: Job) -> Found:
 
 def _refusal(sequence: str, template: str, rule: str, count: int) -> TableRow:
     """Return the row of the table `rejected` for one rule."""
-    family = FAMILIES[template]
-    return {"sequence": sequence, "family": family, "template": template, "rule": rule, "candidates": count}
+    return {"sequence": sequence, "family": FAMILIES[template], "template": template, "rule": rule, "candidates": count}
 
 
 def _decode(pools: Iterable[bytes]) -> Iterator[Candidate]:
