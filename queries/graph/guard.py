@@ -34,7 +34,6 @@ from jrdb_avr.schema import errors
 from jrdb_avr.schema.errors import QueryError, StoreError
 
 _TIMEOUT_S: Final = 60.0
-_BUFFER_BYTES: Final = 256 << 20
 MEMORY_BYTES: Final = 2 << 30
 """Maximum memory of the child process, in bytes. The limit of the engine's buffer does not count lists and results."""
 
@@ -197,7 +196,7 @@ def _read(path: str, cypher: str, params: dict[str, Any], timeout_s: float) -> p
     """Check the plan of a statement, run the statement, and return its rows."""
     from jrdb_avr.queries.graph.handle import Graph
 
-    with Graph.open(path, read_only=True, buffer_bytes=_BUFFER_BYTES) as graph:
+    with Graph.open(path, read_only=True) as graph:
         plan = graph.explain(cypher, params)
         if plan.functions or plan.writes:
             raise QueryError("the statement reads or writes data outside the graph")

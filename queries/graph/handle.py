@@ -51,7 +51,7 @@ from jrdb_avr.queries.graph.wrong_answers import QueryPlan, refuse_wrong_answers
 from jrdb_avr.queries.workers import Executor
 from jrdb_avr.schema.errors import QueryError, StoreError
 
-BUFFER_BYTES: Final = 512 << 20
+BUFFER_BYTES: Final = 256 << 20
 """Maximum size of the engine's page cache, in bytes. On all of JRDB, no measured query needed more than 256 MB."""
 
 _BUILD_BYTES: Final = 800 << 20
