@@ -26,9 +26,6 @@ from jrdb_avr.schema.beliefs import WORLD_NODES, WORLD_RELS
 from jrdb_avr.schema.errors import QueryError
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, SCENE_NODES, SCENE_RELS, table_ddl
 
-_BUFFER_BYTES: Final = 256 << 20
-"""Hard limit of the engine's page cache."""
-
 MOST_CHECKED: Final = 1_000
 """Texts that are known to have passed the checks; plans of many shapes make many."""
 
@@ -54,12 +51,12 @@ class WorldGraph:
         Raises StoreError where the file is no graph or the disk refuses, LockedError naming the holder where another
         process has it open.
         """
-        return cls(open_graph(path, buffer_bytes=_BUFFER_BYTES, prepares=True))
+        return cls(open_graph(path, prepares=True))
 
     @classmethod
     def memory(cls) -> Self:
         """New world tables in memory."""
-        return cls(make_world_tables(Graph.memory(buffer_bytes=_BUFFER_BYTES, prepares=True)))
+        return cls(make_world_tables(Graph.memory(prepares=True)))
 
     def close(self) -> None:
         """Give the graph back, after the calls under way. Closing twice is harmless."""

@@ -28,6 +28,9 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
 _TIMEOUT_S: Final = 60.0
 """Maximum seconds of each statement."""
 
+_COUNTED: Final = 32
+"""Maximum number of counts of one statement, because the memory of the engine is bounded."""
+
 
 Queryable = Graph | WorldGraph
 """Graph that runs statements."""
@@ -262,14 +265,14 @@ class SceneReader(Reader):
         """See `Reader.counts`."""
         rows = self.rows_on_grid(person.row(t1=first, t2=last) for person, _, first, last in queries)
         complete = {row["id"] for row in self._read("company", rows)}
-        by_text: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        by_text: dict[tuple[str, int], list[dict[str, Any]]] = defaultdict(list)
         for person, relation, first, last in queries:
             if person.id in complete:
                 row = person.row(t1=first, t2=last, **edge_values(relation))
-                by_text[compile_count(relation)].append(row)
+                by_text[compile_count(relation), person.id // _COUNTED].append(row)
         could: dict[int, set[int]] = {i: set() for i in complete}
         does: dict[int, set[int]] = {i: set() for i in complete}
-        for text, members in by_text.items():
+        for (text, _), members in by_text.items():
             for row in self.run(text, members):
                 (does if row["clear"] and row["holds"] else could)[row["id"]].add(row["other"])
         return {i: len(does[i]) for i in complete if could[i] <= does[i]}
@@ -324,10 +327,10 @@ def compile_count(relation: str) -> str:
             f"WITH {', '.join(f'q.{name} AS {name}' for name in ('id', 'scope', 'who', 't1', 't2', *values))}",
             "UNWIND range(t1, t2) AS t",
             f"MATCH {PEOPLE.pattern.format(**at)}",
-            f"WHERE {BOXED.format(**at)} AND {PEOPLE.key.format(**at)} = who",
+            f"WHERE n.sequence IN $scopes AND {BOXED.format(**at)} AND {PEOPLE.key.format(**at)} = who",
             f"WITH {carried}, t, n, s",
-            f"MATCH {PEOPLE.pattern.format(**partner)}",
-            f"WHERE {PEOPLE.present.format(**partner)} AND m.id <> n.id AND {clause.could.format(**at)}",
+            f"MATCH {PEOPLE.pattern.format(**partner)} WHERE m.sequence IN $scopes AND m.id <> n.id",
+            f"AND {PEOPLE.present.format(**partner)} AND {clause.could.format(**at)}",
             f"WITH {carried}, t, n, s, m, z, s.clear AND z.clear OR NOT $in_view AS clear",
             # The engine cannot evaluate EXISTS together with columns.
             f"WITH id, m, clear, {clause.sure.format(**at)} AS holds",
