@@ -7,7 +7,7 @@ import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -268,11 +268,11 @@ def _refusal(sequence: str, template: str, rule: str, count: int) -> TableRow:
 
 
 def _decode(pools: Iterable[bytes]) -> Iterator[Candidate]:
-    """Yield the candidates of all sequences. Equal contexts and labels are stored once, as they fill the memory."""
-    shared: dict[tuple[str, int], tuple[str, int]] = {}
+    """Yield the candidates of all sequences. Equal values are stored once, because they fill the memory."""
+    share: Callable[[Any], Any] = cache(lambda value: value)
     for one in chain.from_iterable(map(_CANDIDATES.decode, pools)):
-        contexts = tuple(shared.setdefault(context, context) for context in one.contexts)
-        yield one._replace(contexts=contexts, wrong=frozenset(map(sys.intern, one.wrong)))
+        contexts, wrong = tuple(map(share, one.contexts)), frozenset(map(share, one.wrong))
+        yield Candidate(*map(share, one._replace(contexts=contexts, wrong=wrong)))
 
 
 # -- choice -----------------------------------------------------------------------------------------------------------

@@ -67,10 +67,10 @@ def rows(table: pa.Table, *names: str) -> Iterator[tuple[Any, ...]]:
 
 
 def _values(column: pa.ChunkedArray) -> list[Any]:
-    """Return the values of a column. Equal texts share one object, because there are few distinct texts."""
+    """Return the values of a column. Equal texts or integers share one object, because few of them are distinct."""
     if column.null_count:
         return column.to_pylist()  # type: ignore[no-any-return]
-    if pa.types.is_string(column.type):
+    if pa.types.is_string(column.type) or pa.types.is_integer(column.type):
         coded = column.combine_chunks().dictionary_encode()
         return [*map(coded.dictionary.to_pylist().__getitem__, coded.indices.to_numpy().tolist())]
     # Because NumPy's conversion is much faster than that of Arrow's scalars.

@@ -31,7 +31,6 @@ _TIMEOUT_S: Final = 60.0
 _COUNTED: Final = 32
 """Maximum number of counts of one statement, because the memory of the engine is bounded."""
 
-
 Queryable = Graph | WorldGraph
 """Graph that runs statements."""
 
