@@ -172,15 +172,6 @@ def test_a_proof_stored_otherwise_than_found_again_is_named(few):
         assert ", now " in fault
 
 
-def test_a_spoiled_time_is_found(few):
-    def change(rows):
-        row = next(row for row in rows if row["answer"].startswith('{"frame"') and "angle" not in row["answer"])
-        row["answer"] = json.dumps({"frame": json.loads(row["answer"])["frame"] + 1})
-
-    rewrite(few, "answers", change)
-    assert "rederive" in faulty(few)
-
-
 def test_spoiled_evidence_is_found(few):
     def moved(rows):
         rows[0]["x"] += 1
