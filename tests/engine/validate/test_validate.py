@@ -279,9 +279,12 @@ def test_missing_and_broken_files_are_one_line(few, tmp_path):
     broken = run("validate", "--store", few.path)
     path.unlink()
     gone = run("validate", "--store", few.path)
-    for code, out, err in (missing, broken, gone):
+    (few.path / "store.json").unlink()
+    unloaded = [run(*command, "--store", few.path) for command in (["validate"], ["cypher", "sequences"])]
+    for code, out, err in (missing, broken, gone, *unloaded):
         assert code == 1 and len(err.splitlines()) == 1, err
         assert err.startswith("jrdb-avr: ") and not out
+    assert all(" is not a store: run 'jrdb-avr load " in err for _, _, err in (missing, *unloaded))
 
 
 def test_questions_of_other_rules_are_refused(sample_benchmark):
