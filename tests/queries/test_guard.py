@@ -21,7 +21,7 @@ from jrdb_avr.queries.manifest import Manifest, SequenceEntry
 from jrdb_avr.queries.named import find_query, named_queries, parse_value
 from jrdb_avr.queries.sql import JOINED, open_tables, query_tables, views
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import LockedError, QueryError, StoreError
+from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, scene_ddl
 from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
@@ -235,6 +235,31 @@ def test_what_passes_the_words_has_no_writing_clause(text):
             at += 1
     words = re.findall(r"[A-Z_]+", "".join(bare).upper())
     assert not {"LOAD", "COPY", "CREATE", "SET", "DELETE", "CALL", "ATTACH"} & set(words)
+
+
+@pytest.fixture(scope="module")
+def graph_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("fuzz") / "graph.kuzu"
+    with build_graph(path) as graph:
+        graph.execute("CREATE NODE TABLE Person(id STRING PRIMARY KEY)")
+    return path
+
+
+@given(text=st.lists(WORDS, max_size=12).map(" ".join))
+@settings(max_examples=examples(20), deadline=None)
+def test_fuzzed_statements_change_nothing(graph_file, text):
+    before = graph_file.read_bytes()
+    try:
+        check_cypher(text)
+        guard._read(str(graph_file), text, {}, 2.0)
+    except AvrError as error:
+        assert SECRET not in str(error)
+    assert graph_file.read_bytes() == before
+    assert sorted(place.name for place in graph_file.parent.iterdir()) == [
+        "graph.kuzu",
+        "graph.kuzu.json",
+        "graph.kuzu.lock",
+    ]
 
 
 @pytest.mark.parametrize(
