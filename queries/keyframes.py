@@ -28,7 +28,6 @@ def keyframe_values(rules: Rules) -> dict[str, int | float]:
         "search": frames(rules.search_wait_s),
         "turn": rules.turn_deg,
         "gap": frames(rules.gap_min_s),
-        "least": rules.count_min,
         "fps": FPS,
         "changed": rules.distance_changed_m,
         "same": rules.distance_same_m,

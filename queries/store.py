@@ -226,7 +226,7 @@ class Store(Displayed):
 
         Raises:
             QueryError: If the statement is refused or fails.
-            StoreError: If the graph is missing or damaged.
+            StoreError: If nothing is loaded, or the graph is missing or damaged.
         """
         return self.query("cypher", query, params)
 
@@ -252,13 +252,14 @@ class Store(Displayed):
         """Run a statement or a named query in the given language, and return the rows of the result.
 
         Raises QueryError if the statement is refused, fails, or is stopped because it takes longer than `timeout_s`.
+        Raises StoreError if the store lacks what the statement reads.
         """
         statement, values = find_query(language, query, dict(params))
         if language == "sql":
             return query_tables(self.path, statement, values, timeout_s=timeout_s)
-        if not self.graph_path.exists():
-            self.manifest()  # If nothing is loaded, this error is more useful.
-        self._check_sequence(values.get("sequence"))
+        name, loaded = values.get("sequence"), self.manifest().sequences
+        if isinstance(name, str) and name not in loaded:
+            raise QueryError(f"no sequence {name[:100]!r} is loaded{did_you_mean(name, loaded)}")
         if "sequence" in values and queries_layer(statement):
             values = self._keyframe_values(statement, values)
         return query_graph(self.graph_path, statement, values, timeout_s=timeout_s)
@@ -287,11 +288,6 @@ class Store(Displayed):
             raise QueryError(f"the statement has no parameter {unknown[0]}")
         values = keyframe_values(msgspec.json.decode(layer["rules"], type=Rules)) | values
         return {name: values[name] for name in parameters(statement) if name in values}
-
-    def _check_sequence(self, name: object) -> None:
-        """Raise QueryError if `name` is a text but not the name of a loaded sequence."""
-        if isinstance(name, str) and (self.path / "store.json").exists() and name not in self.manifest().sequences:
-            raise QueryError(f"no sequence {name[:100]!r} is loaded{did_you_mean(name, self.manifest().sequences)}")
 
     # -- display ----------------------------------------------------------------------------------------------
 

@@ -49,11 +49,6 @@ class Candidate(NamedTuple):
     row: bytes = b""
 
     @property
-    def moment(self) -> tuple[str, int, tuple[int, ...]]:
-        """The person and the times asked. A template has at most one question about them."""
-        return self.sequence, self.track, self.asked
-
-    @property
     def person(self) -> tuple[str, int]:
         """Sequence and track of the target."""
         return self.sequence, self.track
@@ -166,5 +161,5 @@ def sequence_cap(template: str, quota: int, sequences: int) -> int:
 
 
 def moment_hash(candidate: Candidate) -> int:
-    """Return the hash of a candidate's moment."""
-    return hash_of(candidate.template, *candidate.moment)
+    """Return the hash of a candidate's person and asked times. A template has at most one question about them."""
+    return hash_of(candidate.template, candidate.sequence, candidate.track, candidate.asked)

@@ -124,7 +124,7 @@ class CypherFacts:
 
     def _look_up(self, name: str, keys: Sequence[Key]) -> None:
         if name in _BY_READS:
-            self._known |= zip(keys, getattr(self, f"_read_{name}")(keys), strict=True)
+            self._known |= zip(keys, self._read(name, keys), strict=True)
             return
         text, values = self.statement(name, keys)
         if name == "labels":
@@ -144,21 +144,17 @@ class CypherFacts:
                 certain = {row["who"] for row in found if row["certain"]}
                 self._known[key] = Fit({row["who"] for row in found}, certain)
 
-    # -- reads of the compiler ----------------------------------------------------------------------------------------
-
-    def _read_seen(self, keys: Sequence[Key]) -> list[Any]:
-        seen = self._reader.seen([(Person(i, scope, track), frame) for i, (_, scope, track, frame) in enumerate(keys)])
-        return [seen[i, key[3]] for i, key in enumerate(keys)]
-
-    def _read_start(self, keys: Sequence[Key]) -> list[FrameViewpoint | None]:
-        asked = [(Person(i, scope, track), action, after) for i, (_, scope, track, action, after) in enumerate(keys)]
+    def _read(self, name: str, keys: Sequence[Key]) -> list[Any]:
+        """Return facts by the compiler's reads."""
+        asked: list[Any] = [(Person(i, scope, track), *rest) for i, (_, scope, track, *rest) in enumerate(keys)]
+        if name == "seen":
+            seen = self._reader.seen(asked)
+            return [seen[i, key[3]] for i, key in enumerate(keys)]
+        if name == "count":
+            counts = self._reader.counts(asked)
+            return [counts.get(i) for i in range(len(keys))]
         starts = self._reader.starts(asked)
         return [FrameViewpoint(starts[i].start, starts[i].angle) if i in starts else None for i in range(len(keys))]
-
-    def _read_count(self, keys: Sequence[Key]) -> list[int | None]:
-        asked = [(Person(i, scope, track), *about) for i, (_, scope, track, *about) in enumerate(keys)]
-        counts = self._reader.counts(asked)
-        return [counts.get(i) for i in range(len(keys))]
 
 
 def statement_of(key: Key) -> str:

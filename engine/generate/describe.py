@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Set
+from functools import reduce
 from itertools import combinations
+from operator import and_
 from typing import Final
 
 import msgspec
@@ -61,10 +63,7 @@ def describe(facts: Facts, sequence: str, track: int, frame: int, rules: Rules) 
 def _describes(conditions: tuple[Condition, ...], could: dict[Condition, Set[int]]) -> bool:
     if all(condition.kind in _WEAK for condition in conditions):
         return False
-    fitting = could[conditions[0]]
-    for condition in conditions[1:]:
-        fitting = fitting & could[condition]
-    return len(fitting) == 1
+    return len(reduce(and_, map(could.__getitem__, conditions))) == 1
 
 
 def _best_of(sets: list[tuple[Condition, ...]], prefix: str, order: tuple[str, ...]) -> tuple[Condition, ...]:

@@ -37,8 +37,6 @@ REASONS: Final = RULES | {
 }
 """All rules, each with the reason for a refusal. The rules after the search refuse proven candidates."""
 
-REFUSALS: Final = tuple(REASONS)
-
 _NAMED: Final = 2
 """Number of named rules per template. They are the rules that refused most candidates."""
 
@@ -69,7 +67,7 @@ def tallies(
     rows = []
     for name, family in FAMILIES.items():
         before = {rule: refused[name, rule] for rule in RULES}
-        after = {rule: refused[name, rule] for rule in REFUSALS if rule not in RULES}
+        after = {rule: refused[name, rule] for rule in REASONS if rule not in RULES}
         proven = sum(after.values()) + questions_of[name]
         row = {"family": family, "template": name, "candidates": proven + sum(before.values()), **before}
         row |= {"proven": proven, **after, "questions": questions_of[name]}
@@ -96,7 +94,7 @@ def _reasons(
         yield f"no candidate, nowhere is it certain that {forms_of(row['template'])[0].seeks}"
         return
     yield ", ".join(f"{name}: {row[name]:,}" for name in ("candidates", "proven", "questions"))
-    ranked = sorted((rule for rule in REFUSALS if row[rule]), key=lambda rule: -row[rule])
+    ranked = sorted((rule for rule in REASONS if row[rule]), key=lambda rule: -row[rule])
     for place, rule in enumerate(ranked):
         # The selection is named, too, if it refused most of the proven candidates, or too many.
         if place < _NAMED or (rule == "selection" and (shortage or row[rule] > row["questions"])):

@@ -62,7 +62,7 @@ class LabelCounts:
         """Add up the counts of all keyframes.
 
         Args:
-            counts: For each (sequence, keyframe), the number of people in clear view by action.
+            counts: For each (sequence, keyframe), the number of people in clear view by action, 1 or more.
         """
         self._at = counts
         self._orders: dict[tuple[str, int], list[dict[str, int]]] = {}
@@ -71,24 +71,19 @@ class LabelCounts:
         for (sequence, _), number in counts.items():
             self._data.update(number)
             self._in[sequence].update(number)
-        self.present = {
-            sequence: frozenset(label for label in number if number[label]) for sequence, number in self._in.items()
-        }
+        self.present = {sequence: frozenset(number) for sequence, number in self._in.items()}
 
     def doing(self, sequence: str, frame: int) -> frozenset[str]:
         """Return the actions that people in clear view certainly do at a keyframe."""
-        at = self._at.get((sequence, frame), {})
-        return frozenset(label for label in at if at[label])
+        return frozenset(self._at.get((sequence, frame), ()))
 
     def orders(self, sequence: str, frame: int) -> list[dict[str, int]]:
         """Return the position of each action, the commonest first, in all data, in the sequence and at the keyframe."""
-        orders = self._orders.get((sequence, frame))
-        if orders is None:
+        if (sequence, frame) not in self._orders:
             numbers = (self._data, self._in[sequence], self._at.get((sequence, frame), {}))
             ordered = [sorted(CHOICE_LABELS, key=self._by(number)) for number in numbers]
-            orders = [{label: index for index, label in enumerate(labels)} for labels in ordered]
-            self._orders[sequence, frame] = orders
-        return orders
+            self._orders[sequence, frame] = [{label: index for index, label in enumerate(labels)} for labels in ordered]
+        return self._orders[sequence, frame]
 
     def ranks(self, sequence: str, frame: int, truth: str, wrong: Sequence[str]) -> tuple[int, ...]:
         """Return how many wrong choices are commoner than the right one, in each of `orders`.

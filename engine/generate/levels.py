@@ -141,13 +141,10 @@ class Level:
         """
         rows = [self._options_of(candidate) for candidate in candidates]
         costs = self._costs(rows)
-        index = int(costs.argmin())
-        increase, row = int(costs[index]), 0
-        while index >= len(rows[row].base):
-            index -= len(rows[row].base)
-            row += 1
-        wrong = sorted(_LABELS[code] for code in rows[row].wrong[index].tolist())
-        return increase, Question(candidates[row], tuple(wrong))
+        index, ends = int(costs.argmin()), np.cumsum([len(row.base) for row in rows])
+        row = int(np.searchsorted(ends, index, side="right"))
+        wrong = sorted(_LABELS[code] for code in rows[row].wrong[index - ends[row]].tolist())
+        return int(costs[index]), Question(candidates[row], tuple(wrong))
 
     def cost_of(self, question: Question) -> int:
         """Return by how much a question raises the cost."""
@@ -158,10 +155,9 @@ class Level:
 
     def _options_of(self, candidate: Candidate) -> _Options:
         """Return the possible choices of a candidate, from memory if they were asked for before."""
-        options = self._options.get(candidate.key)
-        if options is None:
-            options = self._options[candidate.key] = self._make_options(candidate)
-        return options
+        if candidate.key not in self._options:
+            self._options[candidate.key] = self._make_options(candidate)
+        return self._options[candidate.key]
 
     def _make_options(self, candidate: Candidate) -> _Options:
         sequence, frame = candidate.sequence, candidate.asked[-1]
@@ -169,10 +165,8 @@ class Level:
         wrong = wrong[np.argsort(permute((wrong @ _BASE).astype(np.uint64), hash_of(candidate.key)))]
         doing = np.isin(wrong, [_CODE[x] for x in self._counts.doing(sequence, frame) if x in _CODE])
         orders = self._counts.orders(sequence, frame)
-        places, true = (
-            np.array([[order.get(label, 0) for label in _LABELS] for order in orders]),
-            _CODE[candidate.truth],
-        )
+        places = np.array([[order.get(label, 0) for label in _LABELS] for order in orders])
+        true = _CODE[candidate.truth]
         ranks = (places[:, wrong] < places[:, true, None, None]).sum(axis=2)
         numbers, weights = np.zeros((2, self._most), np.int64)
         for index, (name, weight) in enumerate(candidate.contexts):

@@ -25,7 +25,7 @@ class Taken:
 
     rules: Rules
     reads: dict[tuple[Person, str], list[tuple[int, ...]]] = field(default_factory=lambda: defaultdict(list))
-    events: set[tuple[Person, str]] = field(default_factory=set)
+    events: set[tuple[Person, str | None]] = field(default_factory=set)
     questions: Counter[Person] = field(default_factory=Counter)
 
     def admits(self, candidate: Candidate) -> bool:
@@ -35,23 +35,20 @@ class Taken:
             return False
         if candidate.event is not None and (candidate.person, candidate.event) in self.events:
             return False
-        if not others:
-            return True
-        near = near_frames(candidate.template, self.rules)
+        near = near_frames(candidate.template, rules)
         return not any(are_near(candidate.asked, asked, near) for asked in others)
 
     def add(self, candidate: Candidate) -> None:
         """Add a chosen question to the account."""
         self.reads[candidate.person, candidate.template].append(candidate.asked)
         self.questions[candidate.person] += 1
-        if candidate.event is not None:
-            self.events.add((candidate.person, candidate.event))
+        self.events.add((candidate.person, candidate.event))
 
     def remove(self, candidate: Candidate) -> None:
         """Remove a chosen question from the account."""
         self.reads[candidate.person, candidate.template].remove(candidate.asked)
         self.questions[candidate.person] -= 1
-        self.events.discard((candidate.person, candidate.event or ""))
+        self.events.discard((candidate.person, candidate.event))
 
 
 def are_near(first: Sequence[int], second: Sequence[int], near: int) -> bool:

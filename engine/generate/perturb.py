@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import and_
 from typing import Any, Final, Protocol
 
 from msgspec.structs import replace
@@ -142,10 +143,7 @@ def _step(program: Program, source: FactSource, people: dict[str, int], edges: S
 
 
 def _overlap(fits: Sequence[Fit]) -> Fit:
-    could, certain = fits[0]
-    for fit in fits[1:]:
-        could, certain = could & fit.could, certain & fit.certain
-    return Fit(could, certain)
+    return Fit(*(reduce(and_, tracks) for tracks in zip(*fits, strict=True)))
 
 
 def _only(fit: Fit) -> int:

@@ -26,7 +26,7 @@ from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
-from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate_proofs
+from jrdb_avr.engine.generate.perturb import Setting, iterate_proofs, require_all
 from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, program_of, propose, propose_presence
@@ -118,18 +118,14 @@ class Prover:
 
     def _try_proofs(self, program: Program, answer: Answer, template: Template) -> list[Proof]:
         """Return the proofs up to the first that does not hold, unless another one of its kind is enough."""
-        rules, proofs, missing = self._layer.rules, [], False
+        proofs: list[Proof | None] = []
         for proof in iterate_proofs(program, answer, self._setting):
-            if proof is None:
-                missing = True
-                continue
             proofs.append(proof)
-            alternative = proof.kind == "time.shift" or (proof.kind == "hop.stop" and template.joins)
-            if not alternative and failing(template.name, [proof], rules):
-                return proofs
-        if missing:
-            raise MissingFactsError
-        return proofs
+            if proof is None or proof.kind == "time.shift" or (proof.kind == "hop.stop" and template.joins):
+                continue
+            if failing(template.name, [proof], self._layer.rules):
+                return [*filter(None, proofs)]
+        return require_all(proofs)
 
     def _fits_one_view(self, proposal: Proposal) -> bool:
         """Return whether one view shows all people at t0, and the target at the times of the answer."""
@@ -156,8 +152,7 @@ def fill_pool(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
         The proven candidates.
     """
     fill = _fill_presence if forms[0].name == "presence" else _fill_moments if forms[0].asks_action else _thin_out
-    made = map(make_candidate, fill(layer, forms, prover, limit))
-    return [candidate for candidate in made if candidate is not None]
+    return list(map(make_candidate, fill(layer, forms, prover, limit)))
 
 
 def _fill_moments(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
@@ -278,22 +273,20 @@ def _rank(layer: Layer, row: TableRow) -> int:
 # -- candidates -------------------------------------------------------------------------------------------------------
 
 
-def make_candidate(proposal: Proposal) -> Candidate | None:
+def make_candidate(proposal: Proposal) -> Candidate:
     """Make the candidate of a proposal.
 
     Args:
-        proposal: Proposal.
+        proposal: Proposal. If it has actions as choices, at least three wrong choices fit (`Prover.with_choices`).
 
     Returns:
-        The candidate, or None if fewer than three wrong choices fit.
+        The candidate.
     """
     template, answer, layer = proposal.template, proposal.answer, proposal.layer
     words, begin = [condition.words for condition in proposal.conditions], proposal.frames["t0"]
     key, asked, wrong = proposal.key, proposal.read, frozenset[str]()
     if template.asks_action:
         wrong, asked = _wrong_actions(proposal), (_asked_keyframe(proposal),)
-        if not wrong_sets(wrong):
-            return None
         key = f"{key} {answer}"
         last = " ".join(proposal.relations[-2 if template.joins else -1 :]) or None
         contexts = choice_contexts(proposal.sequence, words, last, asked[0] - begin)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Container, Iterable, Mapping, Sequence
-from itertools import chain
 from typing import Final
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
@@ -37,14 +36,13 @@ PROFILES: Final[dict[str, dict[str, int]]] = {
 }
 """Quota of each family, in the order of the paper's table. The profiles without quotas keep all candidates."""
 
-_ORDER: Final = (
+STAGES: Final = (
     *(("span", "start"), ("action_search",), ("gap",), ("fork_join",), ("three_hop",), ("two_hop",)),
     *(("consequence",), ("later_action",), ("change",), ("distance",), ("presence",)),
 )
-STAGES: Final = (*_ORDER, *((name,) for name in FAMILIES if name not in {*chain.from_iterable(_ORDER)}))
 """Templates in the order of selection. Templates in one tuple share the quota of their family.
 
-As a person is in few questions, templates with few candidates come first. Templates without a position come last.
+As a person is in few questions, templates with few candidates come first.
 """
 
 _POOL_CAPS: Final = 4

@@ -62,10 +62,11 @@ def validate(
         The numbers of checks, and the faults.
 
     Raises:
-        StoreError: If a file is missing, or the questions were made under other rules.
+        StoreError: If nothing is loaded, a file is missing, or the questions were made under other rules.
         LockedError: If the proofs are repeated while another process writes the graph.
     """
     store, rules = Store.of(store), rules or Rules()
+    store.manifest()
     count = store.questions("questions").num_rows
     advance = step_counter(progress, "checking questions", count)
     report = Validation()
@@ -164,12 +165,11 @@ def _read(store: Store, table_name: str, report: Validation, training: bool) -> 
     name, table = path.relative_to(store.path / "questions"), read_table(path)
     columns, same = _list_columns(table.schema), table.schema.remove_metadata().equals(schema)
     report.check("files", same, f"{name} has the columns {columns}; expected {_list_columns(schema)}")
-    metadata = {key: value for key, value in (pq.read_metadata(path).metadata or {}).items() if key != b"ARROW:schema"}
+    stored = {key.decode(errors="replace"): value for key, value in (pq.read_metadata(path).metadata or {}).items()}
     keys = {GENERATION_KEY, PROFILE_KEY, DISJOINT_KEY} if training else {GENERATION_KEY, "canary"}
-    report.check(
-        "files", set(metadata) == {key.encode() for key in keys}, f"{name} has the metadata {sorted(metadata)}"
-    )
-    marked = training or metadata.get(b"canary") == CANARY.encode()
+    named = stored.keys() - {"ARROW:schema"}
+    report.check("files", named == keys, f"{name} has the metadata {sorted(named)}")
+    marked = training or stored.get("canary") == CANARY.encode()
     report.check("files", marked, f"{name} lacks the canary")
     try:
         table.validate(full=True)

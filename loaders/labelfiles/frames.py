@@ -287,6 +287,8 @@ def _frames(path: Path, suffixes: tuple[str, ...], problems: Problems) -> Iterat
     labels = decode_file(path, LabelFile, take).labels
     if len(labels) != len(keys):
         raise InputError(f"{path.name}: the key labels is repeated", file=path.name)
+    if not labels:
+        raise InputError(f"{path.name}: labels has no frames", file=path.name)
     for key, raw in labels.items():
         match = form.fullmatch(key)
         if match is None:

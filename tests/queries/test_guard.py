@@ -17,11 +17,13 @@ from jrdb_avr.queries.graph import guard
 from jrdb_avr.queries.graph.guard import check_cypher, query_graph
 from jrdb_avr.queries.graph.handle import Graph, build_graph
 from jrdb_avr.queries.graph.parameters import parameters
+from jrdb_avr.queries.manifest import Manifest, SequenceEntry
 from jrdb_avr.queries.named import find_query, named_queries, parse_value
 from jrdb_avr.queries.sql import JOINED, open_tables, query_tables, views
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError, LockedError, QueryError, StoreError
 from jrdb_avr.schema.graph import LAYER_NODES, LAYER_RELS, scene_ddl
+from jrdb_avr.schema.rules import LoadRules
 from jrdb_avr.schema.tables import QUESTIONS, RUNS
 
 pytestmark = pytest.mark.usefixtures("own_processes")
@@ -58,6 +60,7 @@ def store(tmp_path_factory):
         for n in range(3)
     ]
     place.write_questions("questions", pa.Table.from_pylist(rows, schema=QUESTIONS["questions"]), {})
+    place.write_manifest(Manifest(None, LoadRules(), "", {"s": SequenceEntry((), {})}, {}))
     return place
 
 

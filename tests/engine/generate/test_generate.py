@@ -21,7 +21,7 @@ from stored_layers import layer_rows
 from worlds import load_world
 
 from jrdb_avr.engine.commands.generate import generate as generate_command
-from jrdb_avr.engine.generate.diagnostics import REFUSALS
+from jrdb_avr.engine.generate.diagnostics import REASONS
 from jrdb_avr.engine.generate.run import generate
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import LockedError, StoreError
@@ -92,7 +92,7 @@ def test_true_choices_stand_at_every_place(rows):
 def test_refusals_add_up(made):
     store, report = made
     for row in report.templates:
-        assert row["candidates"] == sum(row[rule] for rule in REFUSALS) + row["questions"]
+        assert row["candidates"] == sum(row[rule] for rule in REASONS) + row["questions"]
     rejected = store.questions("rejected").to_pylist()
     assert len({(row["sequence"], row["template"], row["rule"]) for row in rejected}) == len(rejected)
 

@@ -45,7 +45,7 @@ def candidates(store, sequence, visibility):
         for template in forms_in(store, sequence):
             for one in proposals(search, template):
                 candidate = make_candidate(one)
-                if candidate is not None and prover.prove(one) is not None:
+                if (not template.asks_action or wrong_sets(candidate.wrong)) and prover.prove(one) is not None:
                     key = (template.name, one.target, canonical(one.plan), one.answer)
                     assert key not in found
                     found[key] = candidate.wrong

@@ -15,7 +15,7 @@ def test_ranks_count_people_and_break_ties_by_all_data_then_by_label():
         {
             ("s", 0): {"walking": 2, "sitting": 1},
             ("s", 15): {"sitting": 1},
-            ("r", 0): {"standing": 5, "sitting": 1, "walking": 0},
+            ("r", 0): {"standing": 5, "sitting": 1},
         }
     )
     # All data: standing 5, sitting 3, walking 2. Sequence s: walking 2 and sitting 2, standing 0.

@@ -142,10 +142,8 @@ def some_of(rows, most):
 def choices_of(search, one):
     """The choices of a proposal, as texts; None if it has too few."""
     candidate = make_candidate(one)
-    if candidate is None:
-        return None
-    wrong = wrong_sets(candidate.wrong)[0] if one.template.asks_action else tuple(candidate.wrong)
-    return tuple(map(choice_text, Question(candidate, wrong).choices))
+    sets = wrong_sets(candidate.wrong) if one.template.asks_action else [tuple(candidate.wrong)]
+    return None if not sets else tuple(map(choice_text, Question(candidate, sets[0]).choices))
 
 
 def compare_refused(store, sequence, most=30):

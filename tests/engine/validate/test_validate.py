@@ -172,15 +172,6 @@ def test_a_proof_stored_otherwise_than_found_again_is_named(few):
         assert ", now " in fault
 
 
-def test_a_spoiled_time_is_found(few):
-    def change(rows):
-        row = next(row for row in rows if row["answer"].startswith('{"frame"') and "angle" not in row["answer"])
-        row["answer"] = json.dumps({"frame": json.loads(row["answer"])["frame"] + 1})
-
-    rewrite(few, "answers", change)
-    assert "rederive" in faulty(few)
-
-
 def test_spoiled_evidence_is_found(few):
     def moved(rows):
         rows[0]["x"] += 1
@@ -288,9 +279,12 @@ def test_missing_and_broken_files_are_one_line(few, tmp_path):
     broken = run("validate", "--store", few.path)
     path.unlink()
     gone = run("validate", "--store", few.path)
-    for code, out, err in (missing, broken, gone):
+    (few.path / "store.json").unlink()
+    unloaded = [run(*command, "--store", few.path) for command in (["validate"], ["cypher", "sequences"])]
+    for code, out, err in (missing, broken, gone, *unloaded):
         assert code == 1 and len(err.splitlines()) == 1, err
         assert err.startswith("jrdb-avr: ") and not out
+    assert all(" is not a store: run 'jrdb-avr load " in err for _, _, err in (missing, *unloaded))
 
 
 def test_questions_of_other_rules_are_refused(sample_benchmark):
