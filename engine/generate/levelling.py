@@ -294,16 +294,21 @@ def select_level(candidates: Sequence[Candidate], quota: int, counts: LabelCount
         if guesser is None:
             break
         shortage = f"of {size} questions a guesser would have too many right: {guesser}"
-    most = MAX_TWINS.get(candidates[0].template, 0)
     questions = selector.questions()
-    if partners := find_twins(candidates, taken.rules) if most else {}:
+    most = min(MAX_TWINS.get(candidates[0].template, 0), len(questions) // 2)
+    partners = find_twins(candidates, taken.rules) if most else {}
+    # Fewer pairs at the start may leave some pairs if many pairs leave none.
+    while partners and most:
         selector.restart()
-        selector.put_twins(partners, min(most, len(questions) // 2))
+        selector.put_twins(partners, most)
         selector.fill(len(questions))
         selector.improve(selector.loose())
         while selector.pairs and above_bound(selector.offers()):
             selector.part_twins()
-        questions = selector.questions() if selector.pairs else questions
+        if selector.pairs:
+            questions = selector.questions()
+            break
+        most //= 2
     for question in questions:
         taken.add(question.candidate)
     return questions, shortage
