@@ -124,7 +124,7 @@ def generate(
         questions, report, left, faults = _choose(
             list(_decode([one.pool for one in found])),
             lambda pool: select(pool, counts, rules, profile, n),
-            partial(_make, store, jobs, workers, progress),
+            partial(_make, jobs, workers, progress),
             excluded,
         )
         rows = [row for one in found for row in one.refused]
@@ -311,7 +311,7 @@ def _choose(
 
 
 def _make(
-    store: Store, jobs: Sequence[Job], workers: Executor, progress: Progress | None, questions: Sequence[Question]
+    jobs: Sequence[Job], workers: Executor, progress: Progress | None, questions: Sequence[Question]
 ) -> tuple[pa.Table, dict[str, str]]:
     """Make selected questions; return them, and the faults by key."""
     by_sequence: dict[str, list[Question]] = defaultdict(list)
@@ -319,8 +319,6 @@ def _make(
         by_sequence[question.candidate.sequence].append(question)
     own = [replace(job, questions=tuple(by_sequence[job.sequence])) for job in jobs if job.sequence in by_sequence]
     advance = step_counter(progress, "confirming", len(own))
-    # The graph is opened again, because the engine keeps the memory of the statements of the search until it closes.
-    with hold_graph(store.graph_path, workers):
-        results = map_in_order(make_questions, own, workers, Job.weigh, advance)
+    results = map_in_order(make_questions, own, workers, Job.weigh, advance)
     faults = {key: fault for _, refused in results for key, fault in refused.items()}
     return pa.concat_tables([COLUMNS.empty_table(), *(table for table, _ in results)]), faults
