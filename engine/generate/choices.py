@@ -94,11 +94,10 @@ def wrong_sets(wrong: frozenset[str], size: int = 3) -> tuple[tuple[str, ...], .
     Returns:
         The sets, each sorted, in lexical order.
     """
-    return tuple(
-        actions
-        for actions in itertools.combinations(sorted(wrong), size)
-        if not any(may_be_same(*pair) for pair in itertools.combinations(actions, 2))
-    )
+    ordered = sorted(wrong)
+    apart = {pair for pair in itertools.combinations(ordered, 2) if not may_be_same(*pair)}
+    some = itertools.combinations(ordered, size)
+    return tuple(actions for actions in some if apart.issuperset(itertools.combinations(actions, 2)))
 
 
 def _labels_within(timeline: Timeline, frame: int, keyframes: int) -> frozenset[str]:

@@ -131,9 +131,9 @@ class Selector:
         for wrong in wrong_sets(first.wrong & second.wrong, 2):
             one = Question(first, tuple(sorted((second.truth, *wrong))), key)
             two = Question(second, tuple(sorted((first.truth, *wrong))), key)
-            cost = self.level.cost_of(one)
+            (cost,) = self.level.costs_of([one])
             self.level.add(one)
-            cost += self.level.cost_of(two)
+            cost += self.level.costs_of([two])[0]
             self.level.add(one, -1)
             options.append((cost, hash_of(key, wrong), one, two))
         *_, one, two = min(options)
@@ -193,7 +193,8 @@ class Selector:
             loose = [moment for moment in self.loose() if self.chosen[moment].candidate.truth == answer]
             if share <= MAX_ANSWER_SHARE or not loose:
                 return
-            self.take_out(max(loose, key=lambda moment: (self.level.cost_of(self.chosen[moment]), moment)))
+            costs = self.level.costs_of([self.chosen[moment] for moment in loose])
+            self.take_out(max(zip(costs, loose, strict=True))[1])
 
     def questions(self) -> list[Question]:
         """Return the selected questions in the order of the hashes of their moments."""
@@ -212,7 +213,7 @@ class Selector:
         question = best = self.take_out(moment)
         if others:
             cost, better = self.level.cheapest([one for other in others for one in self.moments[other]])
-            best = better if cost < self.level.cost_of(question) else question
+            best = better if [cost] < self.level.costs_of([question]) else question
         self.put(best)
         return best
 

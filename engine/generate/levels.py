@@ -146,12 +146,15 @@ class Level:
         wrong = sorted(_LABELS[code] for code in rows[row].wrong[index - ends[row]].tolist())
         return int(costs[index]), Question(candidates[row], tuple(wrong))
 
-    def cost_of(self, question: Question) -> int:
-        """Return by how much a question raises the cost."""
-        options = self._options_of(question.candidate)
-        codes = sorted(_CODE[label] for label in question.wrong)
-        (index,) = np.flatnonzero((options.wrong == codes).all(axis=1))
-        return int(self._costs([options.at(int(index))])[0])
+    def costs_of(self, questions: Iterable[Question]) -> list[int]:
+        """Return by how much each question raises the cost."""
+        rows = []
+        for question in questions:
+            options = self._options_of(question.candidate)
+            codes = sorted(_CODE[label] for label in question.wrong)
+            (index,) = np.flatnonzero((options.wrong == codes).all(axis=1))
+            rows.append(options.at(int(index)))
+        return cast(list[int], self._costs(rows).tolist())
 
     def _options_of(self, candidate: Candidate) -> _Options:
         """Return the possible choices of a candidate, from memory if they were asked for before."""

@@ -30,10 +30,11 @@ class Taken:
 
     def admits(self, candidate: Candidate) -> bool:
         """Return whether no near-duplicate and no cap forbids a question."""
-        others, rules = self.reads[candidate.person, candidate.template], self.rules
-        if len(others) >= rules.max_per_person or self.questions[candidate.person] >= rules.max_per_person_in_all:
+        person, rules = candidate.person, self.rules
+        others = self.reads[person, candidate.template]
+        if len(others) >= rules.max_per_person or self.questions[person] >= rules.max_per_person_in_all:
             return False
-        if candidate.event is not None and (candidate.person, candidate.event) in self.events:
+        if candidate.event is not None and (person, candidate.event) in self.events:
             return False
         near = near_frames(candidate.template, rules)
         return not any(are_near(candidate.asked, asked, near) for asked in others)

@@ -20,7 +20,7 @@ from jrdb_avr.queries.compiler.reads import outcome_of_action
 from jrdb_avr.queries.compiler.solve import CHANGES
 from jrdb_avr.schema.answer_modes import same_answer
 from jrdb_avr.schema.answers import FrameViewpoint
-from jrdb_avr.schema.plan import Edge
+from jrdb_avr.schema.plan import Condition, Edge
 from jrdb_avr.schema.questions import Proof
 from jrdb_avr.schema.rules import KEYFRAME_STEP, Rules, frames
 
@@ -74,12 +74,14 @@ class Setting:
         keyframes: Keyframes of the sequence, in order.
         rules: Thresholds.
         drops: Complete proofs of the kind "time.drop". Programs that are equal but for the time share one.
+        described: People who fit the conditions of programs, by conditions and frame.
     """
 
     source: FactSource
     keyframes: Sequence[int]
     rules: Rules
     drops: dict[tuple[Program, Answer], Proof] = field(default_factory=dict)
+    described: dict[tuple[tuple[Condition, ...], int], Fit] = field(default_factory=dict)
 
     @cached_property
     def keyframe_set(self) -> frozenset[int]:
@@ -90,12 +92,12 @@ class Setting:
 # -- running a program ------------------------------------------------------------------------------------------------
 
 
-def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
+def find_tracks(program: Program, setting: Setting) -> dict[str, int]:
     """Find the people of a program, one after another.
 
     Args:
         program: Program.
-        source: Source of facts.
+        setting: Source of facts.
 
     Returns:
         Tracks by name.
@@ -104,14 +106,14 @@ def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
         NoAnswerError: If the conditions or a relation lead to no single person.
         MissingFactsError: If facts are missing.
     """
-    people = {"a": _only(match(program, source)) if program.held is None else program.held}
+    people = {"a": _only(match(program, setting)) if program.held is None else program.held}
     failures, missing = [], False
     for node in program.nodes[1:] if program.edges else ():
         edges = [edge for edge in program.edges if edge.target == node]
         if not all(edge.source in people for edge in edges):
             continue
         try:
-            people[node] = _step(program, source, people, edges)
+            people[node] = _step(program, setting.source, people, edges)
         except NoAnswerError as reason:
             failures.append(str(reason))
         except MissingFactsError:
@@ -123,10 +125,13 @@ def find_tracks(program: Program, source: FactSource) -> dict[str, int]:
     return people
 
 
-def match(program: Program, source: FactSource) -> Fit:
+def match(program: Program, setting: Setting) -> Fit:
     """Find the people who may fit all conditions of a program, and those who certainly fit."""
-    keys = [("match", program.sequence, condition, program.frame) for condition in program.conditions]
-    return _overlap(source.ask([("people_at", program.sequence, program.frame), *keys]))
+    if (known := (program.conditions, program.frame)) not in setting.described:
+        keys = [("match", program.sequence, condition, program.frame) for condition in program.conditions]
+        fits = setting.source.ask([("people_at", program.sequence, program.frame), *keys])
+        setting.described[known] = _overlap(fits)
+    return setting.described[known]
 
 
 def _step(program: Program, source: FactSource, people: dict[str, int], edges: Sequence[Edge]) -> int:
@@ -189,24 +194,24 @@ def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
 
 def iterate_proofs(program: Program, answer: Answer, setting: Setting) -> Iterator[Proof | None]:
     """Yield the proofs of a program one by one, None for one that lacks facts. See `prove` for the parameters."""
-    people = find_tracks(program, setting.source)
-    yield from prove_conditions(program, setting.source)
+    people = find_tracks(program, setting)
+    yield from prove_conditions(program, setting)
     yield from prove_changes(program, people, answer, setting)
 
 
-def prove_conditions(program: Program, source: FactSource) -> Iterator[Proof | None]:
+def prove_conditions(program: Program, setting: Setting) -> Iterator[Proof | None]:
     """Yield a proof per condition that the condition is needed: without it, two people or more may be meant.
 
     Args:
         program: Program of a question.
-        source: Source of facts.
+        setting: Source of facts.
 
     Yields: The proofs, None for one that lacks facts.
     """
     for condition in program.conditions:
         left = replace(program, conditions=tuple(one for one in program.conditions if one is not condition))
         try:
-            several = len(match(left, source).could) >= 2
+            several = len(match(left, setting).could) >= 2
         except MissingFactsError:
             yield None
             continue
@@ -284,8 +289,8 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
     source, sequence = setting.source, perturbed.sequence
     try:
         if isinstance(answer, FrameViewpoint):
-            return _compare_starts(perturbed, answer, source), None
-        target = find_tracks(perturbed, source)[perturbed.target]
+            return _compare_starts(perturbed, answer, setting), None
+        target = find_tracks(perturbed, setting)[perturbed.target]
         seen = [("seen", sequence, target, frame) for frame in perturbed.times]
         if perturbed.read == "action":
             first, labels = source.ask([*seen, ("labels", sequence, target, perturbed.times[0])])
@@ -299,13 +304,13 @@ def _compare(perturbed: Program, answer: Answer, setting: Setting) -> tuple[str,
     return "same" if again == answer else "different", again
 
 
-def _compare_starts(perturbed: Program, answer: FrameViewpoint, source: FactSource) -> str:
+def _compare_starts(perturbed: Program, answer: FrameViewpoint, setting: Setting) -> str:
     """Compare starts. If no start is certain, the outcome is unknown only if a start may be near enough to score."""
-    track, action, sequence = find_tracks(perturbed, source)[perturbed.target], perturbed.action, perturbed.sequence
-    (start,) = source.ask([("start", sequence, track, action, perturbed.frame)])
+    track, action, sequence = find_tracks(perturbed, setting)[perturbed.target], perturbed.action, perturbed.sequence
+    (start,) = setting.source.ask([("start", sequence, track, action, perturbed.frame)])
     if start is not None:
         return "same" if same_answer(start, answer) else "different"
-    (rows,) = source.ask([("onsets", sequence, track, action, answer.frame)])
+    (rows,) = setting.source.ask([("onsets", sequence, track, action, answer.frame)])
     certain = {frame for frame, _, _, sure in rows if sure}
     for frame, angle, could, _ in rows:
         near = frame >= answer.frame - KEYFRAME_STEP and same_answer(FrameViewpoint(answer.frame, angle), answer)

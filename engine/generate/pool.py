@@ -165,7 +165,7 @@ def _fill_moments(layer: Layer, forms: Sequence[Template], prover: Prover, limit
     moments: dict[tuple[Any, ...], list[TableRow]] = defaultdict(list)
     for row in propose(layer, form):
         if form.name in _WITH_TWINS:
-            described[row[form.target]][tuple(row.get(name) for name in ("name", "r1", "r2"))].append(row)
+            described[row[form.target]][row["name"], row.get("r1"), row.get("r2")].append(row)
         moments[_moment(form, row)].append(row)
 
     def prove_described(track: int) -> Iterator[list[Proposal]]:

@@ -11,7 +11,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 from itertools import product
 from typing import Final
 
@@ -31,6 +31,8 @@ from jrdb_avr.schema.wording.people import in_order
 
 _TIMES: Final = ("t0", "t1", "t2", "leaves", "returns")
 """Columns of times in rows of generators."""
+
+_in_order = lru_cache(maxsize=4096)(in_order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class Proposal:
     def conditions(self) -> tuple[Condition, ...]:
         """Conditions of the description, in the order in which proofs leave them out."""
         at = self.template.described
-        return tuple(c if c.at is None else replace(c, at=at) for c in self.layer.names[self.row["name"]])
+        return tuple(c if c.at in (None, at) else replace(c, at=at) for c in self.layer.names[self.row["name"]])
 
     @cached_property
     def segments(self) -> list[TableRow]:
@@ -118,7 +120,7 @@ class Proposal:
     def plan(self) -> Plan:
         """Plan of the question."""
         stated = {name: self.frames[name] for name in self.template.stated}
-        return self.template.build(Slots(in_order(self.conditions), stated, self.actions, self.relations))
+        return self.template.build(Slots(_in_order(self.conditions), stated, self.actions, self.relations))
 
     @cached_property
     def key(self) -> str:
@@ -179,9 +181,9 @@ def _joining(layer: Layer, track: int, frame: int, apart: set[int]) -> dict[str,
     facts, fits = layer.facts, {}
     held = [label for label in facts.relations_of(track, frame) if label in RELATIONS_OF["join"]]
     for label in (*held, *_WINDOWS):
-        fit = Fit(*(people - apart for people in facts.follow(label, track, frame)))
-        if len(fit.could) >= 2 and fit.certain:
-            fits[label] = fit
+        could, certain = facts.follow(label, track, frame)
+        if certain - apart and len(could - apart) >= 2:
+            fits[label] = Fit(could - apart, certain - apart)
     return fits
 
 
@@ -194,32 +196,35 @@ def _counts(layer: Layer) -> Iterator[TableRow]:
 
     The proof checks the frames between keyframes.
     """
-    facts, rules = layer.facts, layer.rules
+    stretches = cache(lambda *start: list(_stretches(layer, *start)))
     for row in layer.search("described"):
         if row["ahead"]:
             continue
         sized = any(condition.kind == "group_size" for condition in layer.names[row["name"]])
         for relation in RELATIONS_OF["count"]:
-            if sized and RELATIONS[relation].kind == "group":
-                # The words of the question would state the number of people at the beginning.
-                continue
-            met: dict[int, int | None] = {}
-            for frame in (keyframe for keyframe in facts.keyframes if keyframe >= row["t0"]):
-                people = facts.people.get(frame, {})
-                if row["a"] not in people:
-                    break
-                could, certain = facts.follow(relation, row["a"], frame)
-                clear = {track for track in certain if people[track]["clear"] and people[row["a"]]["clear"]}
-                if could != (clear if facts.judges_views else certain):
-                    break
-                for track in certain:
-                    if met.setdefault(track, None) is None and track in clear:
-                        met[track] = frame if layer.has_image(frame) else _UNSEEN
-                enough = len(met) >= rules.count_min and not {None, _UNSEEN}.intersection(met.values())
-                if enough and frame >= row["t0"] + frames(rules.long_wait_s):
-                    counted = tuple(sorted((track, first) for track, first in met.items() if first is not None))
-                    times = {"t1": row["t0"], "t2": frame}
-                    yield row | times | {"r1": relation, "value": float(len(met)), "counted": counted}
+            # The words of a question with the size of a group would state the number of people at the beginning.
+            if not sized or RELATIONS[relation].kind != "group":
+                yield from (row | stretch for stretch in stretches(relation, row["a"], row["t0"]))
+
+
+def _stretches(layer: Layer, relation: str, track: int, begin: int) -> Iterator[TableRow]:
+    """Yield the stretches of time from a keyframe with enough people in a relation with a person."""
+    facts, rules, met = layer.facts, layer.rules, dict[int, int | None]()
+    for frame in (keyframe for keyframe in facts.keyframes if keyframe >= begin):
+        people = facts.people.get(frame, {})
+        if track not in people:
+            break
+        could, certain = facts.follow(relation, track, frame)
+        clear = {other for other in certain if people[other]["clear"] and people[track]["clear"]}
+        if could != (clear if facts.judges_views else certain):
+            break
+        for other in certain:
+            if met.setdefault(other, None) is None and other in clear:
+                met[other] = frame if layer.has_image(frame) else _UNSEEN
+        enough = len(met) >= rules.count_min and not {None, _UNSEEN}.intersection(met.values())
+        if enough and frame >= begin + frames(rules.long_wait_s):
+            counted = tuple(sorted((other, first) for other, first in met.items() if first is not None))
+            yield {"t1": begin, "t2": frame, "r1": relation, "value": float(len(met)), "counted": counted}
 
 
 def propose_presence(layer: Layer, template: Template) -> tuple[dict[int, list[TableRow]], dict[int, list[TableRow]]]:

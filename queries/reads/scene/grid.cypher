@@ -6,8 +6,8 @@ WITH f.sequence AS scope, min(f.frame) AS origin
 MATCH (f:Frame)
 WHERE f.sequence = scope AND f.annotated
 WITH scope, sum(CASE WHEN (f.frame - origin) % 15 = 0 THEN 0 ELSE 1 END) AS between
-MATCH (:Person)-[s:SeenIn]->(:Frame)
-WHERE s.sequence IN $scopes AND s.sequence = scope AND s.listed
+MATCH (p:Person)-[s:SeenIn]->(:Frame)
+WHERE p.sequence IN $scopes AND p.sequence = scope AND s.listed
 WITH scope, between, min(s.frame) AS low, max(s.frame) AS high
 MATCH (z:Sequence)
 WHERE z.sequence = scope

@@ -7,7 +7,7 @@ WITH q.id AS id, q.scope AS scope, q.who AS who, q.action AS action, q.posture A
      q.low AS low, q.high AS high, q.step AS step
 WHERE after >= low AND (after - low) % step = 0
 MATCH (p:Person)-[r:Performs|MayPerform]->(x:Action)
-WHERE p.sequence = scope AND p.track = who AND x.name = action AND r.last >= after
+WHERE p.sequence IN $scopes AND p.sequence = scope AND p.track = who AND x.name = action AND r.last >= after
 WITH id, action, posture, after, low, high, step, p, min(r.first) AS first
 WHERE first > after
 // The segment is a chain of intervals from `first` on, without gaps. It ends with the interval that has no successor.
@@ -29,9 +29,11 @@ WHERE unsure = 0 AND first - edge >= low
   AND (before IS NULL OR (before < first - edge AND before < first - quiet))
   AND (next IS NULL OR next > last + quiet)
 // Require a clear view of the person at all frames of the segment.
-MATCH (x:Action)<-[r:Performs]-(p)-[s:SeenIn]->(:Frame)
+MATCH (p)-[r:Performs]->(x:Action)
 WHERE x.name = action AND r.certain AND r.first >= first AND r.last <= last
-  AND s.frame >= r.first AND s.frame <= r.last AND (s.frame - low) % step = 0 AND s.clear
+WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, r.first AS begin, r.last AS stop
+MATCH (p)-[s:SeenIn]->(:Frame)
+WHERE s.frame >= begin AND s.frame <= stop AND (s.frame - low) % step = 0 AND s.clear
 WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, count(*) AS clear
 WHERE clear = named
 // Count the frames with action labels before and after the segment. At these frames, the action is false.

@@ -97,7 +97,7 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
     level = Level([one.candidate for one in questions], COUNTS)
     for place, question in enumerate(questions):
         before = cost_from_scratch(questions[:place])
-        assert level.cost_of(question) == cost_from_scratch(questions[: place + 1]) - before
+        assert level.costs_of([question])[0] == cost_from_scratch(questions[: place + 1]) - before
         options = [Question(question.candidate, wrong) for wrong in wrong_sets(question.candidate.wrong)]
         cost, best = level.cheapest([question.candidate])
         assert cost + before == min(cost_from_scratch([*questions[:place], option]) for option in options)
@@ -107,7 +107,7 @@ def test_the_increase_of_the_cost_is_that_of_the_cost_from_scratch(drawn):
     for place in range(len(questions) - 1, -1, -1):
         level.add(questions[place], -1)
         before = cost_from_scratch(questions[:place])
-        assert level.cost_of(questions[place]) == cost_from_scratch(questions[: place + 1]) - before
+        assert level.costs_of([questions[place]])[0] == cost_from_scratch(questions[: place + 1]) - before
 
 
 def selected(candidates, quota=30):
