@@ -299,17 +299,15 @@ def select_level(candidates: Sequence[Candidate], quota: int, counts: LabelCount
     most = min(MAX_TWINS.get(candidates[0].template, 0), len(questions) // 2)
     partners = find_twins(candidates, taken.rules) if most else {}
     # Fewer pairs at the start may leave some pairs if many pairs leave none.
-    while partners and most:
+    while partners and most and not selector.pairs:
         selector.restart()
         selector.put_twins(partners, most)
         selector.fill(len(questions))
         selector.improve(selector.loose())
         while selector.pairs and above_bound(selector.offers()):
             selector.part_twins()
-        if selector.pairs:
-            questions = selector.questions()
-            break
         most //= 2
+    questions = selector.questions() if selector.pairs else questions
     for question in questions:
         taken.add(question.candidate)
     return questions, shortage

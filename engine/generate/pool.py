@@ -228,11 +228,10 @@ def _prove_pairs(
     later = [row | pair for pair in pairs if pair["t1"] >= first and not (row["ahead"] and pair["away"])]
     for both in sorted(later, key=partial(_rank, layer)):
         times, stay = (both["t1"], both["t2"]), kept[both["answer"]]
-        if len(stay) == _PAIRS or any(are_near(times, one, near) for one in stay):
-            continue
-        for proposal in prover.proven([Proposal(layer, form, both)]):
-            stay.append(times)
-            yield proposal
+        if len(stay) < _PAIRS and not any(are_near(times, one, near) for one in stay):
+            for proposal in prover.proven([Proposal(layer, form, both)]):
+                stay.append(times)
+                yield proposal
 
 
 def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
@@ -266,8 +265,8 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
 
 def _rank(layer: Layer, row: TableRow) -> int:
     """Return the hash that decides among rows. It does not depend on the place of the sequence in the data."""
-    number = row["name"] - layer.low
-    return hash_of(layer.sequence, number, [row.get(key) for key in _ROW_KEYS])
+    local = row | {key: row[key] - layer.low for key in ("name", "segment") if key in row}
+    return hash_of(layer.sequence, local["name"], [local.get(key) for key in _ROW_KEYS])
 
 
 # -- candidates -------------------------------------------------------------------------------------------------------

@@ -160,10 +160,9 @@ def _level(candidates: Iterable[Candidate], quota: int, taken: Taken, cap: int, 
         asked_later = (candidate.person, candidate.event) in events
         return numbers[candidate.template], asked_later, level, numbers[candidate.sequence]
 
-    while len(chosen) < quota:
-        alive = [candidate for candidate in alive if numbers[candidate.sequence] < cap and taken.admits(candidate)]
-        if not alive:
-            break
+    while len(chosen) < quota and (
+        alive := [candidate for candidate in alive if numbers[candidate.sequence] < cap and taken.admits(candidate)]
+    ):
         best = min(alive, key=cost)
         chosen.append(best)
         taken.add(best)

@@ -90,7 +90,7 @@ def compare_record(stored: QuestionRecord, again: Mapping[str, Any]) -> Iterator
         if column == "proofs":
             yield from _compare_proofs(stored, now)
         elif isinstance(now, float):
-            if abs(before - now) > _TOLERANCE:
+            if not abs(before - now) <= _TOLERANCE:
                 yield f"{stored.question_id}: {column}: stored {before}, now {now}"
         elif now != (frozenset(before) if isinstance(now, frozenset) else before):
             yield f"{stored.question_id}: {column}: stored {_shorten(before)}, now {_shorten(now)}"
