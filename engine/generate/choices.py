@@ -96,8 +96,7 @@ def wrong_sets(wrong: frozenset[str], size: int = 3) -> tuple[tuple[str, ...], .
     """
     ordered = sorted(wrong)
     apart = {pair for pair in itertools.combinations(ordered, 2) if not may_be_same(*pair)}
-    some = itertools.combinations(ordered, size)
-    return tuple(actions for actions in some if apart.issuperset(itertools.combinations(actions, 2)))
+    return tuple(x for x in itertools.combinations(ordered, size) if apart.issuperset(itertools.combinations(x, 2)))
 
 
 def _labels_within(timeline: Timeline, frame: int, keyframes: int) -> frozenset[str]:
