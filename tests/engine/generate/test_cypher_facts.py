@@ -5,14 +5,14 @@ from collections import Counter
 
 import pytest
 from random_worlds import in_crowds, lively_world, random_world, sociable_world
-from worlds import load_world
+from worlds import load_world, person
 
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts, statement_of
 from jrdb_avr.engine.generate.facts import Facts
 from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.loaders.intervals import neighbors
 from jrdb_avr.queries.graph.handle import Graph
-from jrdb_avr.schema.relations import FIRST_LEFT, QUESTION_RELATIONS, RELATIONS
+from jrdb_avr.schema.relations import FIRST_LEFT, QUESTION_RELATIONS, RELATIONS, SAME_GROUP
 from jrdb_avr.schema.rules import CONDITION_KINDS, LoadRules
 
 RULES = LoadRules()
@@ -95,3 +95,21 @@ def test_places_that_load_left_out_are_unknown(tmp_path, monkeypatch):
     for frame, people in crowded.items():
         for who in people:
             assert facts.follow(FIRST_LEFT, who, frame) == (people - {who}, set())
+
+
+def test_a_group_that_is_left_for_a_few_frames_stays_possible(tmp_path):
+    """Person 2 is certainly in group 1 around frame 30, and a closed gap leaves group 2 possible there."""
+    name = "yard-2020-01-01_0"
+    groups = {1: lambda frame: 1, 2: lambda frame: 1 if 28 <= frame <= 32 else 2, 3: lambda frame: 2}
+    rows = {
+        frame: [
+            person(who, (400 * who, 100, 60, 200), {"standing": 1}, (group(frame), 1)) for who, group in groups.items()
+        ]
+        for frame in range(61)
+    }
+    store = load_world(tmp_path, {name: {"2d": rows}})
+    with Graph.open(store.graph_path, read_only=True) as graph:
+        assert check_facts(graph, [name], random.Random(5))
+        facts = Facts(graph, name, RULES, with_faces=True)
+    could, certain = facts.follow(SAME_GROUP, 2, 30)
+    assert set(could) == {1, 3} and 3 not in certain
