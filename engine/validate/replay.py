@@ -170,10 +170,10 @@ def replay(
 def _replay_one(stored: StoredPlan, source: CypherFacts, rules: Rules) -> list[str]:
     """Prove a question, and compare its record. Raise MissingFactsError if facts are missing."""
     record, plan = stored.record, stored.plan
-    keyframes = source.keyframes(record.sequence)
+    setting = Setting(source, source.keyframes(record.sequence), rules)
     try:
-        proofs = require_all(iterate_stored_proofs(stored, Setting(source, keyframes, rules)))
-        people = find_tracks(stored.program, source)
+        proofs = require_all(iterate_stored_proofs(stored, setting))
+        people = find_tracks(stored.program, setting)
     except NoAnswerError as reason:
         return [f"{record.question_id}: anchor match: stored same, now {reason}"]
     stated = {name: time.frame for name, time in plan.times.items() if time.frame is not None}
@@ -198,9 +198,9 @@ def iterate_stored_proofs(stored: StoredPlan, setting: Setting) -> Iterator[Proo
         MissingFactsError: If facts that are needed to find the people are missing.
     """
     record, program = stored.record, stored.program
-    people = find_tracks(program, setting.source)
+    people = find_tracks(program, setting)
     yield Proof("anchor", "match", True, "same", record.answer_text)
-    yield from prove_conditions(program, setting.source)
+    yield from prove_conditions(program, setting)
     yield _prove_views_clear(record, setting.source)
     yield from prove_changes(program, people, stored.answer, setting)
     yield from _prove_crops(record, setting.rules)
