@@ -31,9 +31,9 @@ WHERE unsure = 0 AND first - edge >= low
 // Require a clear view of the person at all frames of the segment.
 MATCH (p)-[r:Performs]->(x:Action)
 WHERE x.name = action AND r.certain AND r.first >= first AND r.last <= last
-WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, r.first AS begin, r.last AS stop
+WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, r.first AS since, r.last AS until
 MATCH (p)-[s:SeenIn]->(:Frame)
-WHERE s.frame >= begin AND s.frame <= stop AND (s.frame - low) % step = 0 AND s.clear
+WHERE s.frame >= since AND s.frame <= until AND (s.frame - low) % step = 0 AND s.clear
 WITH id, posture, after, low, high, step, p, first, last, next, edge, quiet, named, count(*) AS clear
 WHERE clear = named
 // Count the frames with action labels before and after the segment. At these frames, the action is false.
