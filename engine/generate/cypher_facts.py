@@ -73,7 +73,7 @@ class CypherFacts:
         self._noted.clear()
 
     def complete(self, function: Callable[[], _T]) -> _T:
-        """Call a function, and look up the facts that it lacks, until it returns a value. Return this value."""
+        """Call a function again and again, with the facts that it lacked looked up, until it returns. Return its value."""
         return self.complete_all({0: function})[0]
 
     def complete_all(
@@ -145,7 +145,7 @@ class CypherFacts:
                 self._known[key] = Fit({row["who"] for row in found}, certain)
 
     def _read(self, name: str, keys: Sequence[Key]) -> list[Any]:
-        """Return facts by the compiler's reads."""
+        """Return facts of one kind (`name`) that the reads of the compiler look up."""
         asked: list[Any] = [(Person(i, scope, track), *rest) for i, (_, scope, track, *rest) in enumerate(keys)]
         if name == "seen":
             seen = self._reader.seen(asked)
@@ -169,7 +169,7 @@ def statement_of(key: Key) -> str:
 
 
 def row_of(key: Key) -> dict[str, Any]:
-    """Return the row of a statement's parameter for a fact."""
+    """Return the row that asks for a fact, for the list `$asked` or `$plans` of its statement."""
     kind, scope, *about = key
     if kind == "onsets":
         track, action, frame = about

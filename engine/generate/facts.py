@@ -234,7 +234,8 @@ class Facts:
             frame: Keyframe at which the person has a box.
 
         Returns:
-            The other people who may have the relation, and who certainly have it. Covered people are left out.
+            The other people to whom the relation may lead (`could`), and those to whom it certainly leads
+            (`certain`). Covered people are left out.
         """
         if (key := (relation, track, frame)) not in self._follows:
             self._follows[key] = self._without_covered(self._follow(RELATIONS[relation], track, frame), frame)

@@ -94,7 +94,7 @@ class Layer:
 
     @cached_property
     def names(self) -> dict[int, tuple[Condition, ...]]:
-        """Conditions of each name by id, from the stored layer."""
+        """Conditions of each description of the sequence, by the id of its node `Name` in the stored layer."""
         rows = self.graph.query(read_statement("reads/names.cypher"), {"sequence": self.sequence}).to_pylist()
         return {row["id"]: _CONDITIONS.decode(row["conditions"]) for row in rows}
 

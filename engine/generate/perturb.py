@@ -184,7 +184,10 @@ def prove(program: Program, answer: Answer, setting: Setting) -> list[Proof]:
 
 
 def require_all(proofs: Iterable[Proof | None]) -> list[Proof]:
-    """Return all proofs. Raise MissingFactsError after the last proof if one of them lacks facts."""
+    """Return all proofs, or raise MissingFactsError if one is None.
+
+    All proofs are tried first, so that the facts that any of them lacks are looked up together.
+    """
     proofs = list(proofs)
     complete = [proof for proof in proofs if proof is not None]
     if len(complete) < len(proofs):
@@ -253,7 +256,10 @@ def prove_changes(
 
 
 def _prove(kind: str, variant: str, perturbed: Program | None, answer: Answer, setting: Setting) -> Proof | None:
-    """Prove that a perturbed program does not give the answer. Return None if facts are missing."""
+    """Return the proof of one perturbed program, or None if facts are missing.
+
+    The proof holds if the program does not give the answer. None in place of the program is a time outside the sequence.
+    """
     if perturbed is None:
         return Proof(kind, variant, False, "outside")
     try:

@@ -198,7 +198,7 @@ def _take_some(groups: Iterable[Iterable[_T]]) -> Iterator[list[_T]]:
 
 
 def _take_turns(limit: int, queues: Iterable[Iterator[Sequence[_T]]]) -> Iterator[_T]:
-    """Yield the items of one group of each queue in turn until there are enough. Groups stay whole."""
+    """Yield the items of the queues, one whole group of each queue in turn, until there are at least `limit` items."""
     waiting = deque(queues)
     while waiting and limit > 0:
         queue = waiting.popleft()
@@ -235,7 +235,11 @@ def _prove_pairs(
 
 
 def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
-    """Yield proposals in the order of their keys, but none that reads the same as one before it."""
+    """Yield proven proposals without near-duplicates, at most `max_per_person` for each person and answer.
+
+    Pairs of person and answer take turns in the order of a hash. The proposals of one pair come in the order of their
+    keys.
+    """
     groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
     for form in forms:
         for row in propose(layer, form):
@@ -314,7 +318,7 @@ def make_candidate(proposal: Proposal) -> Candidate:
 
 
 def _asked_keyframe(proposal: Proposal) -> int:
-    """Return the keyframe of an action: labels are given at keyframes, and a posture may begin between two of them."""
+    """Return the first keyframe at or after the time asked, because a posture may begin between two keyframes."""
     keyframes: list[int] = proposal.layer.facts.keyframes
     return keyframes[bisect_left(keyframes, proposal.frames[proposal.template.decisive[0]])]
 

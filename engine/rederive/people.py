@@ -77,7 +77,7 @@ class PersonBoxes:
         return frozenset(f for f in numbers if self.knows(f) or not self._people.get(f))
 
     def knows(self, frame: int, layer: str = "2d") -> bool:
-        """Return whether a layer knows the frame, so that a fact without a label is false in it."""
+        """Return whether a layer has this frame, so that in it a fact without a label is false, and not unknown."""
         return frame in self._known.get(layer, ())
 
     def frames_between(self, first: int, last: int) -> range:

@@ -220,7 +220,7 @@ def _could_start(perturbed: ResolvedPlan, stored: FrameViewpoint) -> bool:
 
 
 def _shows(box: NeededBox, share: float) -> Bools:
-    """Return for each column whether a crop that begins at it shows at least `share` of the box's width."""
+    """Return for each column whether the crop with this left edge shows at least `share` of the box's width."""
     begin = (box.x - np.arange(WIDTH)) % WIDTH
     # Because the box may begin in the crop, or before the crop and reach across its left edge.
     shown = np.clip(CROP - begin, 0, box.w) + np.clip(begin - WIDTH + box.w, 0, CROP)

@@ -169,7 +169,7 @@ def sequence_table(line: Timeline, visibility: str) -> pa.Table:
 
     Args:
         line: Frames of the sequence.
-        visibility: Evidence for clear views.
+        visibility: What decides who is in clear view: "attributes", "geometry" or "nothing".
     """
     row = {
         "fps": FPS,

@@ -85,7 +85,7 @@ def in_range(least: str, most: str) -> Clause:
 
 
 def unless_listed(rows: Clause, listed: str) -> Clause:
-    """Return the clause of facts that are rows. A fact without a row is false if the person's list is complete.
+    """Return the clause of a fact that rows state. Without a row it is false if the list is complete, else unknown.
 
     Args:
         rows: Clause of the rows.

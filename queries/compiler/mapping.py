@@ -107,9 +107,9 @@ def thing_edge_kind(field: str, relation: str) -> str:
 
 
 def edge_values(relation: str) -> dict[str, str | float]:
-    """Return the values that the clause of an edge compares with, by variable.
+    """Return the values that fill the variables of the clause of an edge, by the letter of the variable.
 
-    The same group has no value. A window has its degrees. Other relations have their label.
+    The relation "in the same group as" has no value. "Within N degrees" has N. All others have their label.
 
     Args:
         relation: Relation of the edge.
