@@ -73,7 +73,7 @@ class CypherFacts:
         self._noted.clear()
 
     def complete(self, function: Callable[[], _T]) -> _T:
-        """Call a function again and again, with the facts that it lacked looked up, until it returns. Return its value."""
+        """Call a function until it returns, and look up the facts that it lacks between calls. Return its value."""
         return self.complete_all({0: function})[0]
 
     def complete_all(

@@ -258,7 +258,7 @@ def prove_changes(
 def _prove(kind: str, variant: str, perturbed: Program | None, answer: Answer, setting: Setting) -> Proof | None:
     """Return the proof of one perturbed program, or None if facts are missing.
 
-    The proof holds if the program does not give the answer. None in place of the program is a time outside the sequence.
+    The proof holds if the program does not give the answer. A time outside the sequence has None in place of a program.
     """
     if perturbed is None:
         return Proof(kind, variant, False, "outside")
