@@ -174,4 +174,4 @@ def test_every_gold_plan_is_taken(sample_benchmark):
         statements.add(find_believed(plan).cypher)
         templates.add(question["template"])
     assert len(templates) == 12
-    assert len(statements) <= 30, "the engine plans few statements, each of which takes it long at its first use"
+    assert len(statements) <= 32, "the engine plans few statements, each of which takes it long at its first use"
