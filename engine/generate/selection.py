@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Container, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Final
 
 from jrdb_avr.engine.generate.asked import Candidate, Question, Selected, offer_of, sequence_cap
@@ -42,7 +43,7 @@ STAGES: Final = (
 )
 """Templates in the order of selection. Templates in one tuple share the quota of their family.
 
-As a person is in few questions, templates with few candidates come first.
+As a person is in few questions, templates with few candidates come first. Other templates follow them.
 """
 
 _POOL_CAPS: Final = 4
@@ -111,7 +112,7 @@ def select(
     dealt = [one for some in pool.values() for one in some] if quotas else _deal(pool, taken, n)
     questions: list[Question] = []
     rows: dict[str, TableRow] = {}
-    for names in STAGES:
+    for names in (*STAGES, *((name,) for name in FAMILIES if name not in chain(*STAGES))):
         candidates = [one for one in dealt if one.template in names]
         quota = shortage = None
         if quotas:
