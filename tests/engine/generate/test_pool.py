@@ -4,6 +4,7 @@ import copy
 import random
 from collections import Counter
 from itertools import combinations, islice
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -147,3 +148,12 @@ def test_a_limit_leaves_out_candidates_but_no_person_first(search):
         assert 4 * len({one.track for one in some}) >= len(people), name
         limited += len(some) < len(every)
     assert limited
+
+
+def test_the_rank_of_a_row_does_not_depend_on_the_sequences_before_it():
+    """Ids of names and segments begin at `low` in each sequence. Another sequence before it moves both."""
+    alone, behind = (SimpleNamespace(sequence="yard-2020-01-01_0", low=low) for low in (0, 5000))
+    row = {"name": 7, "segment": 40, "t0": 30, "answer": "sitting"}
+    moved = row | {"name": 5007, "segment": 5040}
+    assert pool_module._rank(alone, row) == pool_module._rank(behind, moved)
+    assert pool_module._rank(alone, row) != pool_module._rank(alone, row | {"segment": 41})

@@ -240,6 +240,7 @@ RECORD = QuestionRecord(
         ({"answer": "walking", "proofs": (DROP, SHIFT), "separation_deg": 0.5 + 1e-12, "needed": frozenset()}, []),
         ({"answer": "sitting"}, ["answer"]),
         ({"separation_deg": 0.5001, "time_gap_s": 3.0}, ["separation_deg"]),
+        ({"separation_deg": float("nan")}, ["separation_deg"]),
         ({"bindings": {"a": 1, "t0": 30}, "hops": 0}, ["bindings"]),
         ({"proofs": (SHIFT,)}, ["time.drop by construction"]),
         ({"proofs": (SHIFT, DROP, Proof("hop.stop", "0", True, "empty"))}, ["hop.stop 0"]),
