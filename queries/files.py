@@ -44,6 +44,15 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
         temporary.replace(path)
 
 
+def sync_folder(folder: Path) -> None:
+    """Sync a folder to the disk, so that a new file in it survives a crash. Raise OSError if syncing fails."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def file_hash(path: Path) -> str:
     """Return the sha256 of a file in hexadecimal digits. Raises OSError if the file cannot be read."""
     with path.open("rb") as file:

@@ -70,13 +70,9 @@ def _best_of(sets: list[tuple[Condition, ...]], prefix: str, order: tuple[str, .
     """Return the best of equally long sets: by the order of their kinds, then by hash."""
     ranks = [tuple(order.index(condition.kind) for condition in some) for some in sets]
     tied = [some for some, rank in zip(sets, ranks, strict=True) if rank == min(ranks)]
-    hashes = [hashlib.sha256(f"{prefix}{conditions_json(some)}".encode()).digest() for some in tied]
+    texts = [msgspec.json.encode(in_order(some), order="sorted").decode()[1:-1] for some in tied]
+    hashes = [hashlib.sha256(f"{prefix}{text}".encode()).digest() for text in texts]
     return tied[hashes.index(min(hashes))]
-
-
-def conditions_json(conditions: tuple[Condition, ...]) -> str:
-    """Return conditions as in the canonical text of a plan, without the brackets of the list."""
-    return msgspec.json.encode(in_order(conditions), order="sorted").decode()[1:-1]
 
 
 def find_leads(facts: Facts, track: int, frame: int) -> dict[str, int]:

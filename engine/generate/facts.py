@@ -100,6 +100,8 @@ class Facts:
         self._grouped: dict[int, set[int]] = defaultdict(set)
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
+        self._unlisted: dict[tuple[int, str], set[int]] = {}
+        self._turns: dict[tuple[int, int], list[tuple[int, float]]] = {}
 
         def rows(name: str) -> list[dict[str, Any]]:
             table = graph.query(read_statement(f"search/{name}.cypher"), {"sequence": sequence})
@@ -221,7 +223,9 @@ class Facts:
 
     def _without(self, frame: int, column: str) -> set[int]:
         """Return the people without a list of labels."""
-        return {track for track, row in self.people[frame].items() if not row[column]}
+        if (key := (frame, column)) not in self._unlisted:
+            self._unlisted[key] = {track for track, row in self.people[frame].items() if not row[column]}
+        return self._unlisted[key]
 
     # -- relations ----------------------------------------------------------------------------------------------------
 
@@ -254,17 +258,18 @@ class Facts:
 
     def _look_aside(self, window: Relation, track: int, frame: int) -> Fit:
         """Find the people within some degrees at one side. Near the edges of the window it is unknown."""
-        margin, people = self._rules.neighbor_margin_deg, self.people[frame]
-        could, certain = set(), set()
-        for other in people.keys() - {track}:
-            right = clockwise(people[track]["angle"], people[other]["angle"])
-            left = 360.0 - right if right > 0 else 0.0
+        margin, could, certain = self._rules.neighbor_margin_deg, set(), set()
+        if (key := (track, frame)) not in self._turns:
+            people = self.people[frame]
+            turns = [(other, clockwise(people[track]["angle"], row["angle"])) for other, row in people.items()]
+            self._turns[key] = [(other, right) for other, right in turns if other != track]
+        for other, right in self._turns[key]:
+            left = -right % 360.0
             turn = left if window.side == "left" else right
             unknown = min(left, right) <= margin or abs(turn - window.degrees) <= margin
             if unknown or turn < window.degrees:
-                could.add(other)
-                certain |= set() if unknown else {other}
-        return Fit(could, certain)
+                (could if unknown else certain).add(other)
+        return Fit(could | certain, certain)
 
     # -- reads --------------------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import compress, islice
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -21,7 +21,7 @@ from jrdb_avr.engine.generate.asked import Candidate, answer_contexts, choice_co
 from jrdb_avr.engine.generate.bins import answer_bin
 from jrdb_avr.engine.generate.choices import wrong_choices, wrong_sets
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.facts import Key
+from jrdb_avr.engine.generate.facts import Facts, Key
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.layer import Layer, TableRow
@@ -54,6 +54,17 @@ _WITH_TWINS: Final = ("change", "later_action")
 _ROW_KEYS: Final = ("segment", "t0", "t1", "t2", "r1", "r2", "r3", "r4", "answer")
 
 
+class SearchFacts(NamedTuple):
+    """Source of facts for the search: the sets, and statements for what happens between keyframes."""
+
+    facts: Facts
+    cypher: CypherFacts
+
+    def ask(self, keys: Sequence[Key]) -> list[Any]:
+        """Return facts by key, as `perturb` asks for them."""
+        return (self.cypher if keys[0][0] in ("start", "onsets", "count") else self.facts).ask(keys)
+
+
 class Prover:
     """Proves proposals of one template in one sequence over its sets of facts.
 
@@ -70,7 +81,9 @@ class Prover:
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
         self._layer, self._cypher, self._held_out = layer, cypher, held_out
-        self._setting = Setting(self, layer.facts.keyframes, layer.rules)
+        # The setting refers to the source alone: a cycle of references would keep the layer in memory.
+        self._source = SearchFacts(layer.facts, cypher)
+        self._setting = Setting(self._source, layer.facts.keyframes, layer.rules)
         self.counts: Counter[str] = Counter()
 
     def with_choices(self, form: Template, rows: Iterable[TableRow]) -> Iterator[Proposal]:
@@ -85,10 +98,6 @@ class Prover:
     def proven(self, proposals: Iterable[Proposal]) -> Iterator[Proposal]:
         """Yield the proposals that are proven, and note the others as refused."""
         return (proposal for proposal in proposals if self.prove(proposal) is not None)
-
-    def ask(self, keys: Sequence[Key]) -> list[Any]:
-        """Return facts by key, as `perturb` asks for them."""
-        return (self._cypher if keys[0][0] in ("start", "onsets", "count") else self._layer.facts).ask(keys)
 
     def prove(self, proposal: Proposal) -> list[Proof] | None:
         """Return the proofs of a proposal about conditions, hops and times, or note the proposal as refused."""
@@ -110,7 +119,7 @@ class Prover:
             return "view.single"
         if template.counts:
             stretch = proposal.relations[0], frames["t1"], frames["t2"]
-            if self.ask([("count", proposal.sequence, proposal.target, *stretch)]) != [len(proposal.counted)]:
+            if self._source.ask([("count", proposal.sequence, proposal.target, *stretch)]) != [len(proposal.counted)]:
                 return "count"
         proofs = self._try_proofs(*program_of(proposal), template)
         lacking = failing(template.name, proofs, self._layer.rules)
@@ -237,8 +246,7 @@ def _prove_pairs(
 def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
     """Yield proven proposals without near-duplicates, at most `max_per_person` for each person and answer.
 
-    Pairs of person and answer take turns in the order of a hash. The proposals of one pair come in the order of their
-    keys.
+    Pairs of person and answer take turns in the order of a hash, and so do the proposals of one pair.
     """
     groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
     for form in forms:
@@ -248,7 +256,7 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
     near, kept = near_frames(forms[0].name, layer.rules), defaultdict[tuple[int, str], list[Sequence[int]]](list)
 
     def admitted(group: tuple[int, str]) -> Iterator[Proposal]:
-        for proposal in sorted(groups[group], key=lambda proposal: proposal.key):
+        for proposal in sorted(groups[group], key=lambda proposal: _rank(layer, proposal.row)):
             if len(kept[group]) == layer.rules.max_per_person:
                 prover.counts["max_per_person"] += 1
             elif any(are_near(proposal.read, read, near) for read in kept[group]):

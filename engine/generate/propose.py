@@ -8,6 +8,7 @@ add people here: a fork-join adds the target of both branches, and a count adds 
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -210,13 +211,15 @@ def _counts(layer: Layer) -> Iterator[TableRow]:
 def _stretches(layer: Layer, relation: str, track: int, begin: int) -> Iterator[TableRow]:
     """Yield the stretches of time from a keyframe with enough people in a relation with a person."""
     facts, rules, met = layer.facts, layer.rules, dict[int, int | None]()
-    for frame in (keyframe for keyframe in facts.keyframes if keyframe >= begin):
+    for frame in facts.keyframes[bisect_left(facts.keyframes, begin) :]:
         people = facts.people.get(frame, {})
         if track not in people:
             break
         could, certain = facts.follow(relation, track, frame)
+        if could != certain:
+            break
         clear = {other for other in certain if people[other]["clear"] and people[track]["clear"]}
-        if could != (clear if facts.judges_views else certain):
+        if facts.judges_views and clear != certain:
             break
         for other in certain:
             if met.setdefault(other, None) is None and other in clear:

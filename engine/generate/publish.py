@@ -8,7 +8,6 @@ between, the marks differ, so that the tables do not belong together, and genera
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from jrdb_avr.queries.files import sync_folder
 from jrdb_avr.queries.store import Store, write_groups
 from jrdb_avr.schema.errors import StoreError
 from jrdb_avr.schema.tables import CANARY, GENERATION_KEY, QUESTIONS
@@ -77,8 +77,4 @@ def _move_in(pending: Path, folder: Path) -> None:
     """Move the files of a generation into their places."""
     for name in PUBLISHED:
         (pending / f"{name}.parquet").replace(folder / f"{name}.parquet")
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    sync_folder(folder)

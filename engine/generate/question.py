@@ -58,7 +58,7 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     Raises:
         StoreError: If a table or the graph is missing.
     """
-    # The layer is freed and the graph closed before the annotations are read, because all of them fill the memory.
+    # The layer is freed before the annotations are read, because both fill the memory.
     made, rows, faults = _make_records(job), [], {}
     annotations = Annotations.read(Store(job.store), job.sequence, job.rules)
     for key, record, plan, answer, proofs in made:

@@ -120,13 +120,13 @@ def generate(
         with hold_graph(store.graph_path, workers):
             advance = step_counter(progress, "searching", len(jobs))
             found = map_in_order(search_sequence, jobs, workers, Job.weigh, advance)
-        counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
-        questions, report, left, faults = _choose(
-            list(_decode([one.pool for one in found])),
-            lambda pool: select(pool, counts, rules, profile, n),
-            partial(_make, jobs, workers, progress),
-            excluded,
-        )
+            counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
+            questions, report, left, faults = _choose(
+                list(_decode([one.pool for one in found])),
+                lambda pool: select(pool, counts, rules, profile, n),
+                partial(_make, jobs, workers, progress),
+                excluded,
+            )
         rows = [row for one in found for row in one.refused]
         rows += [_refusal(*rule, count) for rule, count in left.items()]
         order = [(name, "ascending") for name in ("sequence", "template", "rule")]

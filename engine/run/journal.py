@@ -20,6 +20,7 @@ from typing import Annotated, Any, Final, NamedTuple, get_args
 import msgspec
 import pyarrow as pa
 
+from jrdb_avr.queries.files import sync_folder
 from jrdb_avr.queries.store import Store, read_table, safe_sequence, write_groups
 from jrdb_avr.schema.answer_modes import decode_answer
 from jrdb_avr.schema.answers import encode_answer
@@ -309,7 +310,7 @@ class Journal(contextlib.ExitStack):
                         file.truncate(end)
                     raise
             if not exists:
-                _sync(self._folder)
+                sync_folder(self._folder)
         except OSError as error:
             raise StoreError(f"cannot write {path}: {error.strerror}; mend it, then run again with --resume") from None
         self.finished.add(entry.question_id, LinePosition(sequence, end, size))
@@ -327,15 +328,6 @@ def _read_line(path: Path, line_number: int, line: bytes) -> str:
     except _DAMAGE:
         raise StoreError(f"{path}, line {line_number}, is damaged: evaluate under another --run-id") from None
     return entry.question_id
-
-
-def _sync(folder: Path) -> None:
-    """Sync a folder to the disk, so that a new file in it survives a crash. Raise OSError if syncing fails."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 _TABLES: Final[dict[str, Callable[[Finished], list[dict[str, Any]]]]] = {

@@ -377,14 +377,13 @@ class Graph:
 def open_worker_graph(path: Path) -> Iterator[Graph]:
     """Yield a session that only reads, and that keeps parsed statements.
 
-    A worker process keeps the session open for its next sequence, because opening a graph and planning statements take
-    longer than running most statements. Any other process closes the session when the `with` block ends. Raises the
-    errors of `Graph.open`.
+    Each session begins without parsed statements, because the engine keeps the memory of their calls until the session
+    ends. A worker process keeps the file open for its next sequence, because opening the file and checking statements
+    take longer than running most statements. Raises the errors of `Graph.open`.
     """
-    graph = _left_open.get(path) or Graph.open(path, read_only=True, prepares=True)
-    if processes.is_worker:
-        _left_open[path] = graph
-    with contextlib.nullcontext() if path in _left_open else graph:
+    if processes.is_worker and path not in _left_open:
+        _left_open[path] = Graph.open(path, read_only=True)
+    with Graph.open(path, read_only=True, prepares=True) as graph:
         yield graph
 
 
@@ -393,16 +392,13 @@ _left_open: dict[Path, Graph] = {}
 
 @contextlib.contextmanager
 def hold_graph(path: Path, workers: Executor) -> Iterator[None]:
-    """Keep the session of `open_worker_graph` open in this process if `workers` is 1.
+    """Keep the file of `open_worker_graph` open in this process if `workers` is 1.
 
-    This process then handles all sequences itself. The file is opened once, and each statement is parsed once. If there
-    are several workers, the context manager does nothing, because an open graph takes 150 MB of memory. Raises the
-    errors of `Graph.open`.
+    This process then handles all sequences itself. The file is opened once, and each statement is checked once. If
+    there are several workers, the context manager does nothing, because an open graph takes 150 MB of memory. Raises
+    the errors of `Graph.open`.
     """
-    with contextlib.ExitStack() as closing:
-        if workers == 1:
-            _left_open[path] = closing.enter_context(Graph.open(path, read_only=True, prepares=True))
-            closing.callback(_left_open.pop, path, None)
+    with Graph.open(path, read_only=True) if workers == 1 else contextlib.nullcontext():
         yield
 
 

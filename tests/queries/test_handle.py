@@ -413,14 +413,15 @@ def test_rows_are_handed_in_anew_each_time_where_statements_are_prepared():
         assert graph.query("MATCH (p:P) RETURN p.id AS id ORDER BY id")["id"].to_pylist() == list(range(6))
 
 
-def test_a_single_worker_has_one_session_while_it_holds_the_graph(path):
+def test_a_single_worker_opens_the_file_once_while_it_holds_the_graph(path):
+    def opened():
+        with open_worker_graph(path) as graph:
+            return graph._shared
+
     with hold_graph(path, 1):
-        with open_worker_graph(path) as graph, open_worker_graph(path) as again:
-            assert graph is again
-        with open_worker_graph(path) as again:
-            assert graph is again
-    with hold_graph(path, 2), open_worker_graph(path) as other, open_worker_graph(path) as another:
-        assert graph is not other is not another
+        assert opened() is opened()
+    with hold_graph(path, 2):
+        assert opened() is not opened()
 
 
 def test_a_full_disk_is_told_before_anything_is_written_and_hinders_no_reading(path, monkeypatch):
