@@ -9,10 +9,6 @@ from jrdb_avr.engine.generate.guessers import LabelCounts, Offer
 from jrdb_avr.engine.generate.hashes import hash_of, in_hash_order
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-_ALL_WEIGHT: Final = 50
-_SEQUENCE_WEIGHT: Final = 20
-_CONTEXT_WEIGHT: Final = 10
-
 _PARTS: Final = 4
 """Times in a sequence are compared by its quarters."""
 
@@ -108,8 +104,7 @@ def choice_contexts(
     others = [f"condition {words}" for words in sorted(set(conditions))]
     others += [f"relation {relation}"] if relation else []
     others += [f"wait {doublings(wait)}"] if wait else []
-    every = (("all", _ALL_WEIGHT), (f"sequence {sequence}", _SEQUENCE_WEIGHT))
-    return (*every, *((name, _CONTEXT_WEIGHT) for name in others))
+    return (("all", 50), (f"sequence {sequence}", 20), *((name, 10) for name in others))
 
 
 def answer_contexts(

@@ -16,7 +16,6 @@ from jrdb_avr.schema.choice_labels import CHOICE_LABELS, ListedActions, may_be_s
 from jrdb_avr.schema.labels import POSES
 from jrdb_avr.schema.rules import KEYFRAME_STEP
 
-_POSES: Final = frozenset(POSES)
 _WINDOW: Final = 3
 """Number of keyframes before and after the time asked that must lack a wrong choice. For a pose it is one."""
 
@@ -54,7 +53,7 @@ def false_labels(timeline: Timeline, frame: int) -> frozenset[str]:
     beside = _labels_within(timeline, frame, 1)
     around = _labels_within(timeline, frame, _WINDOW)
     different = different_labels(timeline.get(frame))
-    return frozenset(label for label in different if label not in (beside if label in _POSES else around))
+    return frozenset(label for label in different if label not in (beside if label in POSES else around))
 
 
 @lru_cache(maxsize=4096)

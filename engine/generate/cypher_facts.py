@@ -22,11 +22,11 @@ from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.relations import RELATIONS
 from jrdb_avr.schema.rules import LoadRules
 
-_AT_ONCE: Final = 500
-"""Maximum number of rows of one statement, because the memory of the engine is bounded."""
+_AT_ONCE: Final = defaultdict(lambda: 500, condition_interaction=50)
+"""Maximum number of rows of each statement, because the memory of the engine is bounded.
 
-_FEWER_AT_ONCE: Final = {"condition_interaction": 50}
-"""Maximum number of rows of statements that need more memory for each row: here, all interactions of all people."""
+For each row of `condition_interaction` the engine keeps all interactions of all people in a frame.
+"""
 
 _BY_READS: Final = ("seen", "start", "count")
 """Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
@@ -71,7 +71,7 @@ class CypherFacts:
         for key in sorted(self._noted, key=repr):
             by_statement[statement_of(key)].append(key)
         for name, keys in by_statement.items():
-            size = _FEWER_AT_ONCE.get(name, _AT_ONCE)
+            size = _AT_ONCE[name]
             for first in range(0, len(keys), size):
                 self._look_up(name, keys[first : first + size])
         self._noted.clear()

@@ -13,7 +13,6 @@ from collections.abc import Set
 from functools import reduce
 from itertools import combinations
 from operator import and_
-from typing import Final
 
 import msgspec
 
@@ -22,9 +21,6 @@ from jrdb_avr.schema.plan import Condition
 from jrdb_avr.schema.rules import Rules
 from jrdb_avr.schema.wording.people import in_order
 from jrdb_avr.schema.wording.text import implied_choices
-
-_WEAK: Final = ("sector", "distance")
-"""Kinds of conditions that do not describe a person by themselves, because they fit each person who comes by."""
 
 
 def describe(facts: Facts, sequence: str, track: int, frame: int, rules: Rules) -> dict[tuple[Condition, ...], bool]:
@@ -61,7 +57,8 @@ def describe(facts: Facts, sequence: str, track: int, frame: int, rules: Rules) 
 
 
 def _describes(conditions: tuple[Condition, ...], could: dict[Condition, Set[int]]) -> bool:
-    if all(condition.kind in _WEAK for condition in conditions):
+    # A sector or a distance fits each person who comes by.
+    if all(condition.kind in ("sector", "distance") for condition in conditions):
         return False
     return len(reduce(and_, map(could.__getitem__, conditions))) == 1
 

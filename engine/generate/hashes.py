@@ -11,7 +11,6 @@ import numpy.typing as npt
 Hashes = npt.NDArray[np.uint64]
 
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xD6E8FEB86659FD93], np.uint64)
-_HALF = np.uint64(32)
 
 
 def hash_of(*parts: object) -> int:
@@ -32,7 +31,7 @@ def permute(hashes: Hashes, salt: int) -> Hashes:
     result = hashes ^ np.uint64(salt)
     for factor in _FACTORS:
         result = result * factor
-        result ^= result >> _HALF
+        result ^= result >> np.uint64(32)
     return result
 
 

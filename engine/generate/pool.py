@@ -341,16 +341,12 @@ def _wrong_actions(proposal: Proposal) -> frozenset[str]:
     return wrong_choices(proposal.answer, false, implied, layer.present)
 
 
-_EVENTS: Final = ("start", "span", "start_view")
-"""Reads that share a start. Only one question may be about a start."""
-
-
 def _event(proposal: Proposal) -> str | None:
     """Return the start of an action, or the count of people, that only one question may be about."""
     template = proposal.template
     if template.counts:
         return f"count {QUESTION_RELATIONS.index(proposal.relations[0])} {proposal.frames['t1']}"
-    if template.spec.read not in _EVENTS:
+    if template.spec.read not in ("start", "span", "start_view"):
         return None
     return f"start {proposal.segments[0]['id'] - proposal.layer.low}"
 

@@ -17,11 +17,10 @@ import numpy as np
 import pyarrow as pa
 
 from jrdb_avr.engine.generate import views
-from jrdb_avr.engine.generate.asked import Candidate, Question
+from jrdb_avr.engine.generate.asked import Question
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
 from jrdb_avr.engine.generate.facts import Facts, Key
 from jrdb_avr.engine.generate.hashes import hash_of
-from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.perturb import MissingFactsError, NoAnswerError, Setting, prove
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, program_of
@@ -58,8 +57,8 @@ def make_questions(job: Job) -> tuple[pa.Table, dict[str, str]]:
     Raises:
         StoreError: If a table or the graph is missing.
     """
-    # The layer is freed before the annotations are read, because both fill the memory.
     made, rows, faults = _make_records(job), [], {}
+    # The layer is freed before the annotations are read, because both fill the memory.
     annotations = Annotations.read(Store(job.store), job.sequence, job.rules)
     for key, record, plan, answer, proofs in made:
         if fault := _fault_of(record, plan, answer, proofs, annotations, job.rules):
@@ -72,7 +71,10 @@ def _make_records(job: Job) -> list[tuple[str, QuestionRecord, Plan, str, list[P
     """Return the key, the record, the plan, the answer and the proofs by statements of each question."""
     with open_worker_graph(Store(job.store).graph_path) as graph:
         layer = job.layer(graph)
-        proposals = {one.key: _propose_again(layer, one.candidate) for one in job.questions}
+        proposals = {
+            one.key: Proposal(layer, TEMPLATES[one.candidate.form], msgspec.msgpack.decode(one.candidate.row))
+            for one in job.questions
+        }
         expected, source = _Expected(layer.facts), CypherFacts(graph, job.rules.load)
         for proposal in proposals.values():
             with contextlib.suppress(MissingFactsError):
@@ -99,10 +101,6 @@ class _Expected:
         if keys[0][0] in ("start", "onsets"):
             raise MissingFactsError
         return self._facts.ask(keys)
-
-
-def _propose_again(layer: Layer, candidate: Candidate) -> Proposal:
-    return Proposal(layer, TEMPLATES[candidate.form], msgspec.msgpack.decode(candidate.row))
 
 
 def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:
