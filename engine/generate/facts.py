@@ -258,7 +258,7 @@ class Facts:
 
     def _look_aside(self, window: Relation, track: int, frame: int) -> Fit:
         """Find the people within some degrees at one side. Near the edges of the window it is unknown."""
-        margin, could, certain = self._rules.neighbor_margin_deg, set(), set()
+        margin, could, certain = self._rules.neighbor_margin_deg, set[int](), set[int]()
         if (key := (track, frame)) not in self._turns:
             people = self.people[frame]
             turns = [(other, clockwise(people[track]["angle"], row["angle"])) for other, row in people.items()]
