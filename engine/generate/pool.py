@@ -246,7 +246,8 @@ def _prove_pairs(
 def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: int) -> Iterator[Proposal]:
     """Yield proven proposals without near-duplicates, at most `max_per_person` for each person and answer.
 
-    Pairs of person and answer take turns in the order of a hash, and so do the proposals of one pair.
+    Pairs of person and answer take turns in the order of a hash. The proposals of one pair come in the order of their
+    keys.
     """
     groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
     for form in forms:
@@ -256,7 +257,7 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
     near, kept = near_frames(forms[0].name, layer.rules), defaultdict[tuple[int, str], list[Sequence[int]]](list)
 
     def admitted(group: tuple[int, str]) -> Iterator[Proposal]:
-        for proposal in sorted(groups[group], key=lambda proposal: _rank(layer, proposal.row)):
+        for proposal in sorted(groups[group], key=lambda proposal: proposal.key):
             if len(kept[group]) == layer.rules.max_per_person:
                 prover.counts["max_per_person"] += 1
             elif any(are_near(proposal.read, read, near) for read in kept[group]):
