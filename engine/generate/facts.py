@@ -94,9 +94,9 @@ class Facts:
         self.lists: dict[int, dict[int, ListedActions]] = defaultdict(dict)
         self.counts: dict[int, Counter[str]] = defaultdict(Counter)
         self._labels: dict[int, dict[tuple[str, Any], _Marks]] = defaultdict(lambda: defaultdict(dict))
-        self._pairs: dict[int, dict[int, dict[str, _Marks]]] = defaultdict(
-            lambda: defaultdict(lambda: defaultdict(dict))
-        )
+        self._met: dict[int, list[Mapping[str, Any]]] = defaultdict(list)
+        self._pairs: dict[int, dict[int, dict[str, _Marks]]] = {}
+        self._groups: dict[int, dict[Any, _Marks]] = defaultdict(lambda: defaultdict(dict))
         self._grouped: dict[int, set[int]] = defaultdict(set)
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
@@ -132,9 +132,9 @@ class Facts:
                 _mark(self._labels[row["frame"]][row["verb"], category], row["who"], row["certain"])
         for row in labels["pairs"]:
             if row["value"] in QUESTION_RELATIONS:
-                for other in self.people[row["frame"]].keys() & set(row["others"]):
-                    _mark(self._pairs[row["frame"]][row["who"]][row["value"]], other, row["certain"])
-        self._read_groups(labels["member"])
+                self._met[row["frame"]].append(row)
+        for row in labels["member"]:
+            _mark(self._groups[row["frame"]][row["value"]], row["who"], row["certain"])
 
     def _read_actions(self, rows: Iterable[Mapping[str, Any]]) -> None:
         written: dict[tuple[int, int], dict[str, bool]] = defaultdict(dict)
@@ -150,14 +150,20 @@ class Facts:
                 if row["clear"]:
                     self.counts[frame].update(self.lists[track][frame].certain)
 
-    def _read_groups(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        groups: dict[tuple[int, Any], _Marks] = defaultdict(dict)
-        for row in rows:
-            _mark(groups[row["frame"], row["value"]], row["who"], row["certain"])
-        for (frame, _), marks in groups.items():
-            self._grouped[frame] |= {who for who, certain in marks.items() if certain}
-            for (track, certain), (other, also) in permutations(marks.items(), 2):
-                _mark(self._pairs[frame][track][SAME_GROUP], other, certain and also)
+    def _pairs_at(self, frame: int) -> dict[int, dict[str, _Marks]]:
+        """Return the others in each relation by a label with each person, made at the first use of the keyframe."""
+        if frame not in self._pairs:
+            pairs: dict[int, dict[str, _Marks]] = defaultdict(lambda: defaultdict(dict))
+            for row in self._met.pop(frame, ()):
+                marks = pairs[row["who"]][row["value"]]
+                for other in self.people[frame].keys() & row["others"]:
+                    _mark(marks, other, row["certain"])
+            for marks in self._groups[frame].values():
+                self._grouped[frame] |= {who for who, certain in marks.items() if certain}
+                for (track, certain), (other, also) in permutations(marks.items(), 2):
+                    _mark(pairs[track][SAME_GROUP], other, certain and also)
+            self._pairs[frame] = pairs
+        return self._pairs[frame]
 
     # -- conditions ---------------------------------------------------------------------------------------------------
 
@@ -192,7 +198,9 @@ class Facts:
 
     def _match_interaction(self, label: str, frame: int) -> Fit:
         people, marks = self.people[frame], {}
-        for track, met in ((track, labels[label]) for track, labels in self._pairs[frame].items() if label in labels):
+        for track, met in (
+            (track, labels[label]) for track, labels in self._pairs_at(frame).items() if label in labels
+        ):
             # A partner who is not in clear view may be out of sight.
             marks[track] = any(met[other] and (people[other]["clear"] or not self.judges_views) for other in met)
         # A person without a list may interact with each other person.
@@ -248,7 +256,7 @@ class Facts:
     def _follow(self, relation: Relation, track: int, frame: int) -> Fit:
         if relation.kind == "window":
             return self._look_aside(relation, track, frame)
-        marks = self._pairs[frame][track].get(relation.label, {})
+        marks = self._pairs_at(frame)[track].get(relation.label, {})
         others = self.people[frame].keys() - {track}
         if relation.kind == "group":
             unread = self.people[frame].keys() - self._grouped[frame]
@@ -322,7 +330,7 @@ class Facts:
         Returns:
             Labels of relations that a question may name, in the order of `QUESTION_RELATIONS`.
         """
-        held = self._pairs[frame][track]
+        held = self._pairs_at(frame)[track]
         return tuple(label for label in QUESTION_RELATIONS if label in held)
 
     def conditions_of(self, track: int, frame: int) -> list[Condition]:

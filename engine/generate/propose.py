@@ -8,11 +8,10 @@ add people here: a fork-join adds the target of both branches, and a count adds 
 from __future__ import annotations
 
 import hashlib
-from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from itertools import product
 from typing import Final
 
@@ -20,7 +19,7 @@ import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
-from jrdb_avr.engine.generate.facts import Fit
+from jrdb_avr.engine.generate.facts import Facts, Fit
 from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
@@ -156,14 +155,18 @@ def program_of(proposal: Proposal) -> tuple[Program, Answer]:
 
 def _fork_joins(layer: Layer, template: Template) -> Iterator[TableRow]:
     """Yield the forks with the fourth person that both branches find together, but neither branch alone."""
-    facts = layer.facts
+    facts, leads = layer.facts, cache(partial(_find_joins, layer.facts))
     for row in layer.search(template.query):
         frame, apart = row["t0"], {row["a"], row["b"], row["c"]}
         people = facts.people[frame]
-        sides = [_joining(layer, row[node], frame, apart) for node in ("b", "c")]
-        for (r3, left), (r4, right) in product(*(side.items() for side in sides)):
-            could, certain = left.could & right.could, left.certain & right.certain
-            if len(could) != 1 or len(certain) != 1:
+        sides = [
+            [(label, could - apart, certain - apart) for label, could, certain in leads(row[node], frame)]
+            for node in ("b", "c")
+        ]
+        for (r3, left, sure), (r4, right, also) in product(*sides):
+            certain = sure & also
+            # Each branch alone fits two people.
+            if len(certain) != 1 or len(left & right) != 1 or min(len(left), len(right)) < 2:
                 continue
             (track,) = certain
             if not people[track]["clear"] or layer.boxes[track, frame]["ahead"]:
@@ -177,15 +180,11 @@ def _fork_joins(layer: Layer, template: Template) -> Iterator[TableRow]:
 _WINDOWS: Final = tuple(label for label in RELATIONS_OF["join"] if RELATIONS[label].kind == "window")
 
 
-def _joining(layer: Layer, track: int, frame: int, apart: set[int]) -> dict[str, Fit]:
-    """Return the relations of a person that certainly fit a person and may fit two, apart from some people."""
-    facts, fits = layer.facts, {}
+def _find_joins(facts: Facts, track: int, frame: int) -> list[tuple[str, Set[int], Set[int]]]:
+    """Return the relations of a person that certainly fit a person and may fit two, with the people of both kinds."""
     held = [label for label in facts.relations_of(track, frame) if label in RELATIONS_OF["join"]]
-    for label in (*held, *_WINDOWS):
-        could, certain = facts.follow(label, track, frame)
-        if certain - apart and len(could - apart) >= 2:
-            fits[label] = Fit(could - apart, certain - apart)
-    return fits
+    fits = [(label, *facts.follow(label, track, frame)) for label in (*held, *_WINDOWS)]
+    return [fit for fit in fits if fit[2] and len(fit[1]) >= 2]
 
 
 _UNSEEN: Final = -1
@@ -197,7 +196,8 @@ def _counts(layer: Layer) -> Iterator[TableRow]:
 
     The proof checks the frames between keyframes.
     """
-    stretches = cache(lambda *start: list(_stretches(layer, *start)))
+    runs = cache(partial(_find_runs, layer.facts))
+    stretches = cache(lambda relation, track, begin: list(_stretches(layer, relation, runs(relation, track), begin)))
     for row in layer.search("described"):
         if row["ahead"]:
             continue
@@ -208,24 +208,39 @@ def _counts(layer: Layer) -> Iterator[TableRow]:
                 yield from (row | stretch for stretch in stretches(relation, row["a"], row["t0"]))
 
 
-def _stretches(layer: Layer, relation: str, track: int, begin: int) -> Iterator[TableRow]:
-    """Yield the stretches of time from a keyframe with enough people in a relation with a person."""
-    facts, rules, met = layer.facts, layer.rules, dict[int, int | None]()
-    for frame in facts.keyframes[bisect_left(facts.keyframes, begin) :]:
+_Known = tuple[int, Set[int], Set[int]]
+"""Keyframe, the people in a relation with a person, and those of them who are in clear view if the person is."""
+
+
+def _find_runs(facts: Facts, relation: str, track: int) -> dict[int, tuple[list[_Known], int]]:
+    """Return the keyframes in a row at which the people in a relation with a person are known.
+
+    The keys are the keyframes. Each has its row of keyframes, and its place in the row.
+    """
+    runs, run = dict[int, tuple[list[_Known], int]](), list[_Known]()
+    for frame in facts.keyframes:
         people = facts.people.get(frame, {})
-        if track not in people:
-            break
-        could, certain = facts.follow(relation, track, frame)
-        if could != certain:
-            break
+        could, certain = facts.follow(relation, track, frame) if track in people else Fit({track}, set())
         clear = {other for other in certain if people[other]["clear"] and people[track]["clear"]}
-        if facts.judges_views and clear != certain:
-            break
+        if could != certain or (facts.judges_views and clear != certain):
+            run = []
+            continue
+        runs[frame] = run, len(run)
+        run.append((frame, certain, clear))
+    return runs
+
+
+def _stretches(
+    layer: Layer, relation: str, runs: Mapping[int, tuple[list[_Known], int]], begin: int
+) -> Iterator[TableRow]:
+    """Yield the stretches of time from a keyframe with enough people in a relation with a person."""
+    (run, place), earliest = runs.get(begin, ([], 0)), begin + frames(layer.rules.long_wait_s)
+    met, least = dict[int, int | None](), layer.rules.count_min
+    for frame, certain, clear in run[place:] if run and run[-1][0] >= earliest else ():
         for other in certain:
             if met.setdefault(other, None) is None and other in clear:
                 met[other] = frame if layer.has_image(frame) else _UNSEEN
-        enough = len(met) >= rules.count_min and not {None, _UNSEEN}.intersection(met.values())
-        if enough and frame >= begin + frames(rules.long_wait_s):
+        if len(met) >= least and not {None, _UNSEEN}.intersection(met.values()) and frame >= earliest:
             counted = tuple(sorted((other, first) for other, first in met.items() if first is not None))
             yield {"t1": begin, "t2": frame, "r1": relation, "value": float(len(met)), "counted": counted}
 

@@ -49,16 +49,14 @@ class SocialFacts(ActionFacts):
         self._clusters: dict[int, dict[int, _Labels]] = defaultdict(lambda: defaultdict(dict))
         for (frame, track), (cluster, certain) in self._groups.items():
             self._clusters[track][cluster][frame] = certain
-        self._together: dict[tuple[int, int, str], _Labels] = defaultdict(dict)
+        self._met: dict[tuple[int, int], list[tuple[str, int, int | None]]] = defaultdict(list)
+        self._together: dict[tuple[int, int], dict[str, _Labels]] = {}
         columns = ("frame", "track", "partner", "label", "difficulty")
         for frame, track, partner, label, difficulty in rows(tables["interactions"], *columns):
             # A label of one person holds for both people. If a partner has no box in the frame, there is no fact.
             present = self._people.get(frame, ())
             if track in present and partner in present:
-                pair = min(track, partner), max(track, partner)
-                _add_label(self._together[*pair, label], frame, difficulty)
-                for wider in also_said(label):
-                    _add_label(self._together[*pair, wider], frame, None)
+                self._met[min(track, partner), max(track, partner)].append((label, frame, difficulty))
             else:
                 # Because further labels of a missing person may be missing too, the list is not complete.
                 self._listed["interactions"] -= {(frame, track), (frame, partner)}
@@ -184,12 +182,22 @@ class SocialFacts(ActionFacts):
 
     def together(self, track: int, partner: int, label: str, frame: int) -> int:
         """Return whether two people, both with a box at the frame, are in the interaction."""
-        labels = self._together.get((min(track, partner), max(track, partner), label))
+        labels = self._labels_together(min(track, partner), max(track, partner)).get(label)
         certain = None if labels is None else self._certainty(labels, frame, "interactions")
         if certain is not None:
             return TRUE if certain else UNKNOWN
         both = all(self.is_complete(person, frame, "interactions") for person in (track, partner))
         return FALSE if both else UNKNOWN
+
+    def _labels_together(self, track: int, partner: int) -> dict[str, _Labels]:
+        """Return the interactions of two people, collected at their first use, because few pairs are used."""
+        if (pair := (track, partner)) not in self._together:
+            labels = self._together[pair] = defaultdict[str, _Labels](dict)
+            for label, frame, difficulty in self._met.get(pair, ()):
+                _add_label(labels[label], frame, difficulty)
+                for wider in also_said(label):
+                    _add_label(labels[wider], frame, None)
+        return self._together[pair]
 
     def interacts(self, track: int, label: str, frame: int) -> int:
         """Return whether a person is in the interaction with any person in clear view."""
