@@ -184,7 +184,8 @@ class Layer:
             known = bisect_left(annotated, returns) - bisect_right(annotated, leaves)
             if track != same or known != -((leaves - returns) // step) - 1:
                 continue
-            if not any(facts.is_absent(track, frame) for frame in facts.keyframes if leaves < frame < returns):
+            between = range(bisect_right(facts.keyframes, leaves), bisect_left(facts.keyframes, returns))
+            if not any(facts.is_absent(track, facts.keyframes[number]) for number in between):
                 continue
             present = {frame: facts.seen(track, frame).present for frame in facts.keyframes if frame < leaves}
             row = {"id": self.low + len(self._rows["Absence"]), "sequence": sequence, "leaves": leaves}

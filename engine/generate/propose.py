@@ -187,10 +187,6 @@ def _find_joins(facts: Facts, track: int, frame: int) -> list[tuple[str, Set[int
     return [fit for fit in fits if fit[2] and len(fit[1]) >= 2]
 
 
-_UNSEEN: Final = -1
-"""First frame of a person who is first seen clearly in a frame without an image."""
-
-
 def _counts(layer: Layer) -> Iterator[TableRow]:
     """Yield the people in a relation with a described person, from keyframe to keyframe until one is unknown.
 
@@ -239,9 +235,11 @@ def _stretches(
     for frame, certain, clear in run[place:] if run and run[-1][0] >= earliest else ():
         for other in certain:
             if met.setdefault(other, None) is None and other in clear:
-                met[other] = frame if layer.has_image(frame) else _UNSEEN
-        if len(met) >= least and not {None, _UNSEEN}.intersection(met.values()) and frame >= earliest:
-            counted = tuple(sorted((other, first) for other, first in met.items() if first is not None))
+                if not layer.has_image(frame):
+                    return
+                met[other] = frame
+        if len(met) >= least and None not in met.values() and frame >= earliest:
+            counted = tuple(sorted(met.items()))
             yield {"t1": begin, "t2": frame, "r1": relation, "value": float(len(met)), "counted": counted}
 
 
