@@ -88,7 +88,7 @@ class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
         return self.frame is None and self.event is None
 
 
-class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True, cache_hash=True):
     """A fact of a person: the value of an attribute, an action, a handled object, or a labelled interaction.
 
     Exactly one of `attribute` (with `value`), `action`, `object` (with `verb`) and `interaction` is given. Gender and

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
-from jrdb_avr.engine.generate.facts import WORDS, Fit, Key
+from jrdb_avr.engine.generate.facts import WORDS, Facts, Fit, Key
 from jrdb_avr.engine.generate.perturb import MissingFactsError
 from jrdb_avr.queries.compiler.reads import Person, SceneReader
 from jrdb_avr.queries.graph.handle import Graph
@@ -28,6 +28,9 @@ _AT_ONCE: Final = defaultdict(lambda: 500, condition_interaction=50)
 For each row of `condition_interaction` the engine keeps all interactions of all people in a frame.
 """
 
+_BETWEEN: Final = ("start", "onsets", "count")
+"""Kinds of facts about frames between keyframes."""
+
 _BY_READS: Final = ("seen", "start", "count")
 """Kinds of facts that the compiler's reads return. Their statements in `queries/reads/scene` have the same names."""
 
@@ -43,13 +46,15 @@ class CypherFacts:
         asked: Keys of the facts that were asked for. Callers may empty this set.
     """
 
-    def __init__(self, graph: Graph, rules: LoadRules) -> None:
+    def __init__(self, graph: Graph, rules: LoadRules, sets: Facts | None = None) -> None:
         """Make a source that knows nothing yet.
 
         Args:
             graph: Graph with the scenes.
             rules: Thresholds of sectors and of directions between people.
+            sets: Sets of facts at keyframes that statements need not look up, or None.
         """
+        self._sets = sets
         self._reader = SceneReader(graph, rules)
         self.asked: set[Key] = set()
         self._known: dict[Key, Any] = {}
@@ -58,6 +63,8 @@ class CypherFacts:
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         """Return facts by key. Raises MissingFactsError if some are not known yet; `complete` looks them up."""
+        if self._sets is not None and keys[0][0] not in _BETWEEN:
+            return self._sets.ask(keys)
         self.asked.update(keys)
         missing = [key for key in keys if key not in self._known]
         if missing:

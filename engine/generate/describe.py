@@ -9,7 +9,6 @@ second description is the best among the descriptions that imply the fewest acti
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Set
 from functools import reduce
 from itertools import combinations
 from operator import and_
@@ -40,27 +39,24 @@ def describe(facts: Facts, sequence: str, track: int, frame: int, rules: Rules) 
     order = rules.condition_order
     held = [condition for condition in facts.conditions_of(track, frame) if condition.kind in order]
     held.sort(key=lambda condition: order.index(condition.kind))
-    could = {condition: facts.match(condition, frame).could for condition in held}
-    minimal: list[tuple[Condition, ...]] = []
+    could = [facts.match(condition, frame).could for condition in held]
+    # A sector or a distance fits each person who comes by.
+    lasting = {number for number, condition in enumerate(held) if condition.kind not in ("sector", "distance")}
+    found: list[tuple[int, ...]] = []
     for size in range(1, rules.max_conditions + 1):
         # A set with a smaller one inside has a condition that is not needed.
-        sets = [some for some in combinations(held, size) if not any(set(less) <= set(some) for less in minimal)]
-        minimal += [some for some in sets if _describes(some, could)]
-    if not minimal:
+        sets = [some for some in combinations(range(len(held)), size) if not any(map(set(some).issuperset, found))]
+        apart = [some for some in sets if not lasting.isdisjoint(some)]
+        found += [some for some in apart if len(reduce(and_, map(could.__getitem__, some))) == 1]
+    if not found:
         return {}
+    minimal = [tuple(map(held.__getitem__, some)) for some in found]
     prefix = f"{sequence}\n{track}\n{frame}\n"
     general = _best_of([some for some in minimal if len(some) == len(minimal[0])], prefix, order)
     least = min(len(implied_choices(some)) for some in minimal)
     quiet = [some for some in minimal if len(implied_choices(some)) == least]
     shortest = [some for some in quiet if len(some) == len(quiet[0])]
     return {some: some == general for some in (general, _best_of(shortest, prefix, order))}
-
-
-def _describes(conditions: tuple[Condition, ...], could: dict[Condition, Set[int]]) -> bool:
-    # A sector or a distance fits each person who comes by.
-    if all(condition.kind in ("sector", "distance") for condition in conditions):
-        return False
-    return len(reduce(and_, map(could.__getitem__, conditions))) == 1
 
 
 def _best_of(sets: list[tuple[Condition, ...]], prefix: str, order: tuple[str, ...]) -> tuple[Condition, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence, Set
-from itertools import permutations, product
+from itertools import chain, permutations, product
 from typing import Any, Final, NamedTuple, cast
 
 from jrdb_avr.queries.compiler.reads import Seen
@@ -97,10 +97,8 @@ class Facts:
         self._met: dict[int, list[Mapping[str, Any]]] = defaultdict(list)
         self._pairs: dict[int, dict[int, dict[str, _Marks]]] = {}
         self._groups: dict[int, dict[Any, _Marks]] = defaultdict(lambda: defaultdict(dict))
-        self._grouped: dict[int, set[int]] = defaultdict(set)
         self._matches: dict[tuple[Condition, int], Fit] = {}
         self._follows: dict[tuple[str, int, int], Fit] = {}
-        self._unlisted: dict[tuple[int, str], set[int]] = {}
         self._turns: dict[tuple[int, int], list[tuple[int, float]]] = {}
 
         def rows(name: str) -> list[dict[str, Any]]:
@@ -159,7 +157,6 @@ class Facts:
                 for other in self.people[frame].keys() & row["others"]:
                     _mark(marks, other, row["certain"])
             for marks in self._groups[frame].values():
-                self._grouped[frame] |= {who for who, certain in marks.items() if certain}
                 for (track, certain), (other, also) in permutations(marks.items(), 2):
                     _mark(pairs[track][SAME_GROUP], other, certain and also)
             self._pairs[frame] = pairs
@@ -231,9 +228,7 @@ class Facts:
 
     def _without(self, frame: int, column: str) -> set[int]:
         """Return the people without a list of labels."""
-        if (key := (frame, column)) not in self._unlisted:
-            self._unlisted[key] = {track for track, row in self.people[frame].items() if not row[column]}
-        return self._unlisted[key]
+        return {track for track, row in self.people[frame].items() if not row[column]}
 
     # -- relations ----------------------------------------------------------------------------------------------------
 
@@ -259,7 +254,8 @@ class Facts:
         marks = self._pairs_at(frame)[track].get(relation.label, {})
         others = self.people[frame].keys() - {track}
         if relation.kind == "group":
-            unread = self.people[frame].keys() - self._grouped[frame]
+            members = (marks.items() for marks in self._groups[frame].values())
+            unread = self.people[frame].keys() - {who for who, certain in chain.from_iterable(members) if certain}
         else:
             unread = self._without(frame, _LISTS[relation.kind])
         return _fit(marks, others if track in unread else unread & others)

@@ -9,9 +9,10 @@ import sys
 from bisect import bisect_left
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
-from itertools import compress, islice
-from typing import Any, Final, NamedTuple, TypeVar
+from itertools import chain, compress, islice
+from typing import Any, Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -21,12 +22,11 @@ from jrdb_avr.engine.generate.asked import Candidate, answer_contexts, choice_co
 from jrdb_avr.engine.generate.bins import answer_bin
 from jrdb_avr.engine.generate.choices import wrong_choices, wrong_sets
 from jrdb_avr.engine.generate.cypher_facts import CypherFacts
-from jrdb_avr.engine.generate.facts import Facts, Key
 from jrdb_avr.engine.generate.hashes import hash_of
 from jrdb_avr.engine.generate.held_out import Extent
 from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.near_duplicates import are_near, near_frames
-from jrdb_avr.engine.generate.perturb import Setting, iterate_proofs, require_all
+from jrdb_avr.engine.generate.perturb import MissingFactsError, Setting, iterate_proofs, require_all
 from jrdb_avr.engine.generate.programs import Answer, Program
 from jrdb_avr.engine.generate.proofs import failing
 from jrdb_avr.engine.generate.propose import Proposal, program_of, propose, propose_presence
@@ -45,6 +45,9 @@ _DESCRIPTIONS: Final = 6
 _TRIES: Final = 6
 """Maximum number of proposals about one person, time and answer that are tried without success."""
 
+_MOST_TRIES: Final = 1000
+"""Number of tries that end the search for candidates of a template in a sequence, unless the limit needs more."""
+
 _PAIRS: Final = 3
 """Maximum number of candidates of the template presence with one description and one answer."""
 
@@ -52,17 +55,6 @@ _WITH_TWINS: Final = ("change", "later_action")
 """Templates with actions as choices that have time twins."""
 
 _ROW_KEYS: Final = ("segment", "t0", "t1", "t2", "r1", "r2", "r3", "r4", "answer")
-
-
-class SearchFacts(NamedTuple):
-    """Source of facts for the search: the sets, and statements for what happens between keyframes."""
-
-    facts: Facts
-    cypher: CypherFacts
-
-    def ask(self, keys: Sequence[Key]) -> list[Any]:
-        """Return facts by key, as `perturb` asks for them."""
-        return (self.cypher if keys[0][0] in ("start", "onsets", "count") else self.facts).ask(keys)
 
 
 class Prover:
@@ -77,13 +69,11 @@ class Prover:
 
         Args:
             layer: Layer of the sequence.
-            cypher: Source of the facts that the sets lack: what happens between keyframes.
+            cypher: Source of facts, with the sets of the layer.
             held_out: Extents of held-out questions. No proposal that touches one of them is proven.
         """
         self._layer, self._cypher, self._held_out = layer, cypher, held_out
-        # The setting refers to the source alone: a cycle of references would keep the layer in memory.
-        self._source = SearchFacts(layer.facts, cypher)
-        self._setting = Setting(self._source, layer.facts.keyframes, layer.rules)
+        self._setting = Setting(cypher, layer.facts.keyframes, layer.rules)
         self.counts: Counter[str] = Counter()
 
     def with_choices(self, form: Template, rows: Iterable[TableRow]) -> Iterator[Proposal]:
@@ -110,6 +100,12 @@ class Prover:
         self.counts.update(result for result in results.values() if isinstance(result, str))
         return [None if isinstance(result := results[number], str) else result for number in tried]
 
+    def look_ahead(self, proposals: Iterable[Proposal]) -> None:
+        """Note the facts that the proofs of some proposals lack, so that a statement looks them up together."""
+        for proposal in proposals:
+            with suppress(MissingFactsError):
+                self._try(proposal)
+
     def _try(self, proposal: Proposal) -> list[Proof] | str:
         """Return the proofs of a proposal, or the rule that refuses it."""
         template, frames = proposal.template, proposal.frames
@@ -119,7 +115,7 @@ class Prover:
             return "view.single"
         if template.counts:
             stretch = proposal.relations[0], frames["t1"], frames["t2"]
-            if self._source.ask([("count", proposal.sequence, proposal.target, *stretch)]) != [len(proposal.counted)]:
+            if self._cypher.ask([("count", proposal.sequence, proposal.target, *stretch)]) != [len(proposal.counted)]:
                 return "count"
         proofs = self._try_proofs(*program_of(proposal), template)
         lacking = failing(template.name, proofs, self._layer.rules)
@@ -254,6 +250,8 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
         for row in propose(layer, form):
             proposal = Proposal(layer, form, row)
             groups[proposal.target, proposal.answer].append(proposal)
+        if form.spec.read == "start_view":
+            prover.look_ahead(chain.from_iterable(groups.values()))
     near, kept = near_frames(forms[0].name, layer.rules), defaultdict[tuple[int, str], list[Sequence[int]]](list)
 
     def admitted(group: tuple[int, str]) -> Iterator[Proposal]:
@@ -267,7 +265,9 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
 
     def prove_turns() -> Iterator[list[Proposal]]:
         queues = [admitted(group) for group in _in_order(layer, groups)]
-        while tried := [proposal for queue in queues for proposal in islice(queue, 1)]:
+        tries = max(_MOST_TRIES, _TRIES * limit)
+        while tries > 0 and (tried := [proposal for queue in queues for proposal in islice(queue, 1)]):
+            tries -= len(tried)
             proven = list(compress(tried, prover.prove_all(tried)))
             for proposal in proven:
                 kept[proposal.target, proposal.answer].append(proposal.read)
@@ -354,8 +354,8 @@ def _event(proposal: Proposal) -> str | None:
 
 def _touches(proposal: Proposal, extent: Extent) -> bool:
     """Return whether a proposal needs a person of a held-out question at the same time."""
-    template, counted = proposal.template, proposal.counted
-    times = [proposal.frames[name] for name in (*template.stated, *template.read, *template.decisive)]
-    times += [frame for _, frame in counted]
-    people = {*proposal.people.values(), *(track for track, _ in counted)}
+    template, frames = proposal.template, proposal.frames
+    times = {frames[name] for name in (*template.stated, *template.read, *template.decisive)}
+    times.update(frame for _, frame in proposal.counted)
+    people = {*proposal.people.values(), *(track for track, _ in proposal.counted)}
     return min(times) <= extent.last and max(times) >= extent.first and not people.isdisjoint(extent.tracks)

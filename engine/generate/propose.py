@@ -8,10 +8,11 @@ add people here: a fork-join adds the target of both branches, and a count adds 
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache
 from itertools import product
 from typing import Final
 
@@ -19,7 +20,7 @@ import msgspec
 from msgspec.structs import replace
 
 from jrdb_avr.engine.generate.choices import different_labels, true_labels
-from jrdb_avr.engine.generate.facts import Facts, Fit
+from jrdb_avr.engine.generate.facts import Fit
 from jrdb_avr.engine.generate.layer import Layer, TableRow
 from jrdb_avr.engine.generate.programs import Answer, Program, make_program, parse_answer
 from jrdb_avr.schema.labels import PRESENCE_ANSWERS
@@ -155,18 +156,14 @@ def program_of(proposal: Proposal) -> tuple[Program, Answer]:
 
 def _fork_joins(layer: Layer, template: Template) -> Iterator[TableRow]:
     """Yield the forks with the fourth person that both branches find together, but neither branch alone."""
-    facts, leads = layer.facts, cache(partial(_find_joins, layer.facts))
+    facts = layer.facts
     for row in layer.search(template.query):
         frame, apart = row["t0"], {row["a"], row["b"], row["c"]}
         people = facts.people[frame]
-        sides = [
-            [(label, could - apart, certain - apart) for label, could, certain in leads(row[node], frame)]
-            for node in ("b", "c")
-        ]
-        for (r3, left, sure), (r4, right, also) in product(*sides):
-            certain = sure & also
-            # Each branch alone fits two people.
-            if len(certain) != 1 or len(left & right) != 1 or min(len(left), len(right)) < 2:
+        sides = [_joining(layer, row[node], frame, apart) for node in ("b", "c")]
+        for (r3, left), (r4, right) in product(*(side.items() for side in sides)):
+            could, certain = left.could & right.could, left.certain & right.certain
+            if len(could) != 1 or len(certain) != 1:
                 continue
             (track,) = certain
             if not people[track]["clear"] or layer.boxes[track, frame]["ahead"]:
@@ -180,11 +177,15 @@ def _fork_joins(layer: Layer, template: Template) -> Iterator[TableRow]:
 _WINDOWS: Final = tuple(label for label in RELATIONS_OF["join"] if RELATIONS[label].kind == "window")
 
 
-def _find_joins(facts: Facts, track: int, frame: int) -> list[tuple[str, Set[int], Set[int]]]:
-    """Return the relations of a person that certainly fit a person and may fit two, with the people of both kinds."""
+def _joining(layer: Layer, track: int, frame: int, apart: set[int]) -> dict[str, Fit]:
+    """Return the relations of a person that certainly fit a person and may fit two, apart from some people."""
+    facts, fits = layer.facts, {}
     held = [label for label in facts.relations_of(track, frame) if label in RELATIONS_OF["join"]]
-    fits = [(label, *facts.follow(label, track, frame)) for label in (*held, *_WINDOWS)]
-    return [fit for fit in fits if fit[2] and len(fit[1]) >= 2]
+    for label in (*held, *_WINDOWS):
+        could, certain = facts.follow(label, track, frame)
+        if certain - apart and len(could - apart) >= 2:
+            fits[label] = Fit(could - apart, certain - apart)
+    return fits
 
 
 def _counts(layer: Layer) -> Iterator[TableRow]:
@@ -192,53 +193,35 @@ def _counts(layer: Layer) -> Iterator[TableRow]:
 
     The proof checks the frames between keyframes.
     """
-    runs = cache(partial(_find_runs, layer.facts))
-    stretches = cache(lambda relation, track, begin: list(_stretches(layer, relation, runs(relation, track), begin)))
+    facts, stretches = layer.facts, cache(lambda *start: list(_stretches(layer, *start)))
+    held = cache(lambda track: {label for frame in facts.keyframes for label in facts.relations_of(track, frame)})
     for row in layer.search("described"):
         if row["ahead"]:
             continue
         sized = any(condition.kind == "group_size" for condition in layer.names[row["name"]])
         for relation in RELATIONS_OF["count"]:
             # The words of a question with the size of a group would state the number of people at the beginning.
-            if not sized or RELATIONS[relation].kind != "group":
+            if relation in held(row["a"]) and not (sized and RELATIONS[relation].kind == "group"):
                 yield from (row | stretch for stretch in stretches(relation, row["a"], row["t0"]))
 
 
-_Known = tuple[int, Set[int], Set[int]]
-"""Keyframe, the people in a relation with a person, and those of them who are in clear view if the person is."""
-
-
-def _find_runs(facts: Facts, relation: str, track: int) -> dict[int, tuple[list[_Known], int]]:
-    """Return the keyframes in a row at which the people in a relation with a person are known.
-
-    The keys are the keyframes. Each has its row of keyframes, and its place in the row.
-    """
-    runs, run = dict[int, tuple[list[_Known], int]](), list[_Known]()
-    for frame in facts.keyframes:
+def _stretches(layer: Layer, relation: str, track: int, begin: int) -> Iterator[TableRow]:
+    """Yield the stretches of time from a keyframe with enough people in a relation with a person."""
+    facts, rules, met = layer.facts, layer.rules, dict[int, int | None]()
+    for frame in facts.keyframes[bisect_left(facts.keyframes, begin) :]:
         people = facts.people.get(frame, {})
-        could, certain = facts.follow(relation, track, frame) if track in people else Fit({track}, set())
+        if track not in people:
+            return
+        could, certain = facts.follow(relation, track, frame)
         clear = {other for other in certain if people[other]["clear"] and people[track]["clear"]}
         if could != certain or (facts.judges_views and clear != certain):
-            run = []
-            continue
-        runs[frame] = run, len(run)
-        run.append((frame, certain, clear))
-    return runs
-
-
-def _stretches(
-    layer: Layer, relation: str, runs: Mapping[int, tuple[list[_Known], int]], begin: int
-) -> Iterator[TableRow]:
-    """Yield the stretches of time from a keyframe with enough people in a relation with a person."""
-    (run, place), earliest = runs.get(begin, ([], 0)), begin + frames(layer.rules.long_wait_s)
-    met, least = dict[int, int | None](), layer.rules.count_min
-    for frame, certain, clear in run[place:] if run and run[-1][0] >= earliest else ():
+            return
         for other in certain:
             if met.setdefault(other, None) is None and other in clear:
                 if not layer.has_image(frame):
                     return
                 met[other] = frame
-        if len(met) >= least and None not in met.values() and frame >= earliest:
+        if len(met) >= rules.count_min and None not in met.values() and frame >= begin + frames(rules.long_wait_s):
             counted = tuple(sorted(met.items()))
             yield {"t1": begin, "t2": frame, "r1": relation, "value": float(len(met)), "counted": counted}
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -75,32 +75,28 @@ def _make_records(job: Job) -> list[tuple[str, QuestionRecord, Plan, str, list[P
             one.key: Proposal(layer, TEMPLATES[one.candidate.form], msgspec.msgpack.decode(one.candidate.row))
             for one in job.questions
         }
-        expected, source = _Expected(layer.facts), CypherFacts(graph, job.rules.load)
+        expected, source = _Expected(layer.facts, set()), CypherFacts(graph, job.rules.load)
         for proposal in proposals.values():
             with contextlib.suppress(MissingFactsError):
                 _prove(proposal, Setting(expected, layer.facts.keyframes, job.rules))
         source.complete(lambda: source.ask(list(expected.asked)))
         setting = Setting(source, layer.facts.keyframes, job.rules)
         proofs = source.complete_all({key: partial(_prove, proposal, setting) for key, proposal in proposals.items()})
-    made = []
-    for question in job.questions:
-        key, proposal, own = question.key, proposals[question.key], proofs[question.key]
-        made.append((key, _make_record(proposal, question, own), proposal.plan, proposal.answer, own))
-    return made
+    made = [(question, proposals[question.key], proofs[question.key]) for question in job.questions]
+    return [(one.key, _make_record(of, one, own), of.plan, of.answer, own) for one, of, own in made]
 
 
-class _Expected:
+class _Expected(NamedTuple):
     """Source of facts from the sets. It notes what proofs ask for, so that statements look all facts up together."""
 
-    def __init__(self, facts: Facts) -> None:
-        self._facts = facts
-        self.asked: set[Key] = set()
+    facts: Facts
+    asked: set[Key]
 
     def ask(self, keys: Sequence[Key]) -> list[Any]:
         self.asked.update(keys)
         if keys[0][0] in ("start", "onsets"):
             raise MissingFactsError
-        return self._facts.ask(keys)
+        return self.facts.ask(keys)
 
 
 def _prove(proposal: Proposal, setting: Setting) -> list[Proof]:

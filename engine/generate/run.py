@@ -5,10 +5,9 @@ from __future__ import annotations
 import sys
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from itertools import chain
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -122,7 +121,7 @@ def generate(
             found = map_in_order(search_sequence, jobs, workers, Job.weigh, advance)
             counts = LabelCounts({(one.head["sequence"], at): some for one in found for at, some in one.counts.items()})
             questions, report, left, faults = _choose(
-                list(_decode([one.pool for one in found])),
+                [candidate for one in found for candidate in _CANDIDATES.decode(one.pool)],
                 lambda pool: select(pool, counts, rules, profile, n),
                 partial(_make, jobs, workers, progress),
                 excluded,
@@ -252,7 +251,7 @@ def search_sequence(job: Job) -> Found:
     pool, refused = [], list[TableRow]()
     with open_worker_graph(Store(job.store).graph_path) as graph:
         layer, limits = job.layer(graph), dict(job.limits)
-        cypher = CypherFacts(graph, job.rules.load)
+        cypher = CypherFacts(graph, job.rules.load, layer.facts)
         for name, forms in FORMS.items():
             allowed = [form for form in forms if set(form.layers).issubset(layer.head["layers"])]
             prover = Prover(layer, cypher, job.held_out)
@@ -265,14 +264,6 @@ def search_sequence(job: Job) -> Found:
 def _refusal(sequence: str, template: str, rule: str, count: int) -> TableRow:
     """Return the row of the table `rejected` for one rule."""
     return {"sequence": sequence, "family": FAMILIES[template], "template": template, "rule": rule, "candidates": count}
-
-
-def _decode(pools: Iterable[bytes]) -> Iterator[Candidate]:
-    """Yield the candidates of all sequences. Equal values are stored once, because they fill the memory."""
-    share: Callable[[Any], Any] = cache(lambda value: value)
-    for one in chain.from_iterable(map(_CANDIDATES.decode, pools)):
-        contexts, wrong = tuple(map(share, one.contexts)), frozenset(map(share, one.wrong))
-        yield Candidate(*map(share, one._replace(contexts=contexts, wrong=wrong)))
 
 
 # -- choice -----------------------------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ STAGES: Final = (
 As a person is in few questions, templates with few candidates come first. Other templates follow them.
 """
 
-_POOL_CAPS: Final = 3
+_POOL_CAPS: Final = 2
 """Number of candidates in one sequence for each question that may be selected there."""
 
 _CHANGE_QUOTA: Final = 350

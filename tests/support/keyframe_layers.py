@@ -19,7 +19,7 @@ from jrdb_avr.engine.generate.guessers import LabelCounts
 from jrdb_avr.engine.generate.layer import Layer
 from jrdb_avr.engine.generate.levelling import level_choices
 from jrdb_avr.engine.generate.perturb import Setting, prove
-from jrdb_avr.engine.generate.pool import Prover, SearchFacts
+from jrdb_avr.engine.generate.pool import Prover
 from jrdb_avr.engine.generate.propose import Proposal, program_of, propose, propose_presence
 from jrdb_avr.engine.generate.run import search_sequence
 from jrdb_avr.engine.generate.stored_layer import Job, layer_jobs
@@ -57,7 +57,7 @@ def searched(store, sequence, rules):
 
 
 def make_prover(search, held_out=()):
-    return Prover(search, CypherFacts(search.graph, search.rules.load), held_out)
+    return Prover(search, CypherFacts(search.graph, search.rules.load, search.facts), held_out)
 
 
 def forms_in(store, sequence):
@@ -81,8 +81,8 @@ def proposals(search, template):
 
 def all_proofs(search, one):
     """The proofs of a proposal about conditions, hops and times, whether they hold or not."""
-    cypher = CypherFacts(search.graph, search.rules.load)
-    setting = Setting(SearchFacts(search.facts, cypher), search.facts.keyframes, search.rules)
+    cypher = CypherFacts(search.graph, search.rules.load, search.facts)
+    setting = Setting(cypher, search.facts.keyframes, search.rules)
     return cypher.complete(lambda: prove(*program_of(one), setting))
 
 
