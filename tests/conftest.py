@@ -110,8 +110,8 @@ def make_twins(folder):
 
     from jrdb_avr.engine.generate.run import generate
 
-    rng, worlds = random.Random(2), {}
-    for number in range(2):
+    rng, worlds = random.Random(19), {}
+    for number in range(3):
         worlds |= with_chorus(sociable_world)(rng, f"yard-2020-01-0{number + 1}_0")
     with layers_in_memory():
         generate(graphless_store(folder, worlds), profile="paper", workers=1)
