@@ -43,7 +43,7 @@ class CypherFacts:
     """Source of facts for `perturb` that asks the graph in rounds.
 
     Attributes:
-        asked: Keys of the facts that were asked for. Callers may empty this set.
+        asked: Keys that were asked for, without those that the sets answered. Callers may empty this set.
     """
 
     def __init__(self, graph: Graph, rules: LoadRules, sets: Facts | None = None) -> None:

@@ -153,9 +153,8 @@ class Facts:
         if frame not in self._pairs:
             pairs: dict[int, dict[str, _Marks]] = defaultdict(lambda: defaultdict(dict))
             for row in self._met.pop(frame, ()):
-                marks = pairs[row["who"]][row["value"]]
                 for other in self.people[frame].keys() & row["others"]:
-                    _mark(marks, other, row["certain"])
+                    _mark(pairs[row["who"]][row["value"]], other, row["certain"])
             for marks in self._groups[frame].values():
                 for (track, certain), (other, also) in permutations(marks.items(), 2):
                     _mark(pairs[track][SAME_GROUP], other, certain and also)

@@ -46,7 +46,7 @@ _TRIES: Final = 6
 """Maximum number of proposals about one person, time and answer that are tried without success."""
 
 _MOST_TRIES: Final = 1000
-"""Number of tries that end the search for candidates of a template in a sequence, unless the limit needs more."""
+"""Number of tries after which `_thin_out` stops in a sequence, or `_TRIES` for each candidate of the limit if more."""
 
 _PAIRS: Final = 3
 """Maximum number of candidates of the template presence with one description and one answer."""
@@ -243,7 +243,7 @@ def _thin_out(layer: Layer, forms: Sequence[Template], prover: Prover, limit: in
     """Yield proven proposals without near-duplicates, at most `max_per_person` for each person and answer.
 
     Pairs of person and answer take turns in the order of a hash. The proposals of one pair come in the order of their
-    keys.
+    keys. The search ends at the limit or after a number of tries.
     """
     groups: dict[tuple[int, str], list[Proposal]] = defaultdict(list)
     for form in forms:

@@ -194,7 +194,7 @@ def _counts(layer: Layer) -> Iterator[TableRow]:
     The proof checks the frames between keyframes.
     """
     facts, stretches = layer.facts, cache(lambda *start: list(_stretches(layer, *start)))
-    held = cache(lambda track: {label for frame in facts.keyframes for label in facts.relations_of(track, frame)})
+    held = cache(lambda track: {label for frame in facts.lists[track] for label in facts.relations_of(track, frame)})
     for row in layer.search("described"):
         if row["ahead"]:
             continue

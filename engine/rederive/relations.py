@@ -191,9 +191,11 @@ class SocialFacts(ActionFacts):
 
     def _labels_together(self, track: int, partner: int) -> dict[str, _Labels]:
         """Return the interactions of two people, collected at their first use, because few pairs are used."""
-        if (pair := (track, partner)) not in self._together:
+        if (pair := (track, partner)) not in self._met:
+            return {}
+        if pair not in self._together:
             labels = self._together[pair] = defaultdict[str, _Labels](dict)
-            for label, frame, difficulty in self._met.get(pair, ()):
+            for label, frame, difficulty in self._met[pair]:
                 _add_label(labels[label], frame, difficulty)
                 for wider in also_said(label):
                     _add_label(labels[wider], frame, None)

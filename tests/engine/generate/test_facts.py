@@ -9,6 +9,7 @@ from keyframe_layers import memory_graph
 from loaded_stores import MemoryStore, memory_store
 from oracle_candidates import MAYBE, NO, NOWHERE, OTHERS, PLACES, POSES, RELATIONS, TOGETHER, WINDOWS, YES, People
 from random_worlds import in_crowds, lively_world, random_world, sociable_world
+from worlds import member, person
 
 from jrdb_avr.engine.generate.describe import describe, find_leads
 from jrdb_avr.engine.generate.facts import Facts
@@ -128,6 +129,19 @@ def test_facts_of_random_worlds_equal_those_of_the_oracle(tmp_path, visibility):
 
 
 @pytest.mark.slow
+def test_a_partner_without_a_box_gives_no_interaction_in_a_closed_gap(tmp_path):
+    name, world = "yard-2020-01-01_0", {"2d": {}, "social": {}}
+    for frame in range(46):
+        there = [who for who in range(1, 5) if (who, frame) != (2, 30)]
+        boxes = {who: (700 * who, 100, 50, 150) for who in there}
+        world["2d"][frame] = [person(who, boxes[who], {"standing": 1}, (1, 1)) for who in there]
+        met = {who: [(who + 1, {"conversation": 1})] if who % 2 and who + 1 in there else [] for who in there}
+        world["social"][frame] = [member(who, boxes[who], interactions=met[who]) for who in there]
+    (facts,) = (facts for _, facts in read_facts(memory_store(tmp_path, {name: world}), tmp_path / "root", LoadRules()))
+    conversation = condition_of("interaction", "conversation")
+    assert [facts.match(conversation, frame).could for frame in (15, 30)] == [{1, 2, 3, 4}, {3, 4}]
+
+
 @needs_real
 def test_facts_of_real_sequences_equal_those_of_the_oracle(tmp_path):
     copy_real(tmp_path, last=4)
