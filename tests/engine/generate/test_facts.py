@@ -128,7 +128,6 @@ def test_facts_of_random_worlds_equal_those_of_the_oracle(tmp_path, visibility):
     assert (covered > 100) == (visibility == "clear")
 
 
-@pytest.mark.slow
 def test_a_partner_without_a_box_gives_no_interaction_in_a_closed_gap(tmp_path):
     name, world = "yard-2020-01-01_0", {"2d": {}, "social": {}}
     for frame in range(46):
@@ -142,6 +141,7 @@ def test_a_partner_without_a_box_gives_no_interaction_in_a_closed_gap(tmp_path):
     assert [facts.match(conversation, frame).could for frame in (15, 30)] == [{1, 2, 3, 4}, {3, 4}]
 
 
+@pytest.mark.slow
 @needs_real
 def test_facts_of_real_sequences_equal_those_of_the_oracle(tmp_path):
     copy_real(tmp_path, last=4)
