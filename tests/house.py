@@ -40,7 +40,7 @@ TESTS = 31_000
 """Maximum number of code lines of the program, and of everything below `tests/`."""
 LANGUAGE_LATER = (
     "agent/beliefs/",
-    "agent/perception/",
+    "agent/perceive/",
     "agent/policy/",
     "agent/reference/",
     "agent/simulated/",

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from jrdb_avr.agent.beliefs.world_model import Backing
-from jrdb_avr.agent.perception.answer import Conclusion, conclude
-from jrdb_avr.agent.perception.geometry import DERIVED
-from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
-from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, parts_of
-from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.agent.look.answer import Conclusion, conclude
+from jrdb_avr.agent.perceive.geometry import DERIVED
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, parts_of
+from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.schema.answers import encode_answer
 from jrdb_avr.schema.beliefs import HypothesisRow
 from jrdb_avr.schema.errors import QueryError

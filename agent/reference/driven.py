@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
-from jrdb_avr.agent.perception.answer import conclude
-from jrdb_avr.agent.perception.association import with_picture
-from jrdb_avr.agent.perception.attention import NextLook, next_looks
-from jrdb_avr.agent.perception.geometry import SeenColumns, joined_looks
-from jrdb_avr.agent.perception.readings import PersonReading
-from jrdb_avr.agent.perception.support import RankedHypothesis, rank
-from jrdb_avr.agent.perception.votes import SETTLING, Tracks
+from jrdb_avr.agent.look.answer import conclude
+from jrdb_avr.agent.perceive.association import with_picture
+from jrdb_avr.agent.look.attention import NextLook, next_looks
+from jrdb_avr.agent.perceive.geometry import SeenColumns, joined_looks
+from jrdb_avr.agent.perceive.readings import PersonReading
+from jrdb_avr.agent.look.ranking import RankedHypothesis, rank
+from jrdb_avr.agent.perceive.votes import SETTLING, Tracks
 from jrdb_avr.agent.reference.guided import MOST_LOOKS, pick_look
-from jrdb_avr.agent.reference.perceive import Perceiver, fields_of
+from jrdb_avr.agent.perceive.fields import Perceiver, fields_of
 from jrdb_avr.agent.reference.recognize import recognize
 from jrdb_avr.schema.method import Observation, Prediction
 from jrdb_avr.schema.panorama import CROP

@@ -11,8 +11,8 @@ from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
 from jrdb_avr.agent.model.prompts import render
-from jrdb_avr.agent.perception.attention import NextLook
-from jrdb_avr.agent.perception.support import RankedHypothesis
+from jrdb_avr.agent.look.attention import NextLook
+from jrdb_avr.agent.look.ranking import RankedHypothesis
 from jrdb_avr.schema.errors import DecodeError
 
 MOST_LOOKS: Final = 3

@@ -17,7 +17,7 @@ from jrdb_avr.agent.reference.chat_memory import ChatMemory
 from jrdb_avr.agent.reference.driven import DrivenEpisode
 from jrdb_avr.agent.reference.episode import LIMITS, AgentEpisode, Limits, Memory
 from jrdb_avr.agent.reference.graph_memory import GraphMemory
-from jrdb_avr.agent.reference.perceive import MOST_PEOPLE, perceivable
+from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, perceivable
 from jrdb_avr.agent.reference.planning import make_plan
 from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
 from jrdb_avr.queries.compiler.believed import find_believed

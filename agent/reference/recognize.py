@@ -11,8 +11,8 @@ from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import render
-from jrdb_avr.agent.perception.association import NOBODY
-from jrdb_avr.agent.perception.readings import PersonReading
+from jrdb_avr.agent.perceive.association import NOBODY
+from jrdb_avr.agent.perceive.readings import PersonReading
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation
 from jrdb_avr.schema.panorama import CROP, Box

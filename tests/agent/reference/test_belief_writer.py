@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from world_calls import PLAN, begin, edges_of, look
 
 from jrdb_avr.agent.beliefs.solver import BeliefSolver
-from jrdb_avr.agent.perception.answer import conclude
-from jrdb_avr.agent.perception.geometry import SeenColumns
-from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie
-from jrdb_avr.agent.perception.support import rank
-from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.agent.look.answer import conclude
+from jrdb_avr.agent.perceive.geometry import SeenColumns
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
+from jrdb_avr.agent.look.ranking import rank
+from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.agent.reference.belief_writer import BeliefWriter
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.errors import QueryError

@@ -17,11 +17,11 @@ from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.messages import wire
 from jrdb_avr.agent.model.reply import read_completion
-from jrdb_avr.agent.perception.geometry import DERIVED
-from jrdb_avr.agent.perception.readings import ReadLabel, ReadTie
+from jrdb_avr.agent.perceive.geometry import DERIVED
+from jrdb_avr.agent.perceive.readings import ReadLabel, ReadTie
 from jrdb_avr.agent.reference.driven import DrivenEpisode
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.agent.reference.perceive import (
+from jrdb_avr.agent.perceive.fields import (
     CANNOT_TELL,
     Perceiver,
     fields_of,

@@ -9,7 +9,7 @@ from test_driven import CHANGE, FRAMES, OTHERS, READER, Chat
 
 from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.model.conventions import CONTRACT
-from jrdb_avr.agent.perception.attention import NextLook
+from jrdb_avr.agent.look.attention import NextLook
 from jrdb_avr.agent.reference.guided import PICK_LINE, pick_look
 from jrdb_avr.agent.reference.method import ReferenceAgent
 from jrdb_avr.agent.simulated.knobs import Knobs

@@ -22,8 +22,8 @@ from jrdb_avr.agent.model.conventions import Convention
 from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, finite, read_box
 from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
 from jrdb_avr.agent.model.prompts import render
-from jrdb_avr.agent.perception.geometry import DERIVED
-from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie, topic_of
+from jrdb_avr.agent.perceive.geometry import DERIVED
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie, topic_of
 from jrdb_avr.queries.compiler.find import limits
 from jrdb_avr.schema.beliefs import ALWAYS, free_value
 from jrdb_avr.schema.errors import DecodeError

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from readings import Noise, ReadWorld, f1, pairwise, toward
 from scipy.optimize import linear_sum_assignment
 
-from jrdb_avr.agent.perception.association import assign, expected_place, match_people, with_picture
-from jrdb_avr.agent.perception.geometry import seen_from
-from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
-from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.agent.perceive.association import assign, expected_place, match_people, with_picture
+from jrdb_avr.agent.perceive.geometry import seen_from
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.schema.panorama import Box, angle_error
 
 

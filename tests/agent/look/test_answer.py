@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from readings import WOMAN, reading_at, toward
 
-from jrdb_avr.agent.perception.answer import conclude
-from jrdb_avr.agent.perception.attention import next_looks
-from jrdb_avr.agent.perception.geometry import SeenColumns, seen_from
-from jrdb_avr.agent.perception.moments import CHANGE, Bracket, brackets, likeliest_course, postures
-from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel
-from jrdb_avr.agent.perception.support import rank
-from jrdb_avr.agent.perception.votes import UNIT, Tracks
+from jrdb_avr.agent.look.answer import conclude
+from jrdb_avr.agent.look.attention import next_looks
+from jrdb_avr.agent.perceive.geometry import SeenColumns, seen_from
+from jrdb_avr.agent.look.moments import CHANGE, Bracket, brackets, likeliest_course, postures
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.look.ranking import rank
+from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.answers import Choice, Number
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import AnswerSpec, Plan, Time

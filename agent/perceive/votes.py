@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Literal, NamedTuple
 
-from jrdb_avr.agent.perception.geometry import (
+from jrdb_avr.agent.perceive.geometry import (
     DERIVED,
     SeenColumns,
     angle_of,
@@ -26,7 +26,7 @@ from jrdb_avr.agent.perception.geometry import (
     in_sector,
     standing,
 )
-from jrdb_avr.agent.perception.readings import USUAL, PersonReading, ReadLabel, has_one_value, topic_of
+from jrdb_avr.agent.perceive.readings import USUAL, PersonReading, ReadLabel, has_one_value, topic_of
 from jrdb_avr.schema.beliefs import TIMELESS
 from jrdb_avr.schema.labels import may_be_called
 from jrdb_avr.schema.panorama import WIDTH, Box, iou

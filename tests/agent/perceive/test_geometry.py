@@ -8,7 +8,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from readings import World, toward
 
-from jrdb_avr.agent.perception.geometry import (
+from jrdb_avr.agent.perceive.geometry import (
     CIRCLE,
     DERIVED,
     Arc,

@@ -10,12 +10,12 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import around, covered
-from jrdb_avr.agent.perception.moments import Bracket, absence, brackets, change, postures
-from jrdb_avr.agent.perception.readings import is_value
-from jrdb_avr.agent.perception.support import RankedHypothesis, best_of_each, frames_of, slot_supports
-from jrdb_avr.agent.perception.votes import SETTLING, UNIT, FusedBox, SlotState, Tracks, settled
+from jrdb_avr.agent.perceive.association import expected_place
+from jrdb_avr.agent.perceive.geometry import around, covered
+from jrdb_avr.agent.look.moments import Bracket, absence, brackets, change, postures
+from jrdb_avr.agent.perceive.readings import is_value
+from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, slot_supports
+from jrdb_avr.agent.perceive.votes import SETTLING, UNIT, FusedBox, SlotState, Tracks, settled
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import Answer, Choice, Number

@@ -11,9 +11,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perception.geometry import SeenColumns
-from jrdb_avr.agent.perception.readings import USUAL, PersonReading
-from jrdb_avr.agent.perception.votes import Tracks
+from jrdb_avr.agent.perceive.geometry import SeenColumns
+from jrdb_avr.agent.perceive.readings import USUAL, PersonReading
+from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.schema.labels import AGES, GENDERS
 from jrdb_avr.schema.panorama import WIDTH, angle_error
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import around, covered
-from jrdb_avr.agent.perception.votes import UNIT, SlotState, Tracks
+from jrdb_avr.agent.perceive.association import expected_place
+from jrdb_avr.agent.perceive.geometry import around, covered
+from jrdb_avr.agent.perceive.votes import UNIT, SlotState, Tracks
 from jrdb_avr.queries.compiler.beliefs import RESOLVED_FRAMES
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import KEYFRAME_STEP

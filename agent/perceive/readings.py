@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perception.geometry import angle_of
+from jrdb_avr.agent.perceive.geometry import angle_of
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import ACTIONS, AGES, DISTANCE_WORDS, GENDERS, INTERACTIONS, POSES, ROBOT_SECTORS
 from jrdb_avr.schema.panorama import Box

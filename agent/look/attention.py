@@ -13,11 +13,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
-from jrdb_avr.agent.perception.moments import Bracket, brackets, presence
-from jrdb_avr.agent.perception.readings import USUAL, PersonReading
-from jrdb_avr.agent.perception.support import (
+from jrdb_avr.agent.perceive.association import expected_place
+from jrdb_avr.agent.perceive.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
+from jrdb_avr.agent.look.moments import Bracket, brackets, presence
+from jrdb_avr.agent.perceive.readings import USUAL, PersonReading
+from jrdb_avr.agent.look.ranking import (
     PlanPart,
     RankedHypothesis,
     best_of_each,
@@ -25,7 +25,7 @@ from jrdb_avr.agent.perception.support import (
     parts_of,
     slot_supports,
 )
-from jrdb_avr.agent.perception.votes import SETTLING, UNIT, Support, Tracks
+from jrdb_avr.agent.perceive.votes import SETTLING, UNIT, Support, Tracks
 from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
 from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perception.association import expected_place
-from jrdb_avr.agent.perception.geometry import EDGE_DEG, FIRST, around, covered
-from jrdb_avr.agent.perception.readings import topic_of
-from jrdb_avr.agent.perception.votes import MOST_VOTES, UNIT, SlotState, Support, Tracks
+from jrdb_avr.agent.perceive.association import expected_place
+from jrdb_avr.agent.perceive.geometry import EDGE_DEG, FIRST, around, covered
+from jrdb_avr.agent.perceive.readings import topic_of
+from jrdb_avr.agent.perceive.votes import MOST_VOTES, UNIT, SlotState, Support, Tracks
 from jrdb_avr.queries.compiler.find import conditions_of, search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
 

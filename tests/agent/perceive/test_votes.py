@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from readings import toward
 
-from jrdb_avr.agent.perception.geometry import SeenColumns
-from jrdb_avr.agent.perception.readings import PersonReading, ReadLabel, ReadTie
-from jrdb_avr.agent.perception.votes import MOST_VOTES, UNIT, Tracks, settled
+from jrdb_avr.agent.perceive.geometry import SeenColumns
+from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
+from jrdb_avr.agent.perceive.votes import MOST_VOTES, UNIT, Tracks, settled
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import WIDTH, Box, iou
 from jrdb_avr.schema.relations import FIRST_LEFT, SAME_GROUP
