@@ -268,11 +268,14 @@ def _times(plan: Plan) -> list[str]:
     """Return one text per time of a plan. The text describes the time in words."""
     texts = []
     for name, time in plan.times.items():
+        limits = " and ".join(f"{w} {limit}" for w, limit in (("after", time.after), ("before", time.before)) if limit)
         if time.frame is not None:
             texts.append(f"{name}: frame {time.frame}")
+        elif time.event is None:
+            texts.append(f"{name}: some frame {limits}")
         else:
-            what = f" {time.action}" if time.action else ""
-            texts.append(f"{name}: {time.of} {time.event}s{what} after {time.after}".replace("ss ", "s "))
+            verb = f"{time.event}s" if time.event in ("start", "end") else time.event.replace("_", " a ")
+            texts.append(f"{name}: {' '.join(filter(None, (time.of, verb, time.action, limits)))}")
     return texts
 
 
