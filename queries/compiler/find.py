@@ -2,8 +2,8 @@
 
 Each row binds the plan's nodes to different people, so that every condition and edge is possible. The columns `sure0`,
 `sure1`, ... say whether each condition, edge and event is certain. The rows of a plan decide its outcome. The text of
-the statement depends only on the form of the plan, so plans of one form run together. Their times and values are rows of
-the parameter `$plans`. The compiler makes all names in the statement, so that no text of a plan is part of it.
+the statement depends only on the form of the plan, so plans of one form run together. Their times and values are in
+the rows of `$plans`. The compiler makes all names in the statement, so that no text of a plan is part of it.
 """
 
 from __future__ import annotations
