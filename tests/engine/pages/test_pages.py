@@ -510,8 +510,63 @@ def test_a_plan_goes_from_left_to_right():
     places = {node.role: (node.x, node.y) for node in graph.nodes}
     assert places["a"][0] < places["b"][0] == places["c"][0] < places["d"][0]
     assert places["b"][1] < places["a"][1] == places["d"][1] < places["c"][1]
-    assert all(edge.x1 < edge.x2 for edge in graph.edges)
     assert graph.nodes[0].lines == ("gender: male",)
+    assert (graph.times, graph.reads) == (["t0: frame 30"], "action of d at t0")
+    assert len(graph.edges) == 4
+
+
+def plan_with(edges, nodes="abc", times=None):
+    """Return a plan with the given edges between nodes without conditions."""
+    return parse_plan(
+        json.dumps(
+            {
+                "root": "a",
+                "target": "a",
+                "times": {"t0": {"frame": 30}} | (times or {}),
+                "nodes": [{"id": node, "conditions": []} for node in nodes],
+                "edges": [{"source": s, "target": t, "relation": r, "at": "t0"} for s, t, r in edges],
+                "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
+            }
+        )
+    )
+
+
+def test_all_relations_of_a_pair_share_a_line():
+    (edge,) = PlanGraph(plan_with([("a", "b", "in front of"), ("a", "b", "conversation")], "ab")).edges
+    assert edge.lines == ("in front of", "conversation")
+
+
+@pytest.mark.parametrize(
+    ("edges", "outside"),
+    [
+        ([("a", "b", "x"), ("b", "a", "y")], "below"),
+        ([("a", "b", "x"), ("b", "c", "y"), ("c", "a", "z")], "below"),
+        ([("a", "b", "x"), ("a", "c", "y"), ("b", "c", "z")], "right"),
+    ],
+)
+def test_relations_that_do_not_lead_to_the_next_column_are_drawn_outside_the_nodes(edges, outside):
+    graph = PlanGraph(plan_with(edges, sorted({node for edge in edges for node in edge[:2]})))
+    last = graph.edges[-1]
+    if outside == "below":
+        assert max(node.y for node in graph.nodes) + graph.node_height < last.y <= graph.height
+    else:
+        assert max(node.x for node in graph.nodes) + 165 < last.x <= graph.width
+    assert len({(edge.x, edge.y) for edge in graph.edges}) == len(edges)
+
+
+def test_each_kind_of_time_has_words():
+    times = {
+        "t1": {"event": "start", "of": "a", "action": "walking", "after": "t0"},
+        "t2": {"event": "leaves", "of": "a", "after": "t0"},
+        "t3": {"after": "t0"},
+    }
+    graph = PlanGraph(plan_with([], "a", times))
+    assert graph.times[1:] == [
+        "t1: a starts walking after t0",
+        "t2: a leaves after t0",
+        "t3: some moment after t0",
+    ]
+    assert graph.nodes[0].lines == ("any person",)
 
 
 def timeline(*values):
