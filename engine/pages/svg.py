@@ -71,8 +71,8 @@ class PlanNode(NamedTuple):
 class PlanEdge(NamedTuple):
     """The drawn relations from one node to another node: an SVG path, and the text in lines.
 
-    `x` and `y` are the middle of the last line of text. If `behind` is true, the path crosses the text, so the text needs
-    a background.
+    `x` and `y` are the middle of the last line of text. If `behind` is true, the path crosses the text, so that the
+    text needs a background.
     """
 
     path: str
