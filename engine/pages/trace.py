@@ -13,8 +13,8 @@ from jrdb_avr.engine.observe.observer import Observer
 from jrdb_avr.engine.pages.inspect import FramedBox, View
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
 from jrdb_avr.engine.pages.svg import PlanGraph
-from jrdb_avr.engine.pages.turns import Message, decision_of, look_words, plan_of, turns_of
-from jrdb_avr.engine.report.traces import Look, StoredRow, Trace, Transcript
+from jrdb_avr.engine.pages.turns import ROLES, decision_of, entity_roles, look_words, plain_text, plan_of, turns_of
+from jrdb_avr.engine.report.traces import Look, Trace, Transcript
 from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.schema.answer_modes import frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice
@@ -23,16 +23,10 @@ from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_crop
 from jrdb_avr.schema.plan import parse_plan
 
-ROLES: Final = 6
-"""Number of colours of people in `roles.css`."""
-
 _STRIP: Final = (1128, 144)
 _SMALL: Final = (240, 240)
 _PICTURES: Final = 200
 """Maximum number of looks with a picture. With more pictures, browsers might fail to open the page."""
-
-_LONGEST: Final = 20_000
-"""Maximum number of characters of a text. The middle of a longer text is left out."""
 
 _LETTER: Final = 6.4
 _MAP_WIDTH: Final = 934.0
@@ -57,9 +51,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     """
     sequence = str(trace.question["sequence"])
     strip = functools.cache(lambda frame: picture_uri(observer.panorama(sequence, frame), _STRIP))
-    made = [write.fact.entity.name for write in trace.writes if write.fact.entity is not None]
-    roles = {name: index % ROLES for index, name in enumerate(made)}
-    plan, decision = plan_of(trace), decision_of(trace)
+    roles, plan, decision = entity_roles(trace), plan_of(trace), decision_of(trace)
     evidence = evidence_box(trace)
     unit = unit_of(parse_plan(trace.answer["plan"]))
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
@@ -89,7 +81,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         reasons=[],
         turns=_turns(trace, observer, strip, roles),
         final=None if evidence is None else _final(trace, *evidence, observer, strip),
-        settings=_plain(msgspec.json.encode(trace.manifest.settings).decode()),
+        settings=plain_text(msgspec.json.encode(trace.manifest.settings).decode()),
     )
 
 
@@ -196,37 +188,19 @@ def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float])
     return len(levels) - 1
 
 
-# -- steps -------------------------------------------------------------------------------------------------------------
-
-
-class _Reply(msgspec.Struct):
-    content: str = ""
-    reasoning: str = ""
-    finish_reason: str = ""
+# -- turns -------------------------------------------------------------------------------------------------------------
 
 
 def _turns(trace: Trace, observer: Observer, strip: Callable[[int], str], roles: Mapping[str, int]) -> list[Any]:
-    """Return the turns of the run, each with its looks as pictures and its steps as texts."""
+    """Return pairs of a turn and the pictures of its looks."""
     views = {look.step: _view(trace, look, observer, strip, roles) for look in trace.looks[:_PICTURES]}
     for look in trace.looks[_PICTURES:]:
-        views[look.step] = {"words": look_words(look), "missing": f"only the first {_PICTURES} looks have pictures"}
-    return [
-        {
-            "turn": turn,
-            "views": [views[look.step] for look in turn.looks],
-            "steps": [_step(step) for step in turn.steps if step["kind"] != "tool" and step["step"] not in views],
+        views[look.step] = {
+            "words": look_words(look),
+            "crop": None,
+            "missing": f"only the first {_PICTURES} looks have pictures",
         }
-        for turn in turns_of(trace)
-    ]
-
-
-def _step(step: StoredRow) -> dict[str, Any]:
-    of_model = step["kind"] == "model"
-    request = _messages(step["request"]) if of_model else _plain(step["request"])
-    response = _reply(step["response"]) if of_model else _plain(step["response"])
-    # Show a short call and its result side by side.
-    short = not of_model and max(len(request), len(response)) <= 160 and "\n" not in request + response
-    return {**step, "request": request, "response": response, "short": short}
+    return [(turn, [views[look.step] for look in turn.looks]) for turn in turns_of(trace)]
 
 
 def _view(
@@ -277,53 +251,3 @@ def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callab
         }
     except ObserveError as error:
         return view | {"missing": str(error)}
-
-
-# -- texts of models, which may contain anything -----------------------------------------------------------------------
-
-
-def _messages(text: str) -> str:
-    """Return the messages to a model as text. Images are represented by their names."""
-    messages = _decoded(text, list[Message])
-    return _cut(
-        text if messages is text else "\n\n".join(f"[{message.role}]\n{message.content}" for message in messages)
-    )
-
-
-def _reply(text: str) -> str:
-    reply = _decoded(text, _Reply)
-    if reply is text:
-        return _cut(text)
-    thought = f"[reasoning]\n{_cut(reply.reasoning)}\n\n" if reply.reasoning else ""
-    ended = "" if reply.finish_reason in ("", "stop") else f"\n[finish_reason {reply.finish_reason}]"
-    return f"{thought}{_plain(reply.content)}{ended}"
-
-
-def _plain(text: str | None) -> str:
-    """Indent a long JSON text, including JSON objects inside its strings.
-
-    Other texts are returned without indents. The middle of a very long text is left out.
-    """
-    if not text or len(text) <= 100:
-        return text or ""
-    value = _decoded(text)
-    if isinstance(value, dict):
-        inner = {name: isinstance(item, str) and item.startswith("{") for name, item in value.items()}
-        value = {name: _decoded(item) if inner[name] else item for name, item in value.items()}
-    try:
-        return _cut(text if value is text else msgspec.json.format(msgspec.json.encode(value), indent=1).decode())
-    except (UnicodeError, RecursionError):
-        return _cut(text)
-
-
-def _decoded(text: str, kind: Any = Any) -> Any:
-    """Return the value of a JSON text. If the text is not JSON of the type `kind`, return the text itself."""
-    try:
-        return msgspec.json.decode(text, type=kind)
-    except (msgspec.DecodeError, UnicodeError, RecursionError):
-        return text
-
-
-def _cut(text: str) -> str:
-    half, more = _LONGEST // 2, len(text) - _LONGEST
-    return text if more <= 0 else f"{text[:half]}\n[{more} characters left out]\n{text[-half:]}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -14,13 +14,23 @@ from jrdb_avr.schema.beliefs import ALWAYS, name_of
 from jrdb_avr.schema.errors import PlanError
 from jrdb_avr.schema.plan import Plan, parse_plan
 
-Shape = TypeVar("Shape")
+_LONGEST: Final = 20_000
+"""Maximum number of characters of a text. The middle of a longer text is left out."""
+
+ROLES: Final = 6
+"""Number of colours of people in `roles.css`."""
 
 _NAMES: Final = 4
 """Maximum number of new people that a title names, and of looks that it lists."""
 
 
-class Message(msgspec.Struct):
+class _Reply(msgspec.Struct):
+    content: str = ""
+    reasoning: str = ""
+    finish_reason: str = ""
+
+
+class _Message(msgspec.Struct):
     """A message of a chat, as text."""
 
     role: str
@@ -107,7 +117,9 @@ class Turn:
 
     Attributes:
         title: What the turn did.
-        steps: The rows of the table `steps`.
+        step: Index of the first step.
+        seconds: Duration of all steps.
+        texts: Steps as texts, without looks and calls of tools.
         graph: What the prompt stated about the world model, or None.
         advised: Looks that the prompt advised.
         calls: Calls of tools.
@@ -117,7 +129,9 @@ class Turn:
     """
 
     title: str
-    steps: Sequence[StoredRow]
+    step: int
+    seconds: float
+    texts: Sequence[dict[str, Any]]
     graph: GraphState | None
     advised: Sequence[AdvisedLook]
     calls: Sequence[Call]
@@ -151,11 +165,21 @@ def turns_of(transcript: Transcript) -> list[Turn]:
         people = _people(writes)
         number += group[0]["kind"] == "model"
         head = f"Turn {number}" if number else "Before the first turn"
-        title = f"{head}: {', '.join(_deeds(writes, looks, calls, people)) or 'replied'}"
+        ended = after is None and transcript.prediction["status"] == "answered"
+        did = ", ".join(_deeds(writes, looks, calls, people)) or ("answered" if ended else "replied")
         results = " ".join(call.result for call in calls)
         refused = [row for row in (write.row for write in writes) if row["reason"] and row["reason"] not in results]
-        turns.append(Turn(title, group, graph, advised, calls, people, looks, refused))
+        shown = {look.step for look in looks}
+        texts = [_texts(step) for step in group if step["kind"] != "tool" and step["step"] not in shown]
+        seconds = sum(step["seconds"] for step in group)
+        turns.append(Turn(f"{head}: {did}", steps.start, seconds, texts, graph, advised, calls, people, looks, refused))
     return turns
+
+
+def entity_roles(transcript: Transcript) -> dict[str, int]:
+    """Return the number of the colour of each entity of the world model, by name, in the order of creation."""
+    made = [write.fact.entity.name for write in transcript.writes if write.fact.entity is not None]
+    return {name: index % ROLES for index, name in enumerate(made)}
 
 
 def plan_of(transcript: Transcript) -> Plan | None:
@@ -175,7 +199,7 @@ def decision_of(transcript: Transcript) -> Decision | None:
 
 def _stated(step: StoredRow) -> tuple[GraphState | None, list[AdvisedLook]]:
     """Return what the last message of a model call stated about the world model, and the looks that it advised."""
-    messages = _decoded(step["request"], list[Message]) if step["kind"] == "model" else None
+    messages = _decoded(step["request"], list[_Message]) if step["kind"] == "model" else None
     lines = messages[-1].content.splitlines() if messages else []
     stated = {name: text for name, _, text in (line.partition(": ") for line in lines)}
     return _decoded(stated.get("World", ""), GraphState), _decoded(stated.get("Looks", ""), list[AdvisedLook]) or []
@@ -216,7 +240,7 @@ def _deeds(
 
 def look_words(look: Look) -> str:
     """Return the frame and the angle of a look in words."""
-    angle = ", the whole panorama" if look.angle is None else f", {look.angle:g}\N{DEGREE SIGN}"
+    angle = ", the whole panorama" if look.angle is None else f", {look.angle:.0f}\N{DEGREE SIGN}"
     return f"frame {look.frame}{angle}"
 
 
@@ -239,9 +263,62 @@ def _people(writes: Sequence[Written]) -> list[PersonLine]:
     return list(people.values())
 
 
-def _decoded(text: str, kind: type[Shape]) -> Shape | None:
+def _texts(step: StoredRow) -> dict[str, Any]:
+    """Return a step with its request and its response as texts. `short` texts fit side by side."""
+    of_model = step["kind"] == "model"
+    request = _messages(step["request"]) if of_model else plain_text(step["request"])
+    response = _reply(step["response"]) if of_model else plain_text(step["response"])
+    short = not of_model and max(len(request), len(response)) <= 160 and "\n" not in request + response
+    return {**step, "request": request, "response": response, "short": short}
+
+
+# -- texts of models, which may contain anything -----------------------------------------------------------------------
+
+
+def _messages(text: str) -> str:
+    """Return the messages to a model as text. Images are represented by their names."""
+    messages = _decoded(text, list[_Message])
+    return _cut(text if messages is None else "\n\n".join(f"[{one.role}]\n{one.content}" for one in messages))
+
+
+def _reply(text: str) -> str:
+    reply = _decoded(text, _Reply)
+    if reply is None:
+        return _cut(text)
+    thought = f"[reasoning]\n{_cut(reply.reasoning)}\n\n" if reply.reasoning else ""
+    ended = "" if reply.finish_reason in ("", "stop") else f"\n[finish_reason {reply.finish_reason}]"
+    return f"{thought}{plain_text(reply.content)}{ended}"
+
+
+def plain_text(text: str | None) -> str:
+    """Indent a long JSON text, including JSON objects inside its strings.
+
+    Args:
+        text: A text of a model or of a run.
+
+    Returns:
+        The indented JSON. Other texts are returned without indents. The middle of a very long text is left out.
+    """
+    if not text or len(text) <= 100:
+        return text or ""
+    value = _decoded(text)
+    if isinstance(value, dict):
+        inner = {name: isinstance(item, str) and item.startswith("{") for name, item in value.items()}
+        value = {name: (_decoded(item) or item) if inner[name] else item for name, item in value.items()}
+    try:
+        return _cut(text if value is None else msgspec.json.format(msgspec.json.encode(value), indent=1).decode())
+    except (UnicodeError, RecursionError):
+        return _cut(text)
+
+
+def _decoded(text: str, kind: Any = Any) -> Any:
     """Return the value of a JSON text, or None if the text is not JSON of the type `kind`."""
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return None
+
+
+def _cut(text: str) -> str:
+    half, more = _LONGEST // 2, len(text) - _LONGEST
+    return text if more <= 0 else f"{text[:half]}\n[{more} characters left out]\n{text[-half:]}"
