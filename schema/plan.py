@@ -400,7 +400,6 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
 
 
 def _check_attribute(field: str, name: str | None) -> None:
-    """Refuse an attribute that must be written in another form."""
     if name is not None and (instead := hint("attribute", name)):
         raise PlanError(field, f"{name!r} is no attribute{instead}")
 
@@ -417,8 +416,8 @@ def _check_reach(plan: Plan) -> None:
 
 def _check_answer(plan: Plan, ids: list[str]) -> None:
     answer = plan.answer
-    people = [name for name in ids if name not in plan.things]
-    _known("answer.of", answer.of, ids if answer.read == "attribute" else people, "node")
+    known = [name for name in ids if answer.read == "attribute" or name not in plan.things]
+    _known("answer.of", answer.of, known, "node")
     times = plan.answer.times
     for name in times:
         _known("answer.at", name, list(plan.times), "time")
