@@ -373,10 +373,10 @@ class _Attention:
         elif high - low > _CLOSER.get(self.plan.answer.read, _CLOSE_FRAMES):
             reason = f"the event of {entity} lies between {low:06d} and {high:06d}"
             for at in [self.legal(low + share * (high - low)) for share in (0.5, 0.35, 0.65)]:
-                if low < at < high and at not in self.tracks.looks:
-                    if (look := self._search(entity, at, 1.0, "bracket", reason)) is not None:
-                        yield look
-                        return
+                inside = low < at < high and at not in self.tracks.looks
+                if inside and (look := self._search(entity, at, 1.0, "bracket", reason)) is not None:
+                    yield look
+                    return
 
     def _step(self, entity: str, event: Bracket, last: int) -> Iterator[NextLook]:
         """Yield looks that follow a person on from a frame. At the end, look where the change may have been passed.

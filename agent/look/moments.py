@@ -19,8 +19,9 @@ RESOLVED_FRAMES: Final = round(2 * FPS)
 """Maximum length in frames of the bracket of a certain moment: its middle is within a second of the event."""
 
 CHANGE: Final = 0.75 * UNIT
-"""Log-odds penalty for a change of state between adjacent frames. A reading that both neighbors contradict is an error; a
-deviating last reading may be a real change.
+"""Log-odds penalty for a change of state between adjacent frames.
+
+A reading that both neighbors contradict is an error. A deviating last reading may be a real change.
 """
 
 ABSENT_REACH: Final = 60.0

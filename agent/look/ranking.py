@@ -1,8 +1,8 @@
 """Bindings of a plan: which people are the nodes of the plan, ordered by the evidence of the plan's parts.
 
 The evidence of a part is the log-odds that these people are meant, not that any people are. A condition that holds for
-many people tells little if it holds, and much if it does not. A part without readings has little influence. Tables of evidence
-come from readings (`evidence_tables`) or from statements over the world model; `join` combines them.
+many people tells little if it holds, and much if it does not. Tables of evidence come from readings
+(`evidence_tables`) or from statements over the world model; `join` combines them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Evidence of readings: each reading is a vote on the attributes, relations and boxes of a person at a frame.
 
-No reading replaces another one. Errors of a model often repeat, so a further reading of a topic in the same frame counts
-`Repeats.frame`, and the readings of frames other than the nearest count `Repeats.person`. Evidence is halved for each
-second between the frame of a reading and the frame of the statement.
+No reading replaces another one. Errors of a model often repeat. So a further reading of a topic in the same frame
+counts `Repeats.frame`, and the readings of frames other than the nearest count `Repeats.person`. Evidence is halved for
+each second between the frame of a reading and the frame of the statement.
 """
 
 from __future__ import annotations
