@@ -224,7 +224,10 @@ class _Reader:
 
     def _stated(self, place: int) -> int:
         """The legal frame nearest to one of the answer's times; to the description's where that is an event."""
-        frame = self.plan.times[self.plan.answer.times[place]].frame
+        time = self.plan.times[self.plan.answer.times[place]]
+        frame, bracket = time.frame, self._bracket(place) if time.is_group_event else None
+        if bracket is not None and bracket.high is not None:
+            return bracket.high
         return self._described() if frame is None else self._legal(frame)
 
     def _described(self) -> int:

@@ -73,6 +73,31 @@ def presence(tracks: Tracks, who: str, frame: int) -> bool | None:
     return True if tracks.at(who, frame) else False if place_seen(tracks, who, frame) else None
 
 
+def in_group(tracks: Tracks, who: str, frame: int) -> bool | None:
+    """Return whether the readings of a person at a frame show a group of two or more, or None if they do not decide."""
+    alone = tracks.statement(who, "group_size", "1", frame).log_odds if tracks.at(who, frame) else 0.0
+    return None if alone == 0 else alone < 0
+
+
+def group_changes(plan: Plan, tracks: Tracks, people: Mapping[str, str]) -> dict[str, int]:
+    """Return the frames at which people were read to have joined or left a group, by the name of the event.
+
+    Args:
+        plan: Plan.
+        tracks: Readings.
+        people: Person of each node, as far as it is known.
+    """
+    frames = {}
+    for name, time in plan.times.items():
+        if time.is_group_event and (who := people.get(time.of or "")) is not None:
+            after = plan.times[time.after or ""].frame or 0
+            states = _states(tracks, lambda frame, who=who: in_group(tracks, who, frame))
+            bracket = change(states, after, time.event == "joins_group")
+            if bracket.high is not None and states.get(bracket.low, True) is not states[bracket.high]:
+                frames[name] = bracket.high
+    return frames
+
+
 def performs_at(tracks: Tracks, who: str, action: str, frame: int) -> bool | None:
     """Whether the readings at exactly this frame say that somebody performs an action; None where they do not tell."""
     odds = _here(tracks, who, frame).statement(who, "action", action, frame).log_odds
@@ -132,7 +157,7 @@ def brackets(plan: Plan, tracks: Tracks, who: str) -> dict[str, Bracket]:
         before = found[time.after].high if time.after in found else plan.times[time.after].frame
         if before is not None:
             found[name] = change(_states(tracks, _state_of(plan, tracks, who, name, before)), before,
-                                 time.event in ("start", "returns"))  # fmt: skip
+                                 time.event in ("start", "returns", "joins_group"))  # fmt: skip
     return found
 
 
@@ -146,6 +171,8 @@ def _state_of(plan: Plan, tracks: Tracks, who: str, name: str, before: int) -> C
     time = plan.times[name]
     if time.event in ("leaves", "returns"):
         return lambda frame: presence(tracks, who, frame)
+    if time.is_group_event:
+        return lambda frame: in_group(tracks, who, frame)
     if time.event == "start":
         return lambda frame: performs_at(tracks, who, time.action or "", frame)
     # Somebody is seldom taken to do what they do not, and often not to do what they do: one such reading ends nothing.

@@ -12,6 +12,7 @@ import itertools
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
@@ -100,15 +101,19 @@ class Field(NamedTuple):
         return {"type": "string", "enum": list(self.words)}
 
 
-def perceivable(plan: Plan) -> Plan:
-    """A plan as pictures can be read for it: of people alone, as boxes are read of people only, and at stated frames.
+def perceivable(plan: Plan, changes: Mapping[str, int] = MappingProxyType({})) -> Plan:
+    """Return a plan that pictures can be read for: of people alone, and at stated frames.
 
-    What joins somebody to a thing is a condition; that two people have to do with one and the same thing is left out,
-    and so is where a thing is seen by the robot, and words to a thing that name an attribute with labels, as "sector".
-    A moment is a frame two seconds before or after that of its bound, or in the middle of both.
+    A relation to a thing becomes a condition, and an attribute that is read of a thing becomes the person's. The
+    identity of a thing, its place, and free relations with a name in `ATTRIBUTES` are left out. A moment becomes the
+    frame two seconds from its limit, or in the middle of two. Facts at a group event hold at its frame.
+
+    Args:
+        plan: Plan.
+        changes: Known frames of group events, by time. An unknown event is expected two seconds after its time `after`.
     """
-    things, stated = plan.things, {n: Time(frame=_frame(plan, n)) for n, time in plan.times.items() if time.is_moment}
-    plan = msgspec.structs.replace(plan, times=plan.times | stated)
+    plan = _at_frames(plan, changes)
+    things = plan.things
     if not things:
         return plan
     people = [node for node in plan.nodes if node.id not in things]
@@ -118,9 +123,43 @@ def perceivable(plan: Plan) -> Plan:
         Node(node.id, (*node.conditions, *(_of_thing(e, things[e.target]) for e in joins if e.source == node.id)))
         for node in people
     )
-    root = plan.target if plan.root in things else plan.root
+    answer, target = plan.answer, plan.target
+    if answer.of in things:
+        holder = next((e.source for e in plan.edges if e.target == answer.of), people[0].id)
+        target = holder if target == answer.of else target
+        free = answer.attribute if answer.attribute in ATTRIBUTES else f"{things[answer.of]} {answer.attribute}"
+        answer = msgspec.structs.replace(answer, of=holder, attribute=str(free).replace(" ", "_"))
+    root = target if plan.root in things else plan.root
     edges = tuple(edge for edge in plan.edges if edge.target not in things)
-    return msgspec.structs.replace(plan, root=root, nodes=nodes, edges=edges)
+    return msgspec.structs.replace(plan, root=root, target=target, nodes=nodes, edges=edges, answer=answer)
+
+
+def _at_frames(plan: Plan, changes: Mapping[str, int]) -> Plan:
+    """Replace moments by frames, and let the facts of each group event hold at a stated frame."""
+    events = {name: time for name, time in plan.times.items() if time.is_group_event}
+    frames = {
+        name: Time(frame=changes.get(name, (plan.times[time.after or ""].frame or 0) + _AWAY))
+        for name, time in events.items()
+    }
+    known = msgspec.structs.replace(plan, times=plan.times | frames)
+    moments = {name: Time(frame=_frame(known, name)) for name, time in plan.times.items() if time.is_moment}
+    times = plan.times | moments | {f"{name}_frame": time for name, time in frames.items()}
+    if not events:
+        return msgspec.structs.replace(plan, times=times)
+    nodes = tuple(
+        msgspec.structs.replace(
+            node,
+            conditions=tuple(
+                msgspec.structs.replace(one, at=f"{one.at}_frame") if one.at in events else one
+                for one in node.conditions
+            ),
+        )
+        for node in plan.nodes
+    )
+    edges = tuple(
+        msgspec.structs.replace(edge, at=f"{edge.at}_frame") if edge.at in events else edge for edge in plan.edges
+    )
+    return msgspec.structs.replace(plan, times=times, nodes=nodes, edges=edges)
 
 
 def _frame(plan: Plan, moment: str) -> int:
@@ -163,6 +202,7 @@ def _needed(plan: Plan) -> Iterator[Field]:
     yield Field("labels", "age")
     wanted = [condition.wanted for node in plan.nodes for condition in node.conditions]
     wanted += [] if answer.attribute is None else [(answer.attribute, "")]
+    wanted += [("group_size", "") for time in plan.times.values() if time.is_group_event]
     wanted += [("action", time.action) for time in plan.times.values() if time.action is not None]
     for name, value in wanted:
         if name == "group_size":
