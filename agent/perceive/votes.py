@@ -153,8 +153,10 @@ class Tracks:
             # A positive reading of a relation of this name is a reading of the interaction too.
             votes += [
                 (at, vote)
-                for source, relation, target, at, vote in self._ties
-                if relation == value and entity in (source, target) and vote > 0
+                for (source, relation, target), ties in self._votes_of_ties.items()
+                if relation == value and entity in (source, target)
+                for at, vote in ties
+                if vote > 0
             ]
         return self._support(votes, None if name in TIMELESS else frame)
 
