@@ -1,122 +1,338 @@
-"""Faults of replies: wrong boxes, looks that go elsewhere, wrong relations of a plan, and replies that are no answer.
+"""Errors of perception: what the simulated model reads of the people in one picture.
 
-A draw is about the whole request, which the draws of `knobs` are handed.
+An error has one of three levels. It stays with a person in all pictures, with a person at a frame, or it belongs to one
+picture. Every draw is a hash of the seed and its subject. So the same picture is always read alike, in any order.
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final, TypeVar
 
 import msgspec
 
-from jrdb_avr.agent.model.conventions import SCALE
-from jrdb_avr.agent.model.decode import write_box
-from jrdb_avr.agent.policy.explorer import Look
-from jrdb_avr.agent.simulated.knobs import Draws, Knobs
-from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS
+from jrdb_avr.agent.simulated.people import Person
+from jrdb_avr.agent.simulated.profiles import Errors
+from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES, may_be_called
+from jrdb_avr.schema.panorama import FOCAL_ROWS, HEIGHT, HORIZON_ROW, WIDTH, Box
+from jrdb_avr.schema.relations import SAME_GROUP
+from jrdb_avr.schema.rules import FPS
 
-_SORRY: Final = "I am sorry, but I cannot help with questions about people in pictures."
+_T = TypeVar("_T")
+
+_HASHED: Final = 2.0**64
+
+CONFUSED: Final = {
+    "walking": ("standing", 0.4),
+    "sitting": ("standing", 0.2),
+    "standing": ("walking", 0.08),
+    "bending": ("standing", 0.3),
+}
+"""Measured confusions: the posture that is read in place of a posture, and the rate."""
+
+LEAST_HEIGHT: Final = 24.0
+"""Minimum visible height, in pixels, of people who are read."""
+_MISS_HEIGHT: Final = 100.0
+_MISS_POWER: Final = 1.5
+_MOST_MISSED: Final = 0.98
+_MISS_LEVELS: Final = (0.75, 0.17)
+"""Shares of misses that stay with the person, and with the person at the frame."""
+
+_GHOST_SLOTS: Final = 9
+_GHOST_STAYS: Final = 0.75
+_GHOST_SHOWN: Final = 0.67
+_GHOST_HEIGHTS: Final = (23.0, 80.0)
+_GHOST_POSES: Final = ("standing", "sitting", "walking")
+_METRES_TALL: Final = 1.7
+_ABOVE_GROUND: Final = 1.2
+
+_BOX_FRAME: Final = 0.8
+"""Share of a box's errors that belongs to the frame. The rest belongs to the picture."""
+_FARTHEST: Final = 20.0
+"""Maximum error of a box's edge, in scales."""
+
+_OPTIONS: Final = {"gender": GENDERS, "age": AGES, "pose": POSES}
+_VALUES: Final = {"action": len(OTHER_ACTIONS), "interaction": len(INTERACTIONS)}
+_FACTORS: Final = (0.5, 0.7, 1.5, 2.0)
+"""Factors of distances that are read wrongly."""
 
 
 @dataclass(frozen=True)
-class Wording:
-    """A reply as it is sent; `refusal` stands in place of the content."""
+class Draws:
+    """Draws about one subject. Equal names give equal draws."""
 
-    content: str
-    finish_reason: str = "stop"
-    refusal: str | None = None
+    seed: int
+    about: str
+
+    def share(self, *names: object) -> float:
+        """Return a number in [0, 1) that depends only on seed, subject and names."""
+        text = msgspec.json.encode([self.seed, self.about, *map(str, names)])
+        return int.from_bytes(hashlib.sha256(text).digest()[:8], "big") / _HASHED
+
+    def happens(self, rate: float, *names: object) -> bool:
+        """Return True for this share of all names."""
+        return rate > 0 and self.share(*names) < rate
+
+    def pick(self, options: Sequence[_T], *names: object) -> _T:
+        """Return one of the options. `options` is not empty."""
+        return options[min(int(self.share(*names) * len(options)), len(options) - 1)]
 
 
-def with_wrong_boxes(reply: Mapping[str, Any], looks: Sequence[Look], knobs: Knobs, draws: Draws) -> Mapping[str, Any]:
-    """The reply with some of its boxes wrong."""
+@dataclass(frozen=True)
+class View:
+    """A picture: the sequence, the frame, and the columns [left, left + width) that it shows, in stitched pixels."""
 
-    def entry(number: int, place: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-        look = _look_of(place, looks)
-        # A person who was never found has an empty box, which stays.
-        if look is None or not place.get(key) or not draws.happens(knobs.wrong_box, "box", number):
-            return place
-        return {**place, key: _wrong_box(place[key], look, draws, number)}
+    sequence: str
+    frame: int
+    left: float
+    width: float
 
-    lists = (
-        (name, key)
-        for name, key in (("evidence_bboxes", "bbox"), ("calls", "box"), ("people", "box"))
-        if reply.get(name)
+    def place(self, box: Box) -> Box | None:
+        """Return a box in pixels of the picture, or None if the picture does not show its centre column."""
+        x = (box.x + box.w / 2 - self.left) % WIDTH
+        return None if x >= self.width else box._replace(x=x - box.w / 2)
+
+
+@dataclass(frozen=True)
+class ReadPerson:
+    """A person as the model reads the person in one picture.
+
+    Attributes:
+        identity: Number by which the model knows the person.
+        person: The person as annotated, or a false person.
+        box: Box as it was read, in pixels of the picture.
+        reader: The reader of the picture.
+    """
+
+    identity: int
+    person: Person
+    box: Box
+    reader: Reader
+
+    def label(self, name: str) -> str | None:
+        """Return the gender, the age or the pose as it was read, or None if the model cannot tell."""
+        return self.reader.read_label(self.person, name)
+
+    def holds(self, name: str, value: str) -> bool | None:
+        """Return whether an action, interaction or object was read, or None if the model cannot tell."""
+        return self.reader.read_statement(self.person, name, value)
+
+    def partners(self, relation: str, people: Sequence[ReadPerson]) -> list[int] | None:
+        """Return the positions, from 1, of the people in a relation to the person. None if the model cannot tell."""
+        return self.reader.read_partners(self, relation, people)
+
+    @property
+    def metres(self) -> float | None:
+        """Distance from the robot as it was read, in metres."""
+        return self.reader.read_metres(self)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reads the people of one picture, with errors."""
+
+    errors: Errors
+    view: View
+
+    def people(self, everyone: Sequence[Person]) -> tuple[ReadPerson, ...]:
+        """Return the people who are read in the picture, from left to right.
+
+        Args:
+            everyone: All people with a box at the frame.
+
+        Returns:
+            The people, false ones included.
+        """
+        identities = self._identities([person.track for person in everyone])
+        shown = [(person, box) for person in everyone if (box := self.view.place(person.box)) is not None]
+        boxes = [box for _, box in shown]
+        read = [
+            ReadPerson(identities[person.track], person, self._box(person, box), self)
+            for person, box in shown
+            if not self._missed(person, box, boxes)
+        ]
+        for ghost in self._ghosts():
+            box = self.view.place(ghost.box)
+            if box is not None and self._picture(ghost.track).happens(_GHOST_SHOWN, "shown"):
+                read.append(ReadPerson(ghost.track, ghost, box, self))
+        return tuple(sorted(read, key=lambda person: (person.box.x, person.identity)))
+
+    # -- levels of errors ---------------------------------------------------------------------------------------------
+
+    def _person(self, track: int) -> Draws:
+        return Draws(self.errors.seed, f"{self.view.sequence} {track}")
+
+    def _frame(self, track: int) -> Draws:
+        return Draws(self.errors.seed, f"{self.view.sequence} {track} frame {self.view.frame}")
+
+    def _picture(self, track: int) -> Draws:
+        view = self.view
+        return Draws(self.errors.seed, f"{view.sequence} {track} frame {view.frame} {view.left:g} {view.width:g}")
+
+    def _slip(self, track: int, rate: float, *names: object, levels: tuple[float, float] | None = None) -> Draws | None:
+        """Return the draws of an error that happens at a rate, or None if it does not happen."""
+        if rate <= 0:
+            return None
+        person, frame = levels or (self.errors.person, self.errors.frame)
+        lasting = rate * person
+        at_frame = rate * frame / (1 - lasting) if lasting < 1 else 0.0
+        left = (1 - lasting) * (1 - at_frame)
+        rest = max(0.0, 1 - (1 - rate) / left) if left > 0 else 0.0
+        for draws, share in ((self._person, lasting), (self._frame, at_frame), (self._picture, rest)):
+            if draws(track).happens(share, *names):
+                return draws(track)
+        return None
+
+    # -- who is read --------------------------------------------------------------------------------------------------
+
+    def _missed(self, person: Person, box: Box, boxes: Sequence[Box]) -> bool:
+        if not self.errors.miss:
+            return False
+        visible = box.h * (1 - _covered_share(box, boxes))
+        if visible < LEAST_HEIGHT:
+            return True
+        rate = min(self.errors.miss * (_MISS_HEIGHT / visible) ** _MISS_POWER, _MOST_MISSED)
+        return self._slip(person.track, rate, "miss", levels=_MISS_LEVELS) is not None
+
+    def _identities(self, tracks: Sequence[int]) -> dict[int, int]:
+        """Return the identity under which the model knows each person of the frame. No two have the same identity."""
+        identities = {track: track for track in tracks}
+        rate, order = self.errors.identity / 2, sorted(tracks)
+        for track in order:
+            # A person is confused at both ends of a pair of frames, and a swap confuses two people.
+            if self._frame(track).happens(rate / 2, "swapped") and len(order) > 1:
+                other = self._frame(track).pick([each for each in order if each != track], "with")
+                identities[track], identities[other] = identities[other], identities[track]
+        for track in order:
+            if self._frame(track).happens(rate, "new"):
+                identities[track] = (self.view.frame + 1) * 1_000_000 + track
+        return identities
+
+    def _ghosts(self) -> list[Person]:
+        """Return the false people of the frame. Each stays at its place for some seconds."""
+        second = self.view.frame // round(FPS)
+        ghosts = []
+        for slot in range(_GHOST_SLOTS if self.errors.ghosts else 0):
+            draws = Draws(self.errors.seed, f"{self.view.sequence} ghost {slot}")
+            born = next((s for s in range(second, 0, -1) if not draws.happens(_GHOST_STAYS, "stays", s)), 0)
+            if draws.happens(self.errors.ghosts / _GHOST_SLOTS, "present", born):
+                ghosts.append(_ghost(Draws(self.errors.seed, f"{draws.about} from {born}"), -1 - slot - 16 * born))
+        return ghosts
+
+    def _box(self, person: Person, box: Box) -> Box:
+        """Return a box with errors. A box that the picture shows whole stays inside the picture."""
+        if self._picture(person.track).happens(self.errors.wrong_box, "wrong box"):
+            return box._replace(x=box.x + box.w / 2)
+        scale = self.errors.box
+        if not scale:
+            return box
+        at_frame, picture = self._frame(person.track), self._picture(person.track)
+        sides = [_BOX_FRAME * _draw_t(at_frame, side) + (1 - _BOX_FRAME) * _draw_t(picture, side) for side in range(4)]
+        left, right = box.x + scale * box.w * sides[0], box.x + box.w * (1 + scale * sides[1])
+        top, bottom = box.y + scale * box.h * sides[2], box.y + box.h * (1 + scale * sides[3])
+        if box.x >= 0 and box.x + box.w <= self.view.width:
+            left, right = max(left, 0.0), min(right, self.view.width)
+        top, bottom = max(top, 0.0), min(bottom, float(HEIGHT))
+        return box if right - left < 2 or bottom - top < 2 else Box(left, top, right - left, bottom - top)
+
+    # -- what is read of a person -------------------------------------------------------------------------------------
+
+    def read_label(self, person: Person, name: str) -> str | None:
+        """Return the gender, the age or the pose of a person as it is read, or None if the model cannot tell."""
+        values = person.labels.get(name, frozenset())
+        if len(values) != 1:
+            return None
+        (value,) = values
+        if person.track < 0:
+            return value
+        errors = self.errors
+        if name == "pose" and value in CONFUSED:
+            other, rate = CONFUSED[value]
+            if self._slip(person.track, rate * errors.pose, "confused") is not None:
+                return other
+        if name != "pose" and self._slip(person.track, errors.dropped, "dropped", name) is not None:
+            return None
+        rate = errors.wrong + (0.0 if name == "pose" else errors.added)
+        if (slip := self._slip(person.track, rate, "wrong", name)) is not None:
+            return slip.pick([option for option in _OPTIONS[name] if option != value], "as", name)
+        return value
+
+    def read_statement(self, person: Person, name: str, value: str) -> bool | None:
+        """Return whether an action, interaction or object of a person is read, or None if the model cannot tell."""
+        values = person.labels.get(name)
+        if values is None:
+            return None
+        errors = self.errors
+        if value in values:
+            return self._slip(person.track, min(errors.dropped + errors.wrong, 1.0), "dropped", name, value) is None
+        word = value.partition(": ")[0] if name == "object" else value
+        kept = {each.partition(": ")[0] for each in values} if name == "object" else values
+        if kept & may_be_called(word):
+            return None
+        rate = errors.added + errors.wrong / _VALUES.get(name, 100)
+        return self._slip(person.track, rate, "added", name, value) is not None
+
+    def read_partners(self, person: ReadPerson, relation: str, people: Sequence[ReadPerson]) -> list[int] | None:
+        """Return the positions, from 1, of the people in a relation to a person. None if the model cannot tell."""
+        tied = person.person.ties.get(relation)
+        if tied is None:
+            return None
+        errors, track = self.errors, person.person.track
+        found = set()
+        others = [(number, other) for number, other in enumerate(people, 1) if other is not person]
+        for number, other in others:
+            pair = sorted((track, other.person.track))
+            rate = min(errors.dropped + errors.wrong, 1.0)
+            if other.person.track in tied and self._slip(pair[0], rate, "dropped", relation, *pair) is None:
+                found.add(number)
+        if others and (slip := self._slip(track, errors.added + errors.wrong, "added", relation)) is not None:
+            found.add(slip.pick(sorted(others, key=lambda each: each[1].person.track), "with", relation)[0])
+        return sorted(found)
+
+    def read_metres(self, person: ReadPerson) -> float | None:
+        """Return the distance of a person in metres. Its error is the error of the box's height."""
+        metres = person.person.metres
+        if metres is None:
+            return None
+        if (slip := self._slip(person.person.track, self.errors.wrong, "wrong", "metres")) is not None:
+            metres *= slip.pick(_FACTORS, "metres")
+        return round(metres * person.person.box.h / max(person.box.h, 1.0), 2)
+
+
+def _covered_share(box: Box, boxes: Sequence[Box]) -> float:
+    """Return the largest share of a box that one nearer person covers. The box with the lower end is nearer."""
+    shares = (
+        max(min(box.x + box.w, other.x + other.w) - max(box.x, other.x), 0.0)
+        * max(min(box.y + box.h, other.y + other.h) - max(box.y, other.y), 0.0)
+        / (box.w * box.h)
+        for other in boxes
+        if other.y + other.h > box.y + box.h
     )
-    return {**reply, **{name: [entry(n, place, key) for n, place in enumerate(reply[name])] for name, key in lists}}
+    return min(max(shares, default=0.0), 1.0)
 
 
-def _look_of(place: Mapping[str, Any], looks: Sequence[Look]) -> Look | None:
-    """The newest picture that a box lies in; a box that names none lies in the newest one."""
-    name, frame = place.get("observation"), place.get("frame_id")
-    if name is None and frame is None and "tool" not in place:
-        return looks[-1] if looks else None
-    fitting = (look for look in looks if (f"{look.frame:06d}" == frame if name is None else look.name == name))
-    return next(reversed([*fitting]), None)
+def _draw_t(draws: Draws, side: int) -> float:
+    """Return a draw of Student's t distribution with two degrees of freedom, limited to `_FARTHEST`."""
+    share = min(max(draws.share("side", side), 1e-9), 1 - 1e-9)
+    return min(max((2 * share - 1) / math.sqrt(2 * share * (1 - share)), -_FARTHEST), _FARTHEST)
 
 
-def _wrong_box(box: list[int], look: Look, draws: Draws, number: int) -> list[int]:
-    """Another person's box in the picture, or the box beside itself by more than half its width."""
-    others = [write_box(seen.box, look.size) for seen in look.sightings]
-    others = [other for other in others if other != box and other[0] < other[2] and other[1] < other[3]]
-    if others and draws.happens(0.5, "whose", number):
-        return draws.pick(others, "which", number)
-    left, top, right, bottom = box
-    shift = max(round((right - left) * (0.6 + 0.6 * draws.share("shift", number))), 1)
-    for by in (shift, -shift) if draws.happens(0.5, "side", number) else (-shift, shift):
-        if left + by >= 0 and right + by <= SCALE:
-            return [left + by, top, right + by, bottom]
-    # No room beside it, so it is wide: its left third, as if the rest of the person were covered.
-    return [left, top, left + (right - left) // 3, bottom]
-
-
-def with_wrong_policy(reply: Mapping[str, Any], knobs: Knobs, draws: Draws) -> Mapping[str, Any]:
-    """The reply with some of its looks turned elsewhere, or some relations of its plan replaced."""
-
-    def turned(number: int, look: Mapping[str, Any]) -> Mapping[str, Any]:
-        if "angle_deg" not in look or "frame_id" not in look or not draws.happens(knobs.policy, "look", number):
-            return look
-        angle = look["angle_deg"] + 60 + 240 * draws.share("angle", number)
-        return {**look, "angle_deg": round(angle % 360, 3)}
-
-    def replaced(number: int, edge: Mapping[str, Any]) -> Mapping[str, Any]:
-        if not draws.happens(knobs.policy, "edge", number):
-            return edge
-        kind = RELATIONS[edge["relation"]].kind
-        alike = [label for label in QUESTION_RELATIONS if RELATIONS[label].kind == kind or kind == "group"]
-        return {**edge, "relation": draws.pick([label for label in alike if label != edge["relation"]], number)}
-
-    if reply.get("action") == "observe":
-        return turned(0, reply)
-    if reply.get("look") == 1 and draws.happens(knobs.policy, "pick"):
-        return {**reply, "look": 2}
-    lists = ((name, change) for name, change in (("calls", turned), ("edges", replaced)) if reply.get(name))
-    return {**reply, **{name: [change(n, part) for n, part in enumerate(reply[name])] for name, change in lists}}
-
-
-def word(content: str, knobs: Knobs, draws: Draws) -> tuple[Wording, str]:
-    """The reply as it is sent, and the name of the knob that spoiled it, if any."""
-    if draws.happens(knobs.refusal, "refusal"):
-        return Wording("", refusal=_SORRY), "refusal"
-    thought = think(knobs, draws)
-    if draws.happens(knobs.truncated, "truncated"):
-        end = 1 + int(draws.share("end") * (len(content) - 1))
-        return Wording(thought + content[:end], "length"), "truncated"
-    sound = (1 - knobs.malformed) * (1 - knobs.malformed_per_kb) ** (len(content) / 1000)
-    if draws.happens(1 - sound if knobs.malformed_per_kb else knobs.malformed, "malformed"):
-        return Wording(thought + _malformed(content, draws)), "malformed"
-    return Wording(thought + content), ""
-
-
-def think(knobs: Knobs, draws: Draws) -> str:
-    """Thinking to stand before a reply, if any."""
-    if not draws.happens(knobs.thinking, "thinking"):
-        return ""
-    return "<think>\nI go through the pictures one by one and compare what I read with the question.\n</think>\n"
-
-
-def _malformed(content: str, draws: Draws) -> str:
-    """A JSON object as models spoil it: it lacks its end, prose stands round it, or it has Python's quotes."""
-    spoiled = (content[:-1], f"Here is my reply: {content} I hope that this helps.", repr(msgspec.json.decode(content)))
-    return draws.pick(spoiled, "how")
+def _ghost(draws: Draws, track: int) -> Person:
+    """Return a false person at a place on the ground."""
+    low, high = _GHOST_HEIGHTS
+    tall = low + (high - low) * draws.share("height")
+    bottom = HORIZON_ROW + tall * _ABOVE_GROUND / _METRES_TALL
+    labels: Mapping[str, frozenset[str]] = {
+        "gender": frozenset((draws.pick(GENDERS, "gender"),)),
+        "age": frozenset((draws.pick(AGES, "age"),)),
+        "pose": frozenset((draws.pick(_GHOST_POSES, "pose"),)),
+        "action": frozenset(),
+        "interaction": frozenset(),
+        "object": frozenset(),
+    }
+    box = Box(draws.share("x") * WIDTH, bottom - tall, tall / 2.8, tall)
+    ties = {relation: frozenset[int]() for relation in (SAME_GROUP, *INTERACTIONS)}
+    return Person(track, box, labels, ties, FOCAL_ROWS * _METRES_TALL / tall)

@@ -24,7 +24,7 @@ import msgspec
 from jrdb_avr.agent.model.decode import write_box
 from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
 from jrdb_avr.agent.simulated.knobs import PERFECT, PROFILES, Draws, Knobs, settings
-from jrdb_avr.agent.simulated.noise import Wording, think, with_wrong_boxes, with_wrong_policy, word
+from jrdb_avr.agent.simulated.reply_faults import Wording, think, with_wrong_boxes, with_wrong_policy, word
 from jrdb_avr.agent.simulated.perception import Perception, Reader
 from jrdb_avr.agent.simulated.play import STAGES
 from jrdb_avr.agent.simulated.requests import Request, UserMessage, lines_of, read_request
