@@ -135,12 +135,20 @@ class WorldMemory:
         bindings = self._likely()
         best = bindings[0] if bindings else None
         likely = [{"nodes": dict(one.nodes), "log_odds": round(one.log_odds, 1)} for one in bindings[:_MOST_BINDINGS]]
-        return {
+        world = {
             "people": self._people(_MOST_PEOPLE, [] if best is None else list(best.nodes.values())),
             "likely": likely,
             "open": [] if best is None else self._open(best),
             "supported": self._supported(),
         }
+        return world if self.advises or self.fixed else world | {"looks": self._made()}
+
+    def _made(self) -> dict[str, list[float]]:
+        """Return the angles of all looks by frame. An agent without advice chooses the next look by them."""
+        made: dict[str, list[float]] = {}
+        for frame, angle in self.attempt.made:
+            made.setdefault(f"{frame:06d}", []).append(round(angle, 1))
+        return made
 
     def _people(self, most: int | None, first: Collection[str]) -> dict[str, str]:
         """Describe people by their last place. `first` are the people that come first, then the last seen."""

@@ -30,7 +30,7 @@ class _World(msgspec.Struct):
     people: dict[str, str] = {}
     open: list[str] = []
     supported: _Supported | None = None
-    seen: dict[str, list[float]] = {}
+    looks: dict[str, list[float]] = {}
 
 
 # Made at import, because threads that create the decoder of a type at the same time crash it.
@@ -106,7 +106,7 @@ def _next_look(request: Request, world: _World, advised: list[Any] | None) -> di
     frames = [time.frame for time in request.plan.times.values() if time.frame is not None]
     legal = request.legal()
     for frame in dict.fromkeys(min(legal, key=lambda other: abs(other - at)) for at in frames):
-        made = world.seen.get(f"{frame:06d}", [])
+        made = world.looks.get(f"{frame:06d}", [])
         for angle in _AROUND:
             if all(float(angle_error(angle, other)) > 1.0 for other in made):
                 return {"tool": "observe", "frame_id": f"{frame:06d}", "angle_deg": angle}
