@@ -14,6 +14,9 @@ from jrdb_avr.schema.tables import RUNS
 HOSTILE = (
     '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m\u202e\u05d0'
 )
+PERSON = HOSTILE.replace("/", "|")
+"""A hostile name of an entity. Names of entities have no slash."""
+
 LONG = "x" * 10_000
 
 
@@ -40,12 +43,12 @@ def world_rows(frame):
         (2, "add_attribute", "", Fact(has=has("p1", 1, 2, "walking", frame))),
         (2, "add_relation", f"no observation o9 {HOSTILE}", Fact()),
         (5, "add_attribute", "", Fact(has=has("p1", 3, 5, "sitting", frame), replaced=(1,))),
-        (5, "add_entity", "", Fact(entity=entity(HOSTILE, 1, 5), sighted=sighted(HOSTILE, 4, 5, frame, 3750.0))),
+        (5, "add_entity", "", Fact(entity=entity(PERSON, 1, 5), sighted=sighted(PERSON, 4, 5, frame, 3750.0))),
         (
             5,
             "add_relation",
             "",
-            Fact(related=RelationRow("e/p1", f"e/{HOSTILE}", "e", 5, 5, *READ, "conversation", "o1", frame, frame)),
+            Fact(related=RelationRow("e/p1", f"e/{PERSON}", "e", 5, 5, *READ, "conversation", "o1", frame, frame)),
         ),
     ]
     return [
