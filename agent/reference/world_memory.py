@@ -364,9 +364,10 @@ class WorldMemory:
         request = {"proposed": self.proposed, "accepted": accepted is not None}
         self.attempt.record("solve", msgspec.to_builtins(request), msgspec.to_builtins(found), started)
         if found is None:
-            return ParsedReply(self._guess(), refusal=reason, verdict="guess")
+            return ParsedReply(self._guess(), refusal=reason, verdict="guess", proposed=self.proposed)
         evidence = stitched_evidence(found.frame, found.box.box)
-        return ParsedReply(accepted or found.answer, evidence, refusal=reason, verdict=found.verdict)
+        answer = accepted or found.answer
+        return ParsedReply(answer, evidence, refusal=reason, verdict=found.verdict, proposed=self.proposed)
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""

@@ -116,6 +116,7 @@ def test_an_unsupported_answer_is_refused_once(world, proposed):
     told = game.prediction
     assert (told.answer, told.evidence.frame) == (Choice(2), 150)
     assert told.reason.startswith("the graph supports the answer 2 of p1")
+    assert told.proposed == json.dumps({"choice": proposed["answer"]}, separators=(",", ":"))
     solved = [json.loads(step.request) for step in game.steps if step.kind == "solve"]
     assert solved[-1] == {"proposed": {"choice": proposed["answer"]}, "accepted": False}
 
