@@ -14,11 +14,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-import msgspec
-
 from jrdb_avr.agent.look.answer import Conclusion
 from jrdb_avr.agent.look.attention import NextLook, next_looks
-from jrdb_avr.agent.look.ranking import RankedHypothesis
+from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message, Part
@@ -56,6 +54,9 @@ _MOST_BINDINGS: Final = 2
 
 _MOST_OPEN: Final = 6
 """Maximum number of open parts in the line `World`."""
+
+_MOST_RECORDED: Final = 5
+"""Maximum number of bindings in the transcript."""
 
 _TOPICS: Final = ("gender", "age")
 """Topics by which the line `World` describes a person."""
@@ -167,13 +168,8 @@ class WorldMemory:
 
     def _open(self, best: RankedHypothesis) -> list[str]:
         """Describe the parts of the plan that the best binding leaves open or contradicts."""
-        parts = [(slot.part, slot.state) for slot in self.world.slots(best)]
-        texts = [
-            f"{' '.join([*part.nodes[:1], part.name, part.value or part.nodes[-1]])}: {state}"
-            for part, state in parts
-            if state in ("open", "contradicted")
-        ]
-        return texts[:_MOST_OPEN]
+        slots = [slot for slot in self.world.slots(best) if slot.state in ("open", "contradicted")]
+        return [f"{_part_text(slot.part)}: {slot.state}" for slot in slots[:_MOST_OPEN]]
 
     def _supported(self) -> dict[str, Any] | None:
         """Return the answer that the graph supports, in the form of a final answer."""
@@ -361,13 +357,23 @@ class WorldMemory:
         """Write the answer of the question to the graph, and return it. Without a conclusion, it is a guess."""
         started = time.perf_counter()
         self.world.answered(self.proposed, found, step)
-        request = {"proposed": self.proposed, "accepted": accepted is not None}
-        self.attempt.record("solve", msgspec.to_builtins(request), msgspec.to_builtins(found), started)
+        request = {"answer": "by the graph", "accepted": accepted is not None}
+        self.attempt.record("solve", request, self._decision(found), started)
         if found is None:
             return ParsedReply(self._guess(), refusal=reason, verdict="guess", proposed=self.proposed)
         evidence = stitched_evidence(found.frame, found.box.box)
         answer = accepted or found.answer
         return ParsedReply(answer, evidence, refusal=reason, verdict=found.verdict, proposed=self.proposed)
+
+    def _decision(self, found: Conclusion | None) -> dict[str, Any]:
+        """Return the end of the question as the transcript shows it: bindings, and the support of each part by each."""
+        bindings = self._likely()[:_MOST_RECORDED]
+        slots = [self.world.slots(one) for one in bindings]
+        parts = [
+            {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
+            for row in zip(*slots, strict=True)
+        ]
+        return {"bindings": bindings, "conclusion": found, "proposed": self.proposed, "parts": parts}
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
@@ -379,6 +385,11 @@ class WorldMemory:
         frames = task.sequence.frames or (0,)
         middle = frames[len(frames) // 2]
         return mode.make((middle, middle), 180.0)
+
+
+def _part_text(part: PlanPart) -> str:
+    """Write a part of the plan, such as "a gender female" or "a conversation b"."""
+    return " ".join([part.nodes[0], part.name, part.value or part.nodes[-1]])
 
 
 def _look(look: NextLook) -> dict[str, Any]:

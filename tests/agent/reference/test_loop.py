@@ -117,8 +117,10 @@ def test_an_unsupported_answer_is_refused_once(world, proposed):
     assert (told.answer, told.evidence.frame) == (Choice(2), 150)
     assert told.reason.startswith("the graph supports the answer 2 of p1")
     assert told.proposed == json.dumps({"choice": proposed["answer"]}, separators=(",", ":"))
-    solved = [json.loads(step.request) for step in game.steps if step.kind == "solve"]
-    assert solved[-1] == {"proposed": {"choice": proposed["answer"]}, "accepted": False}
+    decision = json.loads([step.response for step in game.steps if step.kind == "solve"][-1])
+    assert decision["bindings"][0]["nodes"] == {"a": "p1"}
+    assert decision["parts"][0]["part"] == "a gender female"
+    assert (decision["conclusion"]["entity"], decision["proposed"]) == ("p1", {"choice": proposed["answer"]})
 
 
 def test_a_refused_answer_names_the_best_look(world):
