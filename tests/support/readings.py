@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from jrdb_avr.agent.look.attention import next_looks
-from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.association import with_picture
+from jrdb_avr.agent.look.attention import next_looks
 from jrdb_avr.agent.perceive.geometry import SeenColumns, first_beside, seen_from
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.engine.rederive import Annotations, rederive
 from jrdb_avr.loaders.intervals.derive import derive

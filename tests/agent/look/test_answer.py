@@ -11,10 +11,10 @@ from readings import WOMAN, reading_at, toward
 
 from jrdb_avr.agent.look.answer import conclude
 from jrdb_avr.agent.look.attention import next_looks
-from jrdb_avr.agent.look.moments import CHANGE, Bracket, brackets, likeliest_course, postures
-from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.geometry import SeenColumns, seen_from
+from jrdb_avr.agent.look.moments import CHANGE, Bracket, brackets, likeliest_course, postures
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.answers import Choice, Number
 from jrdb_avr.schema.panorama import WIDTH, Box

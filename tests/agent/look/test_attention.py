@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from readings import POSES, WOMAN, Noise, ReadWorld, asked_of, reading_at, toward
 
 from jrdb_avr.agent.look.attention import RESERVES, next_looks
-from jrdb_avr.agent.look.moments import Bracket, absence, brackets, change, performs_at, presence
-from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.geometry import SeenColumns, covered, seen_from
+from jrdb_avr.agent.look.moments import Bracket, absence, brackets, change, performs_at, presence
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
+from jrdb_avr.agent.look.ranking import rank
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.schema.panorama import WIDTH, Box, angle_error, iou
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time, validate

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from readings import VALUES, Noise, ReadWorld, asked_of, identified, toward
 
-from jrdb_avr.agent.look.ranking import parts_of, rank, shares, slot_supports
 from jrdb_avr.agent.perceive.geometry import SeenColumns
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie
+from jrdb_avr.agent.look.ranking import parts_of, rank, shares, slot_supports
 from jrdb_avr.agent.perceive.votes import UNIT, Tracks
 from jrdb_avr.schema.panorama import WIDTH, Box
 from jrdb_avr.schema.plan import AnswerSpec, Condition, Edge, Node, Plan, Time, validate

@@ -98,7 +98,7 @@ def test_a_chat_keeps_all_messages():
 def test_the_graph_supports_what_was_written(world):
     game = play([*SEEN, turn(final(2))], world=world)
     shown = world_of(game)
-    assert shown["people"] == {"p1": "female, 000150 at 168", "p2": "male, 000150 at 191"}
+    assert shown["people"] == {"p1": "female, 000150 at 165", "p2": "male, 000150 at 188"}
     assert shown["likely"][0]["nodes"] == {"a": "p1"}
     assert (shown["supported"]["answer"], shown["supported"]["entity"]) == (2, "p1")
     told = game.prediction
@@ -218,10 +218,10 @@ def test_single_facts_count_like_a_batch(world):
 
 
 def test_get_graph_lists_everybody(world):
-    several = [person(f"p{n}", [10 + 90 * n, 200, 80 + 90 * n, 700]) for n in range(10)]
-    script = [PLAN, turn(look()), writes(*several), turn(look(150, 90)), writes(
-        *[person(f"q{n}", [10 + 90 * n, 200, 80 + 90 * n, 700]) for n in range(10)], observation="o2"), turn(GRAPH), "x"]  # fmt: skip
-    game = play(script, world=world)
+    boxes = [[10 + 90 * n, 200, 80 + 90 * n, 700] for n in range(10)]
+    first, second = ([person(f"{name}{n}", box) for n, box in enumerate(boxes)] for name in "pq")
+    script = [PLAN, turn(look()), writes(*first), turn(look(150, 90)), writes(*second, observation="o2"), turn(GRAPH)]
+    game = play([*script, "x"], world=world)
     assert len(world_of(game)["people"]) == 12
     assert len(json.loads(results_of(text_of(game.requests[6]))[0].partition(": ")[2])) == 20
 

@@ -25,8 +25,8 @@ from jrdb_avr.agent.simulated.knobs import (
     profile_of,
     settings,
 )
-from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
 from jrdb_avr.agent.simulated.reply_faults import with_wrong_boxes
+from jrdb_avr.agent.simulated.perception import Perception, PictureMarks
 from jrdb_avr.agent.simulated.server import Server
 from jrdb_avr.schema.errors import DecodeError, InputError
 from jrdb_avr.schema.markers import Mark, Reading
