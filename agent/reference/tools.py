@@ -5,7 +5,7 @@ The names and values of a write are the fields of the question, so that the grap
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from jrdb_avr.agent.model import decode
@@ -15,7 +15,7 @@ from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, SAME_PLACE, Field, read_
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel
 from jrdb_avr.agent.reference.chat_memory import OBSERVATION_SCHEMA
 from jrdb_avr.agent.reference.turns import FINAL, WRITES, View, call_schema, look_schema, turn_schema
-from jrdb_avr.schema.answer_modes import mode_of
+from jrdb_avr.schema.answer_modes import Kind, mode_of
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Question
@@ -58,9 +58,11 @@ def read_people(
     if not isinstance(listed, list) or len(listed) > MOST_PEOPLE:
         raise DecodeError(f'"people" must be a list of at most {MOST_PEOPLE} people')
     first = counts[view.name] + 1
-    names = [person.get("id") if isinstance(person, dict) else None for person in listed]
-    # The first person with an id is the person that relations name.
-    numbers = {name: number for number, name in reversed([*enumerate(names, first)]) if _is_name(name)}
+    numbers: dict[str, int] = {}
+    for number, person in enumerate(listed, first):
+        if isinstance(person, dict) and _is_name(person.get("id")):
+            # If an id comes twice, relations name the first person with the id.
+            numbers.setdefault(person["id"], number)
     people: People = []
     faults: list[tuple[object, str]] = []
     for number, person in enumerate(listed, first):
@@ -219,7 +221,11 @@ def written_answer(answer: Answer) -> Any:
     values = [getattr(answer, name) for name, _ in mode.fields]
     if mode.is_choice:
         return values[0]
-    written = {"frame": lambda frame: f"{frame:06d}", "angle": lambda angle: round(angle, 1), "decimal": "{:g}".format}
+    written: dict[Kind, Callable[[float], Any]] = {
+        "frame": lambda frame: f"{int(frame):06d}",
+        "angle": lambda angle: round(angle, 1),
+        "decimal": "{:g}".format,
+    }
     return {part.key: written[part.kind](value) for part, value in zip(mode.parts, values, strict=True)}
 
 

@@ -326,11 +326,14 @@ class WorldMemory:
         A guess is accepted only if no further look would help.
         """
         assert self.proposed is not None, "an answer is proposed before it is judged"
-        agrees = found is not None and found.entity == entity and same_answer(self.proposed, found.answer)
-        if agrees and (found.verdict != "guess" or not looks):
-            return ""
         if found is None:
-            reason = "the graph supports no answer, because it holds nobody who may be the target"
+            reason = "the graph supports no answer, because it has no person who may be the target"
+        elif (
+            found.entity == entity
+            and same_answer(self.proposed, found.answer)
+            and (found.verdict != "guess" or not looks)
+        ):
+            return ""
         else:
             support = compact_json(written_answer(found.answer))
             reason = f"the graph supports the answer {support} of {found.entity} ({found.verdict})"
