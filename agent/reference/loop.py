@@ -26,7 +26,7 @@ from jrdb_avr.schema.method import Observation, Panorama, Prediction
 from jrdb_avr.schema.panorama import angle_error
 
 _ASIDE_DEG: Final = 1.6
-"""Angle in degrees by which an advised look is turned if it repeats an earlier look."""
+"""Turn in degrees of an advised look that repeats an earlier look."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Memory(Protocol):
 
 @dataclass
 class AgentLoop:
-    """The loop over one question: its state, one turn, and the ways in which the question ends.
+    """The loop over one question: its state, one turn, and the ends of the question.
 
     views: all observations by name. turns: number of turns made. refusals: number of last turns in sequence without an
     accepted call. refusal: why the last refused call or turn was refused. result: the end of the question, else None.

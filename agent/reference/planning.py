@@ -243,7 +243,7 @@ def vocabulary(question: str) -> str:
         question: The text of the question.
 
     Returns:
-        One line per kind of label. If the question has other words for a label, they follow the label:
+        One line per kind of label. If the question has other phrases for a label, they follow the label:
         `bending = bending down`. Of verbs and objects, only labels with a word of the question are listed.
     """
     near = functools.partial(_named, question)
@@ -264,10 +264,10 @@ def vocabulary(question: str) -> str:
     return "\n".join(f"- {kind}: {labels}." for kind, labels in lines.items() if labels)
 
 
-def _named(question: str, labels: Collection[str], words: Callable[[str], str]) -> list[str]:
+def _named(question: str, labels: Collection[str], phrases: Callable[[str], str]) -> list[str]:
     """Return the labels that begin a word as the question does, by the first three letters."""
     stems = _stems(question)
-    return [label for label in labels if stems & _stems(f"{label} {words(label)}")]
+    return [label for label in labels if stems & _stems(f"{label} {phrases(label)}")]
 
 
 def _stems(text: str) -> set[str]:
@@ -288,16 +288,16 @@ def _relations() -> str:
     )
 
 
-def _listed(labels: Collection[str], words: Callable[[str], str] = str) -> str:
-    return ", ".join(label if words(label) == label else f"{label} = {words(label)}" for label in labels)
+def _listed(labels: Collection[str], phrases: Callable[[str], str] = str) -> str:
+    return ", ".join(label if phrases(label) == label else f"{label} = {phrases(label)}" for label in labels)
 
 
 def _thing(category: str) -> str:
-    """Return the words of a question for a thing, or the label if it equals the words."""
-    words = OBJECT_PHRASES[category]
+    """Return the phrases of a question for a thing, or the label if it equals the phrases."""
+    phrases = OBJECT_PHRASES[category]
     for article in ("a ", "an ", "the ", "some "):
-        words = words.removeprefix(article)
-    return category if words == category.replace("_", " ") else words
+        phrases = phrases.removeprefix(article)
+    return category if phrases == category.replace("_", " ") else phrases
 
 
 def check_labels(plan: Plan) -> None:
@@ -317,7 +317,7 @@ def check_labels(plan: Plan) -> None:
         if edge.target not in plan.things:
             _check(f"edges[{i}].relation", edge.relation, QUESTION_RELATIONS)
         elif edge.relation in INTERACTIONS:
-            raise PlanError(f"edges[{i}].relation", f"{edge.relation!r} joins two people; use a verb or other words")
+            raise PlanError(f"edges[{i}].relation", f"{edge.relation!r} joins two people; use a verb or other phrases")
     for name, moment in plan.times.items():
         _check(f"times.{name}.action", moment.action, ACTIONS)
     _check("answer.relation", plan.answer.relation, RELATIONS_OF["count"])

@@ -89,10 +89,10 @@ def _read_person(
     if numbers[name] != number:
         raise DecodeError(f"{name} is in the list twice")
     value = {key: part for key, part in person.items() if key != "id"}
-    reading = read_person(value, number, numbers, fields, *_place(view), convention)
-    for other, earlier in people:
-        if iou(reading.box, earlier.box) >= SAME_PLACE:
-            raise DecodeError(f"{name} has the box of {other}")
+    reading = read_person(value, number, numbers, fields, *_origin(view), convention)
+    for earlier, before in people:
+        if iou(reading.box, before.box) >= SAME_PLACE:
+            raise DecodeError(f"{name} has the box of {earlier}")
     return name, reading
 
 
@@ -117,7 +117,7 @@ def read_entity(
     part = decode.only_keys(arguments, ("id", "observation", key), "add_entity")
     view, name = _view(part["observation"], views), _name(part["id"], "id")
     number = counts[view.name] + 1
-    return name, read_person({key: part[key]}, number, {name: number}, (), *_place(view), convention)
+    return name, read_person({key: part[key]}, number, {name: number}, (), *_origin(view), convention)
 
 
 def read_attribute(
@@ -200,7 +200,7 @@ def _name(value: object, what: str) -> str:
     return value
 
 
-def _place(view: View) -> tuple[str, int, int, tuple[int, int]]:
+def _origin(view: View) -> tuple[str, int, int, tuple[int, int]]:
     """Return the name of an observation, its frame, its left column and its size."""
     return view.name, view.image.frames[0], view.image.left, view.image.size
 

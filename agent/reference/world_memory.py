@@ -59,7 +59,7 @@ _MOST_RECORDED: Final = 5
 """Maximum number of bindings in the transcript."""
 
 _TOPICS: Final = ("gender", "age")
-"""Topics by which the line `World` describes a person."""
+"""Topics that describe a person in the line `World`."""
 
 
 @dataclass
@@ -135,7 +135,10 @@ class WorldMemory:
         """Return what the line `World` states."""
         bindings = self._likely()
         best = bindings[0] if bindings else None
-        likely = [{"nodes": dict(one.nodes), "log_odds": round(one.log_odds, 1)} for one in bindings[:_MOST_BINDINGS]]
+        likely = [
+            {"nodes": dict(binding.nodes), "log_odds": round(binding.log_odds, 1)}
+            for binding in bindings[:_MOST_BINDINGS]
+        ]
         world = {
             "people": self._people(_MOST_PEOPLE, [] if best is None else list(best.nodes.values())),
             "likely": likely,
@@ -159,8 +162,7 @@ class WorldMemory:
         for person in order[:most]:
             newest = tracks.people[person][-1]
             values = [tallies[0].value for topic in _TOPICS if (tallies := tracks.values(person, topic, None))]
-            place = f"{newest.frame:06d} at {newest.angle:.0f}"
-            people[person] = ", ".join([*values, place])
+            people[person] = ", ".join([*values, f"{newest.frame:06d} at {newest.angle:.0f}"])
         return people
 
     def _last_step(self, person: str) -> int:
@@ -173,10 +175,10 @@ class WorldMemory:
 
     def _supported(self) -> dict[str, Any] | None:
         """Return the answer that the graph supports, in the form of a final answer."""
-        found = self._concluded()
-        if found is None:
+        conclusion = self._concluded()
+        if conclusion is None:
             return None
-        return {"answer": written_answer(found.answer), "entity": found.entity, "verdict": found.verdict}
+        return {"answer": written_answer(conclusion.answer), "entity": conclusion.entity, "verdict": conclusion.verdict}
 
     def _looks(self, left: int) -> list[dict[str, Any]]:
         return [_look(look) for look in self.advised_looks(left)]
@@ -259,7 +261,7 @@ class WorldMemory:
         return self._conclusion
 
     def advised_looks(self, left: int) -> Sequence[NextLook]:
-        """Return the looks that the graph expects to tell most.
+        """Return the looks that the graph expects to learn most from.
 
         Args:
             left: Number of looks that are left.
@@ -310,33 +312,33 @@ class WorldMemory:
         self.proposed = self.attempt.read_answer(part["answer"])
         if not isinstance(part["entity"], str):
             raise DecodeError("entity must be the id of the plan's target")
-        found = self._concluded()
+        conclusion = self._concluded()
         looks = self.advised_looks(left)
-        reason = self._unsupported(found, part["entity"], looks)
+        reason = self._unsupported(conclusion, part["entity"], looks)
         if not reason:
-            return self._answer(found, self.proposed, "", step)
+            return self._answer(conclusion, self.proposed, "", step)
         if not self.final_refused:
             self.final_refused = True
             raise DecodeError(reason)
-        return self._answer(found, None, reason, step)
+        return self._answer(conclusion, None, reason, step)
 
-    def _unsupported(self, found: Conclusion | None, entity: str, looks: Sequence[NextLook]) -> str:
+    def _unsupported(self, conclusion: Conclusion | None, entity: str, looks: Sequence[NextLook]) -> str:
         """Return why the graph does not support the proposed answer, or "".
 
         A guess is accepted only if no further look would help.
         """
         assert self.proposed is not None, "an answer is proposed before it is judged"
-        if found is None:
+        if conclusion is None:
             reason = "the graph supports no answer, because it has no person who may be the target"
         elif (
-            found.entity == entity
-            and same_answer(self.proposed, found.answer)
-            and (found.verdict != "guess" or not looks)
+            conclusion.entity == entity
+            and same_answer(self.proposed, conclusion.answer)
+            and (conclusion.verdict != "guess" or not looks)
         ):
             return ""
         else:
-            support = compact_json(written_answer(found.answer))
-            reason = f"the graph supports the answer {support} of {found.entity} ({found.verdict})"
+            support = compact_json(written_answer(conclusion.answer))
+            reason = f"the graph supports the answer {support} of {conclusion.entity} ({conclusion.verdict})"
         best = self._likely()[0] if self._likely() else None
         if best is not None and (parts := self._open(best)):
             reason += f"; open: {', '.join(parts)}"
@@ -356,27 +358,27 @@ class WorldMemory:
         """
         return self._answer(self._concluded(), None, reason, step)
 
-    def _answer(self, found: Conclusion | None, accepted: Answer | None, reason: str, step: int) -> ParsedReply:
+    def _answer(self, conclusion: Conclusion | None, accepted: Answer | None, reason: str, step: int) -> ParsedReply:
         """Write the answer of the question to the graph, and return it. Without a conclusion, it is a guess."""
         started = time.perf_counter()
-        self.world.answered(self.proposed, found, step)
+        self.world.answered(self.proposed, conclusion, step)
         request = {"answer": "by the graph", "accepted": accepted is not None}
-        self.attempt.record("solve", request, self._decision(found), started)
-        if found is None:
+        self.attempt.record("solve", request, self._decision(conclusion), started)
+        if conclusion is None:
             return ParsedReply(self._guess(), refusal=reason, verdict="guess", proposed=self.proposed)
-        evidence = stitched_evidence(found.frame, found.box.box)
-        answer = accepted or found.answer
-        return ParsedReply(answer, evidence, refusal=reason, verdict=found.verdict, proposed=self.proposed)
+        evidence = stitched_evidence(conclusion.frame, conclusion.box.box)
+        answer = accepted or conclusion.answer
+        return ParsedReply(answer, evidence, refusal=reason, verdict=conclusion.verdict, proposed=self.proposed)
 
-    def _decision(self, found: Conclusion | None) -> dict[str, Any]:
+    def _decision(self, conclusion: Conclusion | None) -> dict[str, Any]:
         """Return the end of the question as the transcript shows it: bindings, and the support of each part by each."""
         bindings = self._likely()[:_MOST_RECORDED]
-        slots = [self.world.slots(one) for one in bindings]
+        slots = [self.world.slots(binding) for binding in bindings]
         parts = [
             {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
             for row in zip(*slots, strict=True)
         ]
-        return {"bindings": bindings, "conclusion": found, "proposed": self.proposed, "parts": parts}
+        return {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
 
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
@@ -411,13 +413,13 @@ def world_heading(heading: str, plan: Plan, fields: Sequence[Field]) -> str:
     Returns:
         The text.
     """
-    forms = {one.key: _form(one) for one in fields}
+    forms = {entry.key: _form(entry) for entry in fields}
     return f"{heading}\nPlan: {canonical(plan)}\nFields: {compact_json(forms)}"
 
 
-def _form(one: Field) -> object:
-    """Return what the value of a field may be. The prompt says that it may always be "cannot tell"."""
-    if one.kind == "statement":
+def _form(entry: Field) -> object:
+    """Return the values of a field, without "cannot tell", because the prompt allows it for every field."""
+    if entry.kind == "statement":
         return "yes/no"
-    form = one.form()
-    return [word for word in form if word != CANNOT_TELL] if one.kind == "labels" else form
+    form = entry.form()
+    return [label for label in form if label != CANNOT_TELL] if entry.kind == "labels" else form
