@@ -171,7 +171,7 @@ def _time(name: str, time: Time) -> str:
     limits = [f"{word} {limit}" for word, limit in (("after", time.after), ("before", time.before)) if limit]
     if time.event is None:
         return f"{name}: some moment {' and '.join(limits)}"
-    verb = time.event if time.event.endswith("s") else f"{time.event}s"
+    verb = f"{time.event}s" if time.event in ("start", "end") else time.event.replace("_", " a ")
     return " ".join([f"{name}:", time.of or "", verb, *([time.action] if time.action else []), *limits])
 
 

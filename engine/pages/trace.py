@@ -78,7 +78,6 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         node_roles={} if plan is None else {node.id: index % ROLES for index, node in enumerate(plan.nodes)},
         decision=decision,
         bound=decision.bindings[0].nodes if decision is not None and decision.bindings else {},
-        reasons=[],
         turns=_turns(trace, observer, strip, roles),
         final=None if evidence is None else _final(trace, *evidence, observer, strip),
         settings=plain_text(msgspec.json.encode(trace.manifest.settings).decode()),
@@ -172,8 +171,7 @@ def _marks(trace: Trace, roles: Mapping[str, int]) -> list[dict[str, Any]]:
         beside = levels.setdefault(sighting.frame // 15, [])
         line = _level(beside, (left, left + 12 + _LETTER * len(label))) if label else 0
         mark = {"step": write.step, "role": roles.get(name, 0), "frame": sighting.frame, "column": column}
-        text = f"{name}, frame {sighting.frame}"
-        marks.append(mark | {"text": text, "label": label, "label_y": 17 + 12 * line})
+        marks.append(mark | {"text": name, "label": label, "label_y": 17 + 12 * line})
         labelled.add(name)
     return marks
 
@@ -194,12 +192,8 @@ def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float])
 def _turns(trace: Trace, observer: Observer, strip: Callable[[int], str], roles: Mapping[str, int]) -> list[Any]:
     """Return pairs of a turn and the pictures of its looks."""
     views = {look.step: _view(trace, look, observer, strip, roles) for look in trace.looks[:_PICTURES]}
-    for look in trace.looks[_PICTURES:]:
-        views[look.step] = {
-            "words": look_words(look),
-            "crop": None,
-            "missing": f"only the first {_PICTURES} looks have pictures",
-        }
+    missing = {"crop": None, "missing": f"only the first {_PICTURES} looks have pictures"}
+    views |= {look.step: missing | {"words": look_words(look)} for look in trace.looks[_PICTURES:]}
     return [(turn, [views[look.step] for look in turn.looks]) for turn in turns_of(trace)]
 
 
@@ -219,9 +213,7 @@ def _view(
         if look.angle is not None:
             crop = observer(str(trace.question["sequence"]), look.frame, look.angle)
             framed = [FramedBox(name, *to_crop(box, crop.left)) for name, box in boxes]
-            view["crop"] = View(
-                look_words(look), picture_uri(crop.image, _SMALL), CROP, CROP, tuple(framed), plate=34.0
-            )
+            view["crop"] = View(view["words"], picture_uri(crop.image, _SMALL), CROP, CROP, framed, plate=34.0)
         return view | {"strip": strip(look.frame)}
     except ObserveError as error:
         return view | {"missing": str(error)}

@@ -85,11 +85,20 @@ class StatementRun(msgspec.Struct):
     rows: list[Any]
 
 
+class Conclusion(msgspec.Struct):
+    """The answer that the world model supports: its person, the frame of the evidence, the verdict, and the reason."""
+
+    entity: str
+    frame: int
+    verdict: str
+    support: str = ""
+
+
 class Decision(msgspec.Struct):
     """The end of a question that a world model decided, as the run recorded it."""
 
     bindings: list[Binding]
-    conclusion: Any = None
+    conclusion: Conclusion | None = None
     proposed: Any = None
     parts: list[PlanPartRow] = []
     statements: list[StatementRun] = []

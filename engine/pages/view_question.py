@@ -144,7 +144,10 @@ def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
     looks: list[dict[str, Any]] = []
     if transcript is not None:
         looks = [{"frame": look.frame, "step": look.step, "spans": look.spans} for look in transcript.looks]
-        boxes += _sightings(transcript)
+        roles = entity_roles(transcript)
+        for seen in (write.fact.sighted for write in transcript.writes if write.fact.sighted):
+            name = name_of(seen.source)
+            boxes.append(_drawn(seen.box, seen.frame, f"role{roles.get(name, 0)}", name))
         if isinstance(transcript, Trace):
             boxes += [
                 _drawn(Box(*sides), frame, "target", "target") for frame, sides in sorted(transcript.target.items())
@@ -157,13 +160,3 @@ def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
 
 def _drawn(box: Box, frame: int, kind: str, name: str) -> dict[str, Any]:
     return {"frame": frame, "box": list(box), "kind": kind, "name": name[:40]}
-
-
-def _sightings(transcript: Transcript) -> list[dict[str, Any]]:
-    roles = entity_roles(transcript)
-    seen = [sighted for write in transcript.writes if (sighted := write.fact.sighted) is not None]
-    names = [name_of(sighting.source) for sighting in seen]
-    return [
-        _drawn(sighting.box, sighting.frame, f"role{roles.get(name, 0)}", name)
-        for sighting, name in zip(seen, names, strict=True)
-    ]

@@ -475,6 +475,15 @@ def test_sightings_appear_with_the_slider(opened, benchmark_copy, tmp_path):
     assert driver.find_element("id", "at").text.startswith("2 of 6: Turn 2: wrote 1 person (p1 new)")
     # A text of ten thousand letters does not make the page wide.
     assert driver.execute_script("return document.documentElement.scrollWidth") <= 1250
+    assert run("trace", "decided", name, "--store", store.path, "--out", tmp_path / "d.html")[0] == 0
+    driver.get((tmp_path / "d.html").as_uri())
+    assert complaints(driver) == [] and "hit" not in driver.title
+    text = driver.find_element("tag name", "main").text
+    assert "p1 is the likeliest A, the target: log-odds +3.5, 1.5 ahead of the next person." in text
+    assert "sitting has log-odds 2.2. Verdict: supported." in text
+    assert driver.find_element("css selector", ".plan .name").text == "A = p1, target"
+    assert len(driver.find_elements("css selector", "table.bindings tbody tr")) == 2
+    assert "212\N{DEGREE SIGN}: p1 may be there" in text
     for other in ("empty", "broken"):
         assert run("trace", other, name, "--store", store.path, "--out", tmp_path / "o.html")[0] == 0
         driver.get((tmp_path / "o.html").as_uri())
