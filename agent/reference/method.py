@@ -101,9 +101,12 @@ def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool, advi
     """
     text = mode_text(task)
     panoramas = len(uniform_frames(task.sequence.frames, limits.panoramas))
+    looking = render("agent_look" if looks else "agent_panoramas", panoramas=panoramas)
+    if advice:
+        looking = "A look is a square picture, 46 degrees wide, of one frame."
     observe = ("agent_observe_advised" if advice and remembers else "agent_observe") if looks else ""
     shared = {
-        "looking": render("agent_look") if looks else render("agent_panoramas", panoramas=panoramas),
+        "looking": looking,
         "observe": render(observe) + "\n" if observe else "",
         "fps": f"{task.sequence.fps:g}",
         "most": MOST_CALLS,

@@ -15,7 +15,7 @@ from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
-from jrdb_avr.agent.model.prompts import frame_ranges, render
+from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.perceive.fields import perceivable
 from jrdb_avr.agent.reference.turns import compact_json, printable
 from jrdb_avr.schema.answer_modes import MODES
@@ -84,13 +84,14 @@ def make_plan(attempt: Attempt, repairs: int, episode: WorldEpisode) -> Plan:
         EndpointError: If the server refuses a request.
     """
     task = attempt.task
+    frames = task.sequence.frames or (0,)
     system, schema = plan_prompt(task), plan_form()
     refusal, text = "", ""
     for _ in range(1 + repairs):
         user = render(
             "agent_plan_task",
             heading=heading(task.question),
-            frames=frame_ranges(task.sequence.frames),
+            frames=f"{frames[0]:06d} to {frames[-1]:06d}",
             refusal=f"Your last plan: {text}\nYour plan was refused: {refusal}" if refusal else "",
         )
         reply = attempt.ask([Message("system", (system,)), Message("user", (user,))], schema)

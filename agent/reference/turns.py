@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from jrdb_avr.agent.methods.attempt import ImageFrame, on_crop, on_panoramas
 from jrdb_avr.agent.model import decode
-from jrdb_avr.agent.model.messages import Part, Picture, metadata_line, picture_of
+from jrdb_avr.agent.model.messages import Part, Picture, metadata_of, picture_of
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.method import Observation, Panorama
@@ -164,6 +164,10 @@ def look_schema(advised: bool) -> dict[str, Any]:
     return call_schema("observe", place, optional=tuple(place) if advised else ())
 
 
+_STATED: Final = ("frame_id", "angle_deg", "left")
+"""Metadata of a picture that a turn states."""
+
+
 # -- what a turn shows ------------------------------------------------------------------------------------------------
 
 
@@ -192,7 +196,10 @@ def view_of(name: str, observation: Observation | Panorama) -> View:
         kind, image = "Panorama", on_panoramas([observation])
     else:
         kind, image = "Picture", on_crop(observation)
-    return View(name, kind, image, metadata_line(observation), picture_of(observation))
+    metadata = metadata_of(observation)
+    # Each turn costs tokens, so that the line has only what a call can use.
+    line = {key: round(metadata[key], 1) if key == "angle_deg" else metadata[key] for key in _STATED if key in metadata}
+    return View(name, kind, image, compact_json(line), picture_of(observation))
 
 
 def view_parts(views: Sequence[View]) -> list[Part]:

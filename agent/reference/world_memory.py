@@ -7,14 +7,12 @@ budget, the answer is the one that the graph supports.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from jrdb_avr.agent.look.answer import Conclusion
+from jrdb_avr.agent.look.answer import Conclusion, guess_choice
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
@@ -272,7 +270,8 @@ class WorldMemory:
         if left <= 0:
             return ()
         frames = self.attempt.task.sequence.frames
-        return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS)
+        choices = self.attempt.task.question.choices
+        return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
 
     def due_looks(self, left: int) -> Sequence[NextLook]:
         """Return the best look. If a second look searches the same frame whatever the first look shows, return both.
@@ -366,7 +365,7 @@ class WorldMemory:
         self.attempt.record("solve", request, self._decision(conclusion), started)
         if conclusion is None:
             return ParsedReply(self._guess(), refusal=reason, verdict="guess", proposed=self.proposed)
-        evidence = stitched_evidence(conclusion.frame, conclusion.box.box)
+        evidence = stitched_evidence(conclusion.frame, conclusion.box)
         answer = accepted or conclusion.answer
         return ParsedReply(answer, evidence, refusal=reason, verdict=conclusion.verdict, proposed=self.proposed)
 
@@ -383,13 +382,11 @@ class WorldMemory:
     def _guess(self) -> Answer:
         """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
         task = self.attempt.task
-        mode, choices = MODES[task.question.answer_mode], task.question.choices
-        if mode.is_choice:
-            digest = hashlib.sha256(json.dumps(choices).encode()).digest()
-            return mode.build(1 + int.from_bytes(digest[:8], "big") % len(choices))
+        if task.question.choices:
+            return guess_choice(task.question.choices)
         frames = task.sequence.frames or (0,)
         middle = frames[len(frames) // 2]
-        return mode.make((middle, middle), 180.0)
+        return MODES[task.question.answer_mode].make((middle, middle), 180.0)
 
 
 def _part_text(part: PlanPart) -> str:

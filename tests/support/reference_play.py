@@ -120,7 +120,7 @@ def results_of(text):
 
 def form_of(text, **values):
     """A person with every field of the line `Fields`: the given values, else no information."""
-    empty = {"people": None, "number": None}
+    empty = {"ids of people": None, "number": None}
     fields = line_of(text, "Fields")
     return {key: values.get(key, empty.get(str(form), "cannot tell")) for key, form in fields.items()}
 
