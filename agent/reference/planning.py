@@ -245,7 +245,8 @@ def vocabulary(question: str) -> str:
 
     Returns:
         One line per kind of label. If the question has other phrases for a label, they follow the label:
-        `bending = bending down`. Of verbs and objects, only labels with a word of the question are listed.
+        `bending = bending down`. Of labels of the longest kinds, only those with
+        a word of the question are listed.
     """
     near = functools.partial(_named, question)
     lines = {
@@ -254,10 +255,8 @@ def vocabulary(question: str) -> str:
         "sector": _listed(ROBOT_SECTORS),
         "distance": _listed(DISTANCE_WORDS, lambda word: FAR_AWAY[word].rpartition("(")[2].rstrip(")")),
         "action, postures and movements": _listed(POSES, ACTION_PHRASES.__getitem__),
-        "action, others": _listed(OTHER_ACTIONS, ACTION_PHRASES.__getitem__),
-        "interaction": _listed(
-            INTERACTIONS, lambda label: INTERACTION_PHRASES[label].removesuffix(" with someone").replace(" someone", "")
-        ),
+        "action, others": _listed(near(OTHER_ACTIONS, ACTION_PHRASES.__getitem__), ACTION_PHRASES.__getitem__),
+        "interaction": _listed(near(INTERACTIONS, _interaction), _interaction),
         "relation": _relations(),
         "verb": _listed(near(VERBS, VERB_PHRASES.__getitem__), VERB_PHRASES.__getitem__),
         "object": _listed(near(OBJECTS, _thing), _thing),
@@ -269,6 +268,10 @@ def _named(question: str, labels: Collection[str], phrases: Callable[[str], str]
     """Return the labels that begin a word as the question does, by the first three letters."""
     stems = _stems(question)
     return [label for label in labels if stems & _stems(f"{label} {phrases(label)}")]
+
+
+def _interaction(label: str) -> str:
+    return INTERACTION_PHRASES[label].removesuffix(" with someone").replace(" someone", "")
 
 
 def _stems(text: str) -> set[str]:

@@ -234,7 +234,7 @@ class Turn:
     def result_lines(self) -> str:
         """Return the results as numbered lines."""
         lines = [f"{number}. {result}" for number, result in enumerate(self.results, 1)]
-        return "\n".join(["Results of your last calls:", *(lines or ["none"])])
+        return "\n".join(["Results:", *(lines or ["none"])])
 
     def state(self) -> str:
         """Return the last lines of the turn's message."""

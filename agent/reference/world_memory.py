@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from jrdb_avr.agent.look.answer import Conclusion, guess_choice
+from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
 from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
 from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
@@ -133,10 +133,9 @@ class WorldMemory:
         """Return what the line `World` states."""
         bindings = self._likely()
         best = bindings[0] if bindings else None
-        likely = [
-            {"nodes": dict(binding.nodes), "log_odds": round(binding.log_odds, 1)}
-            for binding in bindings[:_MOST_BINDINGS]
-        ]
+        # A binding that is clearly ahead is shown alone, to save tokens.
+        shown = bindings[: 1 if best is None or best.margin >= CLEAR_MARGIN else _MOST_BINDINGS]
+        likely = [{"nodes": dict(binding.nodes), "log_odds": round(binding.log_odds, 1)} for binding in shown]
         world = {
             "people": self._people(_MOST_PEOPLE, [] if best is None else list(best.nodes.values())),
             "likely": likely,

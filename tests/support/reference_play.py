@@ -114,7 +114,7 @@ def line_of(text, name):
 
 
 def results_of(text):
-    lines = text.rpartition("Results of your last calls:\n")[2].split("\n")
+    lines = text.rpartition("Results:\n")[2].split("\n")
     return [line.partition(". ")[2] for line in lines if line[:1].isdigit()]
 
 
