@@ -12,7 +12,7 @@ from typing import Final
 
 from jrdb_avr.agent.methods.episode import BUDGET, Episode
 from jrdb_avr.engine.observe.observer import Observer
-from jrdb_avr.engine.run.opaque import opaque_names
+from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.engine.run.options import QuestionSelection
 from jrdb_avr.engine.run.selection import select_questions
 from jrdb_avr.queries.questions import QuestionRow, read_question_rows, read_sequences

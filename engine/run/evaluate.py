@@ -44,7 +44,7 @@ from jrdb_avr.engine.run.methods import (
     make_method,
     open_world,
 )
-from jrdb_avr.engine.run.opaque import key_fingerprint
+from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions, MethodOptions
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
