@@ -2,7 +2,7 @@
 
 The gold programs of questions and the plans of agents have this schema. A node is a person, or a thing that people
 relate to. Conditions and edges hold at named times. A time is a stated frame, an event that is found in the data, or a
-moment between stated frames. The answer names the read, its person and its times. `parse_plan` and `validate` refuse a
+moment between such times. The answer names the read, its person and its times. `parse_plan` and `validate` refuse a
 plan that cannot run, and name the faulty field. `canonical` returns the byte-stable text that is hashed and stored.
 """
 
@@ -25,7 +25,17 @@ MOST_PEOPLE: Final = 10_000
 
 _Frame = Annotated[int, msgspec.Meta(ge=0, le=10_000_000)]
 
-Event = Literal["start", "end", "leaves", "returns"]
+GroupEvent = Literal["joins_group", "leaves_group"]
+GROUP_EVENTS: Final[tuple[GroupEvent, ...]] = get_args(GroupEvent)
+"""Events of a person's membership in a group of two people or more. Conditions and edges may hold at them.
+
+In a frame with a box, a person is in a group if easy or medium labels put the person and another person in one group.
+A person is alone if such a label names a group that no other label of the frame names. Otherwise it is unknown.
+`joins_group` is the first frame after `after` in a group if the person was alone in the preceding box. `leaves_group`
+is the first frame alone after a box in a group. The two boxes are at most 15 frames apart.
+"""
+
+Event = Literal["start", "end", "leaves", "returns", GroupEvent]
 Read = Literal[
     "action",
     "attribute",
@@ -60,7 +70,7 @@ READS: Final[dict[Read, ReadRule]] = {
     "presence": ReadRule("multiple_choice", ((), ())),
     "distance_change": ReadRule("multiple_choice", ((), ())),
     "next_action": ReadRule("multiple_choice", (("end",),)),
-    "start": ReadRule("frame", (("start",),)),
+    "start": ReadRule("frame", (("start", *GROUP_EVENTS),)),
     "span": ReadRule("span", (("start",), ("end",))),
     "start_view": ReadRule("frame_viewpoint", (("start",),)),
     "seconds_between": ReadRule("number", (("start", "leaves"), ("start", "returns"))),
@@ -69,10 +79,11 @@ READS: Final[dict[Read, ReadRule]] = {
 
 
 class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
-    """A stated frame, the first event of a kind after another time, or some moment `before` or `after` stated frames.
+    """A stated frame, the first event of a kind after another time, or some moment `before` or `after` other times.
 
-    The events `start` and `end` name the `action` that starts or ends. `leaves` and `returns` name no action. If the
-    read is `next_action`, `end` names no action: it is the end of the pose at the time `after`.
+    The events `start` and `end` name the `action` that starts or ends. All other events name no action. If the read is
+    `next_action`, `end` names no action: it is the end of the pose at the time `after`. The times of a moment, and the
+    time `after` of an event of `GROUP_EVENTS`, are stated frames. A moment may also be before or after such an event.
     """
 
     frame: _Frame | None = None
@@ -84,8 +95,13 @@ class Time(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_field
 
     @property
     def is_moment(self) -> bool:
-        """Whether the time is some frame between stated frames, in which all parts of the plan at this time hold."""
+        """Whether the time is some frame between other times, in which all parts of the plan at this time hold."""
         return self.frame is None and self.event is None
+
+    @property
+    def is_group_event(self) -> bool:
+        """Whether the time is an event of `GROUP_EVENTS`."""
+        return self.event in GROUP_EVENTS
 
 
 class Condition(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True, cache_hash=True):
@@ -170,7 +186,7 @@ class AnswerSpec(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown
     """The read of the answer: `read` of node `of` at one time, or at a list of times.
 
     The read `count` counts the people who are in `relation` with `of` at any frame from the first of two stated times
-    to the second. The read `attribute` returns the value of `attribute`.
+    to the second. The read `attribute` returns the value of `attribute`. Only this read may be of a thing.
     """
 
     mode: AnswerMode
@@ -286,8 +302,8 @@ def validate(plan: Plan) -> None:
             raise PlanError(f"nodes[{position}].id", f"{identifier!r} is used twice")
     for name, value in (("root", plan.root), ("target", plan.target)):
         _known(name, value, ids, "node")
-    if plan.target in plan.things:
-        raise PlanError("target", f"{plan.target!r} is a thing, and answers are about people")
+    if plan.target in plan.things and plan.answer.read != "attribute":
+        raise PlanError("target", f"{plan.target!r} is a thing; of a thing only the read 'attribute' is possible")
     _check_times(plan, ids)
     for i, node in enumerate(plan.nodes):
         for j, condition in enumerate(node.conditions):
@@ -335,8 +351,10 @@ def _check_times(plan: Plan, ids: list[str]) -> None:
         unnamed = time.event == "end" and plan.answer.read == "next_action" and name in plan.answer.times
         if time.action is None and time.event in ("start", "end") and not unnamed:
             raise PlanError(f"{field}.action", "is needed by start and end (but for the end before a next_action)")
-        if time.action is not None and time.event in ("leaves", "returns"):
+        if time.action is not None and time.event not in ("start", "end"):
             raise PlanError(f"{field}.action", f"belongs to start and end, not to {time.event!r}")
+        if time.is_group_event and plan.times[time.after].frame is None:
+            raise PlanError(f"{field}.after", f"{time.after!r} is no stated frame, which {time.event!r} needs")
     for name in plan.times:
         seen = {name}
         after = plan.times[name].after
@@ -355,8 +373,8 @@ def _check_moment(field: str, time: Time, plan: Plan) -> None:
             raise PlanError(f"{field}.{key}", "belongs to an event, as start")
     for key in ("before", "after"):
         if getattr(time, key) is not None:
-            stated = [name for name in plan.times if plan.times[name].frame is not None]
-            _known(f"{field}.{key}", getattr(time, key), stated, "stated frame")
+            bounds = [name for name, bound in plan.times.items() if bound.frame is not None or bound.is_group_event]
+            _known(f"{field}.{key}", getattr(time, key), bounds, "stated frame or group event")
 
 
 def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
@@ -382,7 +400,6 @@ def _check_condition(field: str, condition: Condition, plan: Plan) -> None:
 
 
 def _check_attribute(field: str, name: str | None) -> None:
-    """Refuse an attribute that must be written in another form."""
     if name is not None and (instead := hint("attribute", name)):
         raise PlanError(field, f"{name!r} is no attribute{instead}")
 
@@ -399,7 +416,8 @@ def _check_reach(plan: Plan) -> None:
 
 def _check_answer(plan: Plan, ids: list[str]) -> None:
     answer = plan.answer
-    _known("answer.of", answer.of, [name for name in ids if name not in plan.things], "person")
+    known = [name for name in ids if answer.read == "attribute" or name not in plan.things]
+    _known("answer.of", answer.of, known, "node")
     times = plan.answer.times
     for name in times:
         _known("answer.at", name, list(plan.times), "time")

@@ -65,6 +65,8 @@ _INSTEAD: Final[dict[PlanPart, dict[str, str]]] = {
         **dict.fromkeys(("ends", "finish", "finishes", "stop", "stops"), '"end"'),
         **dict.fromkeys(("appears", "arrives", "enters", "return"), '"returns"'),
         **dict.fromkeys(("disappears", "exits", "leave"), '"leaves"'),
+        **dict.fromkeys(("join", "joins", "meets"), '"joins_group"'),
+        **dict.fromkeys(("leaves the group", "parts", "separates"), '"leaves_group"'),
     },
     "key": {
         **dict.fromkeys(("color", "colour", "clothing", "hair", "name"), FREE),

@@ -1,42 +1,69 @@
-"""The answer of a plan, read from fused readings of a person: always one where the person was seen.
+"""The answer of a plan, read from the readings of a person by votes. A person who was seen always has an answer.
 
-The choices are knowledge: a reading that is none of them is passed over for the next best that is. How far readings
-bear an answer out is its state: certain, supported, or open where nothing tells it.
+Each offered choice is a question of its own: the choice with the highest log-odds is the answer. If the model read a
+posture that is not offered, the nearest offered posture is the answer. If no reading supports a choice, the answer is a
+guess by a hash of the choices.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perceive.association import expected_place
-from jrdb_avr.agent.perceive.geometry import around, covered
 from jrdb_avr.agent.look.moments import Bracket, absence, brackets, change, postures
+from jrdb_avr.agent.look.ranking import RankedHypothesis, SlotSupport, best_of_each, frames_of, slot_supports
+from jrdb_avr.agent.perceive.expectation import expected_place
+from jrdb_avr.agent.perceive.geometry import around, covered
 from jrdb_avr.agent.perceive.readings import is_value
-from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, slot_supports
-from jrdb_avr.agent.perceive.votes import SETTLING, UNIT, FusedBox, SlotState, Tracks, settled
-from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
+from jrdb_avr.agent.perceive.votes import CERTAIN, UNIT, SlotState, Tracks
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.answers import Answer, Choice, Number
 from jrdb_avr.schema.beliefs import free_value
 from jrdb_avr.schema.labels import DISTANCE_ANSWERS, PRESENCE_ANSWERS, answer_of_choice, choice_of
 from jrdb_avr.schema.method import Verdict
+from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.plan import Plan
 from jrdb_avr.schema.rules import FPS
 
 CLEAR_MARGIN: Final = 2.0
-"""Log-odds by which the likeliest target is better than the next one where it is certain."""
+"""Minimum log-odds by which a certain target is ahead of the next one."""
+
+CLEAR_HEIGHT: Final = 80.0
+"""Minimum height in pixels of a certain target, because readings of smaller people are often wrong."""
+
+DISTANCE_CUT_M: Final = 1.0
+"""Change of distance in metres below which a person stays at the same distance."""
 
 _BESIDE_DEG: Final = 10.0
-"""Degrees beside the expected place that a look must show for somebody who is not seen to be away."""
+"""Degrees beside the expected angle that a look must show for an unseen person to be absent."""
 
 _LIKELY_S: Final = 10.0
-"""Seconds that are answered for the time between two events when one of them was not seen."""
+"""Seconds between two events if one of them was not seen."""
+
+NEAREST: Final[dict[str, tuple[str, ...]]] = {
+    "walking": ("standing", "going upstairs", "going downstairs", "bending", "running", "cycling", "sitting"),
+    "standing": ("walking", "bending", "sitting", "going upstairs", "going downstairs", "cycling", "running"),
+    "sitting": ("bending", "standing", "walking", "lying"),
+    "bending": ("standing", "sitting", "walking", "cycling"),
+    "cycling": ("standing", "walking", "bending"),
+    "going upstairs": ("walking", "standing", "going downstairs"),
+    "going downstairs": ("walking", "standing", "going upstairs"),
+    "running": ("walking", "bending", "standing"),
+    "lying": ("sitting",),
+}
+"""Postures that change into a posture in adjacent keyframes of one person, the most frequent first.
+
+The order is by the counts of such changes in JRDB's action labels of 27 sequences, in both directions. The labels have
+no change of the other postures.
+"""
+
+_WEAKEST: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")
 
 
 class ReadAnswer(NamedTuple):
-    """An answer, the frame that it was read from, and how far readings bear it out; None where nothing tells it."""
+    """An answer, the frame of the readings that give it, and how well readings support it. The answer may be None."""
 
     answer: Answer | None
     frame: int
@@ -45,59 +72,97 @@ class ReadAnswer(NamedTuple):
 
 @dataclass(frozen=True)
 class Conclusion:
-    """The result of an episode: the answer, the person whom it is about, and that person's box at a frame."""
+    """The result of an episode.
+
+    Attributes:
+        answer: The answer.
+        entity: The person whom the answer is about.
+        frame: Frame of the evidence.
+        box: Box of the person at `frame`, in stitched pixels.
+        verdict: How well readings support the answer.
+    """
 
     answer: Answer
     entity: str
     frame: int
-    box: FusedBox
+    box: Box
     verdict: Verdict
 
 
 def conclude(
-    plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], choices: Sequence[str], frames: Sequence[int]
+    plan: Plan,
+    tracks: Tracks,
+    hypotheses: Sequence[RankedHypothesis],
+    choices: Sequence[str],
+    frames: Sequence[int],
+    slots: Sequence[SlotSupport] | None = None,
 ) -> Conclusion | None:
-    """Answer for the most likely target, or for a nearly as likely one if its answer is known; None if nobody fits.
+    """Return the answer about the likeliest target, or about a nearly as likely one if only that one has an answer.
 
-    hypotheses: the best first; frames: the legal ones.
+    Args:
+        plan: The plan.
+        tracks: Readings and looks. The readings of the possible targets are enough, except for counts.
+        hypotheses: The bindings, the best first.
+        choices: Choices of the question.
+        frames: Frames at which looks can be made, ascending.
+        slots: Support of the plan's parts under the best binding. Default: the support by `tracks`.
+
+    Returns:
+        The conclusion, or None if no person fits the plan.
     """
     best = best_of_each(hypotheses, plan.target)
     if not best:
         return None
     order = [*best]
-    reads = {who: _Reader(plan, tracks, who, choices, frames).read() for who in order}
-    near = (who for who in order if best[who].log_odds >= best[order[0]].log_odds - UNIT)
-    who = next((who for who in near if reads[who].answer is not None), order[0])
-    answer, frame, state = reads[who]
+    near = [entity for entity in order if best[entity].log_odds >= best[order[0]].log_odds - UNIT]
+    reads = {entity: _Reader(plan, tracks, entity, choices, frames).read() for entity in near}
+    entity = next((entity for entity in near if reads[entity].answer is not None), order[0])
+    answer, frame, state = reads[entity]
     described = [tracks.nearest_looked(at) for at in frames_of(plan, plan.target)]
-    box_frame, box = _evidence(tracks, who, frame, described)
+    box_frame, box = _evidence(tracks, entity, frame, described)
     if answer is None:
-        angle = expected_place(tracks.people[who], frame).angle
-        answer = MODES[plan.answer.mode].make((frame, frame), angle)
-    return Conclusion(answer, who, box_frame, box, _verdict(plan, tracks, best[who], state, box))
+        angle = expected_place(tracks.people[entity], frame).angle
+        guess = MODES[plan.answer.mode].make((frame, frame), angle)
+        return Conclusion(guess_choice(choices) if choices else guess, entity, box_frame, box, "guess")
+    hypothesis = best[entity]
+    slots = slot_supports(plan, tracks, hypothesis) if slots is None or entity != order[0] else slots
+    states = [slot.state for slot in slots]
+    if not states or hypothesis.log_odds <= 0:
+        verdict: Verdict = "guess"
+    else:
+        clear = hypothesis.margin >= CLEAR_MARGIN and box.h >= CLEAR_HEIGHT and not _is_neither(answer, choices)
+        verdict = "certain" if clear and {state, *states} == {"certain"} else "supported"
+    return Conclusion(answer, entity, box_frame, box, verdict)
 
 
-def _evidence(tracks: Tracks, who: str, frame: int, described: Collection[int]) -> tuple[int, FusedBox]:
-    """Choose the frame and box that are submitted as evidence: preferably a box on which two readings agree.
+def guess_choice(choices: Sequence[str]) -> Choice:
+    """Return the choice that a hash of all choices picks, so that guesses favour no position.
 
-    Evidence may be of any frame. Of several, a frame at which the plan describes the person comes first, as the person
-    had to be followed to all others; then the one nearest to the answer's frame.
+    Args:
+        choices: The choices.
+
+    Returns:
+        A choice.
     """
-    boxes = {one.frame: fused for one in tracks.people[who] if (fused := tracks.box(who, one.frame))}
-
-    def doubt(at: int) -> tuple[bool, bool, int, int]:
-        return boxes[at].votes < SETTLING, at not in described, abs(at - frame), at
-
-    at = min(boxes, key=doubt)
-    return at, boxes[at]
+    digest = hashlib.sha256("\n".join(choices).encode()).digest()
+    return Choice(int.from_bytes(digest[:8], "big") % len(choices) + 1)
 
 
-def _verdict(plan: Plan, tracks: Tracks, best: RankedHypothesis, state: SlotState, box: FusedBox) -> Verdict:
-    states = [slot.state for slot in slot_supports(plan, tracks, best)]
-    if state == "open" or not states or best.log_odds <= 0:
-        return "guess"
-    sure = box.votes >= SETTLING and best.margin >= CLEAR_MARGIN and {state, *states} == {"certain"}
-    return "certain" if sure else "supported"
+def _is_neither(answer: Answer, choices: Sequence[str]) -> bool:
+    """Return whether the answer says that a person was seen at neither time: misses have the same effect."""
+    return isinstance(answer, Choice) and answer.choice == choice_of(PRESENCE_ANSWERS[3], choices)
+
+
+def _evidence(tracks: Tracks, entity: str, frame: int, described: Collection[int]) -> tuple[int, Box]:
+    """Return the frame and box that are submitted as evidence.
+
+    A box that no edge cuts comes first. A frame at which the plan describes the person comes before other frames,
+    because the person had to be followed to these. Then the frame that is nearest to the answer's frame is best.
+    """
+    readings = {at: reading for at in {one.frame for one in tracks.people[entity]}
+                if (reading := tracks.best_reading(entity, at)) is not None}  # fmt: skip
+    at = min(readings, key=lambda at: (not readings[at].whole, at not in described, abs(at - frame), at))
+    return at, readings[at].box
 
 
 @dataclass(frozen=True)
@@ -106,12 +171,12 @@ class _Reader:
 
     plan: Plan
     tracks: Tracks
-    who: str
+    entity: str
     choices: Sequence[str]
     frames: Sequence[int]
 
     def read(self) -> ReadAnswer:
-        """The answer as the plan has it read, and how far readings bear it out."""
+        """Return the answer as the plan asks for it."""
         match self.plan.answer.read:
             case "action" | "attribute":
                 return self._value()
@@ -129,57 +194,67 @@ class _Reader:
     # -- choices ------------------------------------------------------------------------------------------------------
 
     def _value(self) -> ReadAnswer:
-        """The choice that readings bear out best as the attribute's value, or as what the person does."""
+        """Return the choice with the highest log-odds as the attribute's value or the person's action."""
         name, frame = self.plan.answer.attribute or "action", self._stated(0)
-        values = {place: answer_of_choice(free_value(text)) for place, text in enumerate(self.choices, 1)}
-        told = {
-            place: self.tracks.statement(self.who, name, value, frame)
-            for place, value in values.items()
+        values = [answer_of_choice(free_value(text)) for text in self.choices]
+        odds = {
+            number: self.tracks.statement(self.entity, name, value, frame).log_odds
+            for number, value in enumerate(values, 1)
             if is_value(name, value)
         }
-        best = max(told, key=lambda place: told[place].log_odds, default=0)
-        seen = min((one.frame for one in self.tracks.people[self.who]), key=lambda at: (abs(at - frame), at))
-        if not best or told[best].log_odds <= 0:
-            return ReadAnswer(None, seen, "open")
-        return ReadAnswer(Choice(best), seen, told[best].state)
+        order = sorted(odds, key=lambda number: (-odds[number], number))
+        seen = min(self._read_frames(), key=lambda at: (abs(at - frame), at))
+        if order and odds[order[0]] > 0:
+            ahead = odds[order[0]] - (odds[order[1]] if len(order) > 1 else 0.0)
+            sure = odds[order[0]] >= CERTAIN and ahead >= CERTAIN
+            return ReadAnswer(Choice(order[0]), seen, "certain" if sure else "supported")
+        near = self._nearest_posture(values, frame) if name == "action" else None
+        return ReadAnswer(near, seen, "open" if near is None else "supported")
+
+    def _nearest_posture(self, values: Sequence[str], frame: int) -> Choice | None:
+        """Return the offered posture that is nearest to the posture that was read, None without one."""
+        tallies = [tally for tally in self.tracks.values(self.entity, "pose", frame) if tally.log_odds > 0]
+        for tally in tallies[:1]:
+            for posture in NEAREST.get(tally.value, ()):
+                if posture in values:
+                    return Choice(values.index(posture) + 1)
+        return None
 
     def _next_action(self) -> ReadAnswer:
-        """The first other posture that is one of the choices."""
+        """Return the first other posture that is one of the choices."""
         bracket = self._bracket(0)
         after = self._stated(0) if bracket is None else bracket.low
-        course = postures(self.tracks, self.who, self._began(0))
-        held = next(iter(course.values()), "")
+        course = postures(self.tracks, self.entity, self._began(0))
+        first = next(iter(course.values()), "")
         for at, posture in course.items():
-            if at > after and posture != held and (choice := self._choice(posture)) is not None:
-                state = settled(self.tracks.values(self.who, "pose", at))
-                return ReadAnswer(choice, at, "certain" if state else "supported")
+            if at > after and posture != first and (choice := self._choice(posture)) is not None:
+                sure = self.tracks.values(self.entity, "pose", at)[0].log_odds >= CERTAIN
+                return ReadAnswer(choice, at, "certain" if sure else "supported")
         return ReadAnswer(None, after, "open")
 
     def _presence(self) -> ReadAnswer:
         times = [self._stated(0), self._stated(1)]
-        there = [bool(self.tracks.at(self.who, at)) for at in times]
-        states = [self._present(at) for at in times]
-        text = PRESENCE_ANSWERS[{(1, 1): 0, (1, 0): 1, (0, 1): 2, (0, 0): 3}[there[0], there[1]]]
-        frame = next((at for at, seen in zip(times, there, strict=True) if seen), self._described())
-        return ReadAnswer(self._choice(text), frame, _weakest(states))
+        present = [bool(self.tracks.readings_at(self.entity, at)) for at in times]
+        text = PRESENCE_ANSWERS[{(1, 1): 0, (1, 0): 1, (0, 1): 2, (0, 0): 3}[present[0], present[1]]]
+        frame = next((at for at, seen in zip(times, present, strict=True) if seen), self._described())
+        return ReadAnswer(self._choice(text), frame, _weakest(map(self._present, times)))
 
     def _present(self, frame: int) -> SlotState:
-        """How certain it is that somebody was seen at a frame, or was not there."""
-        readings = len(self.tracks.at(self.who, frame))
-        if readings:
-            return "certain" if readings >= SETTLING else "supported"
-        state = absence(self.tracks, self.who, frame)
+        """Return how certain it is that the person was seen at a frame, or was absent."""
+        if self.tracks.readings_at(self.entity, frame):
+            return "certain"
+        state = absence(self.tracks, self.entity, frame)
         return "open" if state == "contradicted" else state
 
     def _distance_change(self) -> ReadAnswer:
         first, last = (self._stated(place) for place in (0, 1))
-        if not self.tracks.at(self.who, last):
+        if not self.tracks.readings_at(self.entity, last):
             return ReadAnswer(self._choice(DISTANCE_ANSWERS[3]), self._described(), self._present(last))
-        before, after = (self.tracks.metres(self.who, at) for at in (first, last))
+        before, after = (self.tracks.metres(self.entity, at) for at in (first, last))
         if before is None or after is None:
             return ReadAnswer(None, last, "open")
-        place = 2 if abs(after - before) < DISTANCE_CUT_M else 0 if after < before else 1
-        return ReadAnswer(self._choice(DISTANCE_ANSWERS[place]), last, _weakest(map(self._present, (first, last))))
+        index = 2 if abs(after - before) < DISTANCE_CUT_M else 0 if after < before else 1
+        return ReadAnswer(self._choice(DISTANCE_ANSWERS[index]), last, _weakest(map(self._present, (first, last))))
 
     def _choice(self, label: str) -> Choice | None:
         number = choice_of(label, self.choices)
@@ -188,53 +263,59 @@ class _Reader:
     # -- moments and numbers ------------------------------------------------------------------------------------------
 
     def _moments(self) -> ReadAnswer:
-        found = [self._bracket(place) for place in range(len(self.plan.answer.times))]
-        moments = [self._moment(place, one) for place, one in enumerate(found)]
-        state = _weakest("open" if one is None else one.state for one in found)
-        frame = next((one.high for one in found if one is not None and one.high is not None), self._described())
+        events = [self._bracket(index) for index in range(len(self.plan.answer.times))]
+        moments = [self._moment(index, event) for index, event in enumerate(events)]
+        state = _weakest("open" if event is None else event.state for event in events)
+        frame = next((event.high for event in events if event is not None and event.high is not None), None)
         first, last = round(moments[0]), round(moments[-1])
-        seen = [one is not None and one.high is not None for one in found]
+        seen = [event is not None and event.high is not None for event in events]
         passed = (moments[-1] - moments[0]) / FPS
         seconds = max(passed, 1.0 if seen[-1] else _LIKELY_S) if seen[0] else _LIKELY_S
-        angle = expected_place(self.tracks.people[self.who], first).angle
+        angle = expected_place(self.tracks.people[self.entity], first).angle
         answer = MODES[self.plan.answer.mode].make((first, max(first, last)), angle, seconds)
-        return ReadAnswer(answer, frame, state)
+        return ReadAnswer(answer, self._described() if frame is None else frame, state)
 
-    def _moment(self, place: int, bracket: Bracket | None) -> float:
-        """The moment of an event; where it was not seen, the middle of the time in which it may still lie."""
+    def _moment(self, index: int, bracket: Bracket | None) -> float:
+        """Return the moment of an event. If it was not seen, return the middle of the time in which it may lie."""
         if bracket is None:
-            return (self._began(place) + self.frames[-1]) / 2
+            return (self._began(index) + self.frames[-1]) / 2
         return bracket.middle or (bracket.low + self.frames[-1]) / 2
 
     def _count(self) -> ReadAnswer:
-        first, last = (self._stated(place) for place in (0, 1))
+        first, last = (self._stated(index) for index in (0, 1))
         looked = [at for at in self.tracks.looks if first <= at <= last]
         relation = self.plan.answer.relation or ""
         partners = {
             other
             for other in self.tracks.people
             for at in looked
-            if other != self.who and self.tracks.relation(self.who, relation, other, at).log_odds > 0
+            if other != self.entity and self.tracks.relation(self.entity, relation, other, at).log_odds > 0
         }
-        seen = [at for at in looked if self.tracks.at(self.who, at)]
+        seen = [at for at in looked if self.tracks.readings_at(self.entity, at)]
         frame = seen[0] if seen else first
         return ReadAnswer(Number(float(max(len(partners), 1))), frame, "supported" if partners else "open")
 
     # -- times --------------------------------------------------------------------------------------------------------
 
-    def _stated(self, place: int) -> int:
-        """The legal frame nearest to one of the answer's times; to the description's where that is an event."""
-        frame = self.plan.times[self.plan.answer.times[place]].frame
-        return self._described() if frame is None else self._legal(frame)
+    def _read_frames(self) -> set[int]:
+        return {reading.frame for reading in self.tracks.people[self.entity]}
+
+    def _stated(self, index: int) -> int:
+        """Return the legal frame nearest to one of the answer's times, or the described frame if the time is open."""
+        time = self.plan.times[self.plan.answer.times[index]]
+        bracket = self._bracket(index) if time.is_group_event else None
+        if bracket is not None and bracket.high is not None:
+            return bracket.high
+        return self._described() if time.frame is None else self._legal(time.frame)
 
     def _described(self) -> int:
-        """The nearest legal frame at which the target was seen to the first stated one."""
+        """Return the frame with a reading of the target that is nearest to the first stated frame."""
         stated = min(time.frame for time in self.plan.times.values() if time.frame is not None)
-        return min((one.frame for one in self.tracks.people[self.who]), key=lambda at: (abs(at - stated), at))
+        return min(self._read_frames(), key=lambda at: (abs(at - stated), at))
 
-    def _began(self, place: int) -> int:
-        """The frame after which an event of the answer lies."""
-        time = self.plan.times[self.plan.answer.times[place]]
+    def _began(self, index: int) -> int:
+        """Return the frame after which an event of the answer lies."""
+        time = self.plan.times[self.plan.answer.times[index]]
         while time.after is not None:
             time = self.plan.times[time.after]
         return self._legal(time.frame or 0)
@@ -242,30 +323,29 @@ class _Reader:
     def _legal(self, frame: int) -> int:
         return min(self.frames, key=lambda at: (abs(at - frame), at))
 
-    def _bracket(self, place: int) -> Bracket | None:
-        name = self.plan.answer.times[place]
-        found = brackets(self.plan, self.tracks, self.who).get(name)
-        return found if found is not None and found.high is not None else self._likely_absence().get(name, found)
+    def _bracket(self, index: int) -> Bracket | None:
+        name = self.plan.answer.times[index]
+        bracket = brackets(self.plan, self.tracks, self.entity).get(name)
+        return (
+            bracket if bracket is not None and bracket.high is not None else self._likely_absence().get(name, bracket)
+        )
 
     def _likely_absence(self) -> dict[str, Bracket]:
-        """When somebody leaves and returns, if whoever is not where they are expected is away."""
+        """Return when a person leaves and returns, if a person who is not at the expected place is absent."""
         times = {self.plan.times[name].event: name for name in self.plan.answer.times}
         if "leaves" not in times or "returns" not in times:
             return {}
-        leaves = change(self._there(), self._began(0), wanted=False)
+        leaves = change(self._presences(), self._began(0), wanted=False)
         if leaves.high is None:
             return {times["leaves"]: leaves}
-        return {times["leaves"]: leaves, times["returns"]: change(self._there(), leaves.high, wanted=True)}
+        return {times["leaves"]: leaves, times["returns"]: change(self._presences(), leaves.high, wanted=True)}
 
-    def _there(self) -> dict[int, bool]:
-        """Whether somebody was seen, at the frames at which a look shows where they are expected."""
-        readings, looks = self.tracks.people[self.who], self.tracks.looks
+    def _presences(self) -> dict[int, bool]:
+        """Return whether the person was seen, at the frames at which a look shows the expected place."""
+        readings, looks = self.tracks.people[self.entity], self.tracks.looks
         arcs = {at: around(expected_place(readings, at).angle, _BESIDE_DEG) for at in looks}
-        return {at: bool(self.tracks.at(self.who, at)) for at in looks if covered(looks[at], arcs[at])}
-
-
-_ORDER: Final[tuple[SlotState, ...]] = ("open", "contradicted", "supported", "certain")
+        return {at: bool(self.tracks.readings_at(self.entity, at)) for at in looks if covered(looks[at], arcs[at])}
 
 
 def _weakest(states: Iterable[SlotState]) -> SlotState:
-    return min(states, key=_ORDER.index)
+    return min(states, key=_WEAKEST.index)

@@ -1,7 +1,8 @@
-"""Attention: the next look, as the one that is expected to tell the most, in bits, about a plan's open slots.
+"""The next looks: the ones that are expected to tell most, in bits, about the open parts of a plan.
 
-As long as more looks are left than the read of the answer needs, the people of the plan are identified and verified;
-then the target is followed, events are bracketed, absences shown, and the box that is submitted is read again.
+While more looks are left than the answer needs, looks identify the people of the plan. Then looks follow the target,
+bracket events and show absences. No look is made only to agree with an earlier one, because errors of a model repeat. A
+look is repeated if an edge of the picture cut the person, if a field could not be read, or if the value is not offered.
 """
 
 from __future__ import annotations
@@ -13,21 +14,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
-from jrdb_avr.agent.perceive.association import expected_place
-from jrdb_avr.agent.perceive.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
 from jrdb_avr.agent.look.moments import Bracket, brackets, presence
-from jrdb_avr.agent.perceive.readings import USUAL, PersonReading
-from jrdb_avr.agent.look.ranking import (
-    PlanPart,
-    RankedHypothesis,
-    best_of_each,
-    frames_of,
-    parts_of,
-    slot_supports,
-)
-from jrdb_avr.agent.perceive.votes import SETTLING, UNIT, Support, Tracks
-from jrdb_avr.queries.compiler.beliefs import DISTANCE_CUT_M
-from jrdb_avr.schema.labels import ROBOT_SECTORS
+from jrdb_avr.agent.look.ranking import RankedHypothesis, best_of_each, frames_of, parts_of, slot_supports
+from jrdb_avr.agent.perceive.expectation import expected_place
+from jrdb_avr.agent.perceive.geometry import CIRCLE, DERIVED, EDGE_DEG, Arc, around, covered, deciding_arc, gaps
+from jrdb_avr.agent.perceive.readings import USUAL
+from jrdb_avr.agent.perceive.votes import UNIT, Tracks
+from jrdb_avr.schema.labels import ROBOT_SECTORS, answer_of_choice
 from jrdb_avr.schema.panorama import CROP, FOV_DEG, WIDTH, angle_error, clockwise
 from jrdb_avr.schema.plan import Plan, Read
 from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP, LoadRules
@@ -46,101 +39,126 @@ RESERVES: Final[dict[Read, int]] = {
     "action": 5,
     "attribute": 5,
 }
-"""Looks that are kept for reading the answer once the target is known."""
+"""Number of looks that are kept for the answer once the target is known."""
 
 SAME_FRAME_RESERVE: Final = 3
-"""The same for an action or attribute at the frame of the description."""
+"""Number of looks that are kept for an action or attribute at the frame of the description."""
 
 _LAST: Final = 4
-"""Looks that are kept for it where the target is not known."""
+"""Number of looks that are kept for the answer if the target is not known."""
 
 LEAST_BITS: Final = 0.05
-"""A look that is expected to tell less is not made."""
+"""Minimum expected bits of a look."""
 
-MOST_READINGS: Final = 3
-"""Of one person at one frame; more tell nothing new."""
+_AXIS_BITS: Final = 9.0
+"""Bits of the look along the axis of a stated sector, which comes first."""
+
+_MOST_READINGS: Final = 2
+"""Maximum number of readings of a person in a frame."""
 
 _RIVALS: Final = 8
-"""Hypotheses that are verified, each with another target."""
+"""Maximum number of bindings with different targets that looks verify."""
 
 _ASIDE_DEG: Final = 12.0
-"""Degrees by which a look may be turned aside from one person to show others as well."""
+"""Angle in degrees by which a look may be turned aside from one person to show other people too."""
 
 _BESIDE: Final = 0.3
-"""The chance that whomever a relation leads to stands on one side, and near."""
+"""Probability that the target of a relation is on one side of the source, and near."""
 
 _LEAST_NEW: Final = 0.2
-"""Share of such a side that a look must show for the first time together with the person."""
+"""Minimum share of a side that a look must show for the first time together with the source."""
 
 _ANSWER_BITS: Final = 2.0
 _OVERLAP_DEG: Final = 6.0
 _APART_DEG: Final = 1.5
-"""A repeated look is turned by this much, as the same one is refused."""
+"""Minimum angle in degrees between two looks at a frame."""
 
 _PEOPLE: Final = 6.0
-"""People expected all round before anybody was seen."""
+"""Expected number of people in the whole panorama before any person was seen."""
 
 _MISSED: Final = 0.3
-"""People who were there and not read, in the same measure."""
+"""Expected number of people who were present and not read."""
 
 _AWAY: Final = 0.05
-"""The chance that somebody is not there at all."""
+"""Probability that a person is not present at all."""
 
 _CLOSE_FRAMES: Final = 28
-"""Frames to which a moment is to be known: half of them is within a second."""
+"""Length in frames to which the bracket of an event is narrowed."""
+
 _CLOSER: Final = {"span": 14}
-"""The same for reads that are scored by how well two spans overlap."""
+"""Length in frames to which brackets are narrowed for reads that are scored by the overlap of spans."""
 
 _TRIES: Final = 3
-"""Looks at one frame for somebody who is followed; then a later one is tried."""
+"""Maximum number of looks at one frame for a person who is followed."""
 
 _NEARBY: Final = 24
-"""Frames after which somebody is still near the place where they were seen."""
+"""Number of frames for which a person stays near the last place."""
 
 _STEP: Final = round(2 * FPS)
-"""Frames by which somebody is followed: what a question waits for lasts as long."""
+"""Minimum step in frames with which a person is followed, because events of questions last as long."""
+
 _SHORTEST: Final = round(1.2 * FPS)
-"""Frames between two looks in which something may have begun and ended unseen."""
+"""Minimum time in frames between two looks in which an event may be missed."""
+
 _CLOSING: Final = 4
-"""Looks that are kept for closing in on what was passed."""
+"""Number of looks that are kept to narrow a bracket."""
+
 _EARLY: Final = 0.75
-"""Length of a step as a share of the even one: the events of questions come rather early."""
+"""Length of a step as a share of an even step, because the events of questions are early."""
+
 _SECTOR_REACH: Final = LoadRules().sector_false_deg
 
 
 class NextLook(NamedTuple):
-    """A look to make: frame, panorama angle, why, and the bits that it is expected to tell."""
+    """A look to make: frame, panorama angle in degrees, purpose, the bits that it is expected to tell, and a reason."""
 
     frame: int
     angle: float
     purpose: Purpose
     bits: float
+    reason: str = ""
 
 
 def next_looks(
-    plan: Plan, tracks: Tracks, hypotheses: Sequence[RankedHypothesis], left: int, frames: Sequence[int], most: int = 1
+    plan: Plan,
+    tracks: Tracks,
+    hypotheses: Sequence[RankedHypothesis],
+    left: int,
+    frames: Sequence[int],
+    most: int = 1,
+    choices: Sequence[str] = (),
 ) -> tuple[NextLook, ...]:
-    """At most so many different looks at the legal frames (ascending), the one that tells most first; none to stop.
+    """Return the looks that are expected to tell most.
 
-    hypotheses: those of `rank`, the best first; left: looks that may still be made.
+    Args:
+        plan: The plan.
+        tracks: All readings and looks so far.
+        hypotheses: The bindings, the best first.
+        left: Number of looks that may still be made.
+        frames: Frames at which looks can be made, ascending.
+        most: Maximum number of looks.
+        choices: Choices of the question. If no reading of the target supports a choice, the target is read again.
+
+    Returns:
+        Different looks, the most telling first. Empty if no look is worth making.
     """
     if left <= 0 or not frames:
         return ()
-    view = _Attention(plan, tracks, hypotheses, left, frames)
-    who, reading = [*view.identify(), *view.verify()], [*view.read(), *view.evidence()]
-    order = (who, reading) if left > (view.reserve if view.identified else _LAST) else (reading, who)
-    for looks in order:
-        found: list[NextLook] = []
+    attention = _Attention(plan, tracks, hypotheses, left, frames, choices)
+    people, answer = [*attention.identify(), *attention.verify()], [*attention.read(), *attention.evidence()]
+    kept = attention.reserve if attention.identified else _LAST
+    for looks in (people, answer) if left > kept else (answer, people):
+        best: list[NextLook] = []
         for look in sorted(looks, key=lambda look: -look.bits):
-            if len(found) < most and look.bits >= LEAST_BITS and not any(_alike(look, other) for other in found):
-                found.append(look)
-        if found:
-            return tuple(look._replace(angle=_fresh(tracks, look.frame, look.angle)) for look in found)
+            if len(best) < most and look.bits >= LEAST_BITS and not any(_are_alike(look, other) for other in best):
+                best.append(look)
+        if best:
+            return tuple(look._replace(angle=_turn_aside(tracks, look.frame, look.angle)) for look in best)
     return ()
 
 
-def _alike(one: NextLook, other: NextLook) -> bool:
-    return one.frame == other.frame and bool(angle_error(one.angle, other.angle) < FOV_DEG / 2)
+def _are_alike(look: NextLook, other: NextLook) -> bool:
+    return look.frame == other.frame and bool(angle_error(look.angle, other.angle) < FOV_DEG / 2)
 
 
 @dataclass(frozen=True)
@@ -152,286 +170,289 @@ class _Attention:
     hypotheses: Sequence[RankedHypothesis]
     left: int
     frames: Sequence[int]
+    choices: Sequence[str]
 
     @property
     def reserve(self) -> int:
-        """Number of looks that are kept for reading the answer."""
+        """Number of looks that are kept for the answer."""
         answer = self.plan.answer
-        here = {self.legal(frame) for frame in frames_of(self.plan, answer.of)}
-        if answer.read in ("action", "attribute") and self.legal(self.plan.times[answer.times[0]].frame or 0) in here:
+        described = {self.legal(frame) for frame in frames_of(self.plan, answer.of)}
+        stated = self.plan.times[answer.times[0]].frame or 0
+        if answer.read in ("action", "attribute") and self.legal(stated) in described:
             return SAME_FRAME_RESERVE
         return RESERVES[answer.read]
 
     @property
     def identified(self) -> bool:
-        """Whether something speaks for every part of the plan, and the likeliest target is clearly the likeliest."""
+        """Whether readings support each part of the plan, and the best target has a margin over the others."""
         if not self.hypotheses or self.hypotheses[0].margin < UNIT / 2:
             return False
-        return all(one.support.log_odds > 0 for one in slot_supports(self.plan, self.tracks, self.hypotheses[0]))
+        return all(slot.support.log_odds > 0 for slot in slot_supports(self.plan, self.tracks, self.hypotheses[0]))
 
     @property
     def target(self) -> str | None:
-        """Name of the likeliest target; None before anybody was seen."""
+        """Name of the likeliest target, None before any person was seen."""
         return self.hypotheses[0].nodes.get(self.plan.target) if self.hypotheses else None
 
     def legal(self, frame: float) -> int:
-        """The legal frame nearest to a frame."""
-        place = bisect.bisect_left(self.frames, frame)
-        return min(self.frames[max(place - 1, 0) : place + 1], key=lambda at: abs(at - frame))
-
-    @property
-    def _unseen(self) -> float:
-        """How many people no look shows at the frame at which the plan first describes its root."""
-        frame = self.legal(frames_of(self.plan, self.plan.root)[0])
-        return self._crowd(frame)[1]
+        """Return the legal frame that is nearest to a frame."""
+        index = bisect.bisect_left(self.frames, frame)
+        return min(self.frames[max(index - 1, 0) : index + 1], key=lambda at: abs(at - frame))
 
     def _crowd(self, frame: int) -> tuple[float, float]:
-        """How many people are expected all round at a frame, and how many of them in what was not seen yet."""
+        """Return the expected number of people at a frame, and how many of them no look shows."""
         unseen = sum(gap.span for gap in gaps(self.tracks.looks.get(frame, ()), CIRCLE)) / 360.0
-        here = sum(bool(self.tracks.at(who, frame)) for who in self.tracks.people)
-        crowd = here / (1 - unseen) if here else _PEOPLE * max(unseen, 0.2)
+        present = sum(bool(self.tracks.readings_at(entity, frame)) for entity in self.tracks.people)
+        crowd = present / (1 - unseen) if present else _PEOPLE * max(unseen, 0.2)
         return crowd, crowd * unseen
 
-    # -- who is meant ---------------------------------------------------------------------------------------------
+    # -- the people of the plan -----------------------------------------------------------------------------------
 
     def identify(self) -> Iterator[NextLook]:
-        """Looks at what was not seen yet of the frames at which the plan describes somebody."""
-        for node in (one.id for one in self.plan.nodes):
-            for frame in map(self.legal, frames_of(self.plan, node)):
-                seen = self.tracks.looks.get(frame, ())
+        """Yield looks at what no look shows, at the frames at which the plan describes a person."""
+        for node in self.plan.nodes:
+            axes = [ROBOT_SECTORS[str(part.value)] for part in node.conditions if part.attribute == "sector"]
+            for frame in map(self.legal, frames_of(self.plan, node.id)):
+                looks = self.tracks.looks.get(frame, ())
+                if axes and not looks:
+                    yield NextLook(frame, axes[0], "identify", _AXIS_BITS, f"the plan states the sector of {node.id}")
                 crowd, unseen = self._crowd(frame)
-                known = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node).values())
-                arc = self._arc(node, frame)
-                for gap in gaps(seen, arc):
-                    span = min(gap.span, FOV_DEG - _OVERLAP_DEG / 2)
-                    share = crowd * span / arc.span
-                    bits = _learned(share / (share + known + _MISSED + unseen - crowd * span / 360.0))
-                    yield NextLook(frame, gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2, "identify", 2 * bits)
+                known = sum(math.exp(min(odds, 20.0)) for odds in self._odds(node.id).values())
+                arc = self._arc(node.id, frame)
+                for gap in gaps(looks, arc):
+                    share = crowd * min(gap.span, FOV_DEG - _OVERLAP_DEG / 2) / arc.span
+                    rest = unseen - crowd * min(gap.span, FOV_DEG - _OVERLAP_DEG / 2) / 360.0
+                    bits = 2 * _learned(share / (share + known + _MISSED + rest))
+                    angle = gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2
+                    yield NextLook(frame, angle, "identify", bits, f"{node.id} may be where no look shows")
 
     def _odds(self, node: str) -> dict[str, float]:
-        """The log-odds of each entity that may be a node: by its conditions and the edges that lead to it.
-
-        Not by those that lead on: somebody is the first to the left of everybody.
-        """
+        """Return the log-odds of each entity that may be a node, by its conditions and the edges that lead to it."""
         parts = [part for part in parts_of(self.plan) if part.nodes[-1] == node]
         best: dict[str, float] = {}
-        for one in self.hypotheses:
-            if node in one.nodes:
-                ends = [(part, [one.nodes.get(end, "") for end in part.nodes]) for part in parts]
-                odds = sum(part.evidence(self.tracks, people) for part, people in ends)
-                best[one.nodes[node]] = max(odds, best.get(one.nodes[node], odds))
+        for hypothesis in self.hypotheses:
+            if node in hypothesis.nodes:
+                odds = sum(
+                    part.evidence(
+                        part.support(self.tracks, [hypothesis.nodes.get(end, "") for end in part.nodes]).log_odds
+                    )
+                    for part in parts
+                )
+                entity = hypothesis.nodes[node]
+                best[entity] = max(odds, best.get(entity, odds))
         return best
 
     def _arc(self, node: str, frame: int) -> Arc:
-        """The part of the circle in which the person of a node can stand: the smallest that the plan gives."""
+        """Return the smallest arc in which the plan permits the person of a node."""
         arcs = [CIRCLE]
-        sectors = [
-            c.value for one in self.plan.nodes if one.id == node for c in one.conditions if c.attribute == "sector"
-        ]
-        arcs += [around(ROBOT_SECTORS[str(value)], _SECTOR_REACH) for value in sectors]
+        for condition in next(item for item in self.plan.nodes if item.id == node).conditions:
+            if condition.attribute == "sector":
+                arcs.append(around(ROBOT_SECTORS[str(condition.value)], _SECTOR_REACH))
         for edge in self.plan.edges if self.hypotheses else ():
             source = self.tracks.box(self.hypotheses[0].nodes.get(edge.source, ""), frame)
             if edge.target == node and source is not None:
-                arcs.append(deciding_arc(edge.relation, source.box))
+                arcs.append(deciding_arc(edge.relation, source))
         return min(arcs, key=lambda arc: arc.span)
 
     def verify(self) -> Iterator[NextLook]:
-        """More readings of the people of the likeliest hypotheses with different targets, as readings may be wrong."""
+        """Yield looks at the people of the best bindings whose parts are still open."""
         best = [*best_of_each(self.hypotheses, self.plan.target).values()][:_RIVALS]
-        odds = [math.exp(min(one.log_odds, 20.0)) for one in best]
-        others = _MISSED + self._unseen
+        odds = [math.exp(min(hypothesis.log_odds, 20.0)) for hypothesis in best]
+        others = _MISSED + self._crowd(self.legal(frames_of(self.plan, self.plan.root)[0]))[1]
         bits: dict[tuple[str, int], float] = {}
-        for one, chance in zip(best, (each / (sum(odds) + others) for each in odds), strict=True):
-            for part, support in slot_supports(self.plan, self.tracks, one):
-                if support.settled or self._silent(part, support, one):
+        for hypothesis, chance in zip(best, (value / (sum(odds) + others) for value in odds), strict=True):
+            for part, support in slot_supports(self.plan, self.tracks, hypothesis):
+                if support.log_odds != 0:
                     continue
-                told = max(_learned(chance), chance * _learned(1 / (1 + math.exp(-support.log_odds))))
-                for who in (one.nodes[node] for node in part.nodes if node in one.nodes):
-                    frame = frames_of(self.plan, part.nodes[0])[0] if part.frame is None else part.frame
-                    bits[who, self.legal(frame)] = bits.get((who, self.legal(frame)), 0.0) + told
+                stated = frames_of(self.plan, part.nodes[0])[0] if part.frame is None else part.frame
+                for entity in (hypothesis.nodes[node] for node in part.nodes if node in hypothesis.nodes):
+                    key = entity, self.legal(stated)
+                    bits[key] = bits.get(key, 0.0) + max(_learned(chance), chance * _learned(0.5))
         for frame in dict.fromkeys(frame for _, frame in bits):
-            yield from self._views(frame, {who: told for (who, at), told in bits.items() if at == frame})
+            yield from self._views(frame, {entity: told for (entity, at), told in bits.items() if at == frame})
         yield from self._together()
 
-    def _silent(self, part: PlanPart, support: Support, one: RankedHypothesis) -> bool:
-        """Whether two readings of a person leave a condition open: a third will hardly tell it."""
-        if len(part.nodes) > 1 or support.votes or support.against:
-            return False
-        who, frame = one.nodes.get(part.nodes[0], ""), frames_of(self.plan, part.nodes[0])[0]
-        return len(self.tracks.at(who, self.legal(frame if part.frame is None else part.frame))) >= SETTLING
-
     def _views(self, frame: int, bits: Mapping[str, float]) -> Iterator[NextLook]:
-        """Looks at people who are worth these bits: one may show several of them."""
-        places = {}
-        for who, told in bits.items():
-            if not self.tracks.at(who, frame):
-                if (found := self._search(who, frame, told, "verify")) is not None:
-                    yield found
-            elif max(self.tracks.looks_at(who, frame), len(self.tracks.at(who, frame))) < MOST_READINGS:
-                places[who] = self._angle(who, frame)
-        for angle in [place + turn for turn in (0.0, -_ASIDE_DEG, _ASIDE_DEG) for place in places.values()]:
-            shown = [who for who, place in places.items() if angle_error(angle, place) < FOV_DEG / 2 - EDGE_DEG]
-            yield NextLook(frame, angle % 360.0, "verify", sum(bits[who] for who in shown))
+        """Yield looks at people who are worth these bits. One look may show several of them."""
+        angles = {}
+        for entity, told in bits.items():
+            if not self.tracks.readings_at(entity, frame):
+                reason = f"{entity} may fit the plan and was not seen at this frame"
+                if (look := self._search(entity, frame, told, "verify", reason)) is not None:
+                    yield look
+            elif len(self.tracks.readings_at(entity, frame)) < _MOST_READINGS:
+                angles[entity] = self._angle(entity, frame)
+        for angle in [base + turn for turn in (0.0, -_ASIDE_DEG, _ASIDE_DEG) for base in angles.values()]:
+            shown = [name for name, at in angles.items() if angle_error(angle, at) < FOV_DEG / 2 - EDGE_DEG]
+            reason = f"parts of the plan are open for {', '.join(shown)}"
+            yield NextLook(frame, angle % 360.0, "verify", sum(bits[name] for name in shown), reason)
 
     def _together(self) -> Iterator[NextLook]:
-        """Looks that show whoever a relation leads from in one picture with those beside them, who may be its end."""
+        """Yield looks that show the source of a relation together with the people beside it."""
         for part, support in slot_supports(self.plan, self.tracks, self.hypotheses[0]) if self.hypotheses else ():
             if len(part.nodes) < 2 or part.name in DERIVED or support.log_odds > 0:
                 continue
-            who, frame = self.hypotheses[0].nodes.get(part.nodes[0], ""), self.legal(part.frame or 0)
-            if not self.tracks.at(who, frame):
+            entity, frame = self.hypotheses[0].nodes.get(part.nodes[0], ""), self.legal(part.frame or 0)
+            if not self.tracks.readings_at(entity, frame):
                 continue
-            angle, half = self._angle(who, frame), FOV_DEG / 2 - EDGE_DEG
-            shown = [one for one in self.tracks.looks.get(frame, ()) if covered([one], around(angle, EDGE_DEG))]
+            angle, half = self._angle(entity, frame), FOV_DEG / 2 - EDGE_DEG
+            shown = [look for look in self.tracks.looks.get(frame, ()) if covered([look], around(angle, EDGE_DEG))]
             for turn in (half, -half):
                 side = Arc((angle + min(0.0, 2 * turn)) % 360.0, 2 * half)
                 new = sum(gap.span for gap in gaps(shown, side)) / side.span
                 if new > _LEAST_NEW:
-                    yield NextLook(frame, (angle + turn) % 360.0, "verify", new * _ANSWER_BITS * _learned(_BESIDE))
+                    bits = new * _ANSWER_BITS * _learned(_BESIDE)
+                    reason = f"{part.nodes[1]} may be beside {entity}"
+                    yield NextLook(frame, (angle + turn) % 360.0, "verify", bits, reason)
 
-    # -- what is read of the target -------------------------------------------------------------------------------
+    # -- the answer -----------------------------------------------------------------------------------------------
 
     def read(self) -> Iterator[NextLook]:
-        """Looks that read the answer of the likeliest target."""
-        answer, who = self.plan.answer, self.target
-        if who is None:
+        """Yield looks that read the answer of the likeliest target."""
+        answer, entity = self.plan.answer, self.target
+        if entity is None:
             return
-        stated = [self.plan.times[name].frame for name in answer.times]
-        for frame in (self.legal(one) for one in stated if one is not None):
-            yield from self._read_at(who, frame)
-        if answer.read == "count" and len(stated) == 2 and None not in stated:
-            yield from self._count(who, self.legal(stated[0] or 0), self.legal(stated[1] or 0))
-        for bracket in brackets(self.plan, self.tracks, who).values():
-            yield from self._bracket(who, bracket)
+        stated = [frame for name in answer.times if (frame := self.plan.times[name].frame) is not None]
+        for frame in map(self.legal, stated):
+            yield from self._read_at(entity, frame)
+        if answer.read == "count" and len(stated) == 2:
+            yield from self._count(entity, self.legal(stated[0]), self.legal(stated[1]))
+        for bracket in brackets(self.plan, self.tracks, entity).values():
+            yield from self._bracket(entity, bracket)
 
-    def _read_at(self, who: str, frame: int) -> Iterator[NextLook]:
-        """Find the target at a stated frame and read it until two readings agree; else show that it is absent."""
-        readings = self.tracks.at(who, frame)
+    def _read_at(self, entity: str, frame: int) -> Iterator[NextLook]:
+        """Yield a look at the target at a stated frame, or looks that show its absence."""
+        readings = self.tracks.readings_at(entity, frame)
         if readings:
-            name = {"action": "action", "attribute": self.plan.answer.attribute}.get(self.plan.answer.read)
-            read = [label for one in readings for label in one.labels if label.name == name]
-            told = bool(read) and all(self.tracks.statement(who, *label[:2], frame).settled for label in read)
-            most = MOST_READINGS if name or self._unlike(readings) else SETTLING
-            if not told and len(readings) < most:
-                yield NextLook(frame, self._angle(who, frame), "verify", _ANSWER_BITS * _learned(USUAL))
+            if len(readings) < _MOST_READINGS and not self._answered(entity, frame):
+                reason = f"no reading of {entity} at this frame gives an answer"
+                yield NextLook(frame, self._angle(entity, frame), "verify", _ANSWER_BITS * _learned(USUAL), reason)
             return
-        if (found := self._search(who, frame, _ANSWER_BITS, "follow")) is not None:
-            yield found
+        reason = f"the answer is about {entity} at this frame"
+        if (look := self._search(entity, frame, _ANSWER_BITS, "follow", reason)) is not None:
+            yield look
             return
         for beside in (frame + KEYFRAME_STEP, frame - KEYFRAME_STEP):
             at = self.legal(beside)
-            near = 0 < abs(at - frame) <= KEYFRAME_STEP and not self._beside_known(who, frame)
-            if near and (found := self._search(who, at, _ANSWER_BITS / 2, "absence")) is not None:
-                yield found
+            if 0 < abs(at - frame) <= KEYFRAME_STEP and not self._is_known_beside(entity, frame):
+                reason = f"{entity} was not seen at {frame:06d}, a second away"
+                if (look := self._search(entity, at, _ANSWER_BITS / 2, "absence", reason)) is not None:
+                    yield look
 
-    def _unlike(self, readings: Sequence[PersonReading]) -> bool:
-        """Whether distances that were read for one answer are too far apart for both to be right."""
-        read = [one.metres for one in readings if one.metres is not None]
-        return self.plan.answer.read == "distance_change" and bool(read) and max(read) - min(read) >= DISTANCE_CUT_M / 2
+    def _answered(self, entity: str, frame: int) -> bool:
+        """Return whether a reading of the target at a frame gives an answer that is offered."""
+        read = self.plan.answer.read
+        if read == "distance_change":
+            return self.tracks.metres(entity, frame) is not None
+        if read not in ("action", "attribute"):
+            return any(reading.whole for reading in self.tracks.readings_at(entity, frame))
+        name = self.plan.answer.attribute or "action"
+        if not self.choices:
+            return any(label.name == name for item in self.tracks.readings_at(entity, frame) for label in item.labels)
+        values = map(answer_of_choice, self.choices)
+        return any(self.tracks.statement(entity, name, value, frame).log_odds > 0 for value in values)
 
-    def _beside_known(self, who: str, frame: int) -> bool:
+    def _is_known_beside(self, entity: str, frame: int) -> bool:
         near = [at for at in self.tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP]
-        return any(presence(self.tracks, who, at) is not None for at in near)
+        return any(presence(self.tracks, entity, at) is not None for at in near)
 
-    def _count(self, who: str, first: int, last: int) -> Iterator[NextLook]:
-        """Looks all round at frames spread over a stretch of time."""
+    def _count(self, entity: str, first: int, last: int) -> Iterator[NextLook]:
+        """Yield looks in all directions at frames between two frames."""
         for part in range(3):
             frame = self.legal(first + part * (last - first) / 2)
             for gap in gaps(self.tracks.looks.get(frame, ()), CIRCLE):
-                off = angle_error(gap.middle, expected_place(self.tracks.people[who], frame).angle)
-                yield NextLook(frame, gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2, "follow", 0.5 - float(off) / 1000)
+                off = float(angle_error(gap.middle, self._angle(entity, frame)))
+                angle = gap.start - _OVERLAP_DEG / 2 + FOV_DEG / 2
+                yield NextLook(frame, angle, "follow", 0.5 - off / 1000, f"people beside {entity} are counted")
 
-    def _bracket(self, who: str, event: Bracket) -> Iterator[NextLook]:
-        """Step on until the change was passed, halve the bracket, then read its two ends again."""
+    def _bracket(self, entity: str, event: Bracket) -> Iterator[NextLook]:
+        """Yield a look that steps on until the change was passed, or that halves the bracket."""
         low, high = event.low, event.high
-        close = _CLOSER.get(self.plan.answer.read, _CLOSE_FRAMES)
-        tried = self.tracks.looks
         if high is None:
-            yield from self._step(who, event, self.frames[-1])
-            return
-        if high - low > close:
-            inside = [self.legal(low + share * (high - low)) for share in (0.5, 0.35, 0.65)]
-            for at in inside:
-                if low < at < high and at not in tried and (found := self._search(who, at, 1.0, "bracket")) is not None:
-                    yield found
+            yield from self._step(entity, event, self.frames[-1])
+        elif high - low > _CLOSER.get(self.plan.answer.read, _CLOSE_FRAMES):
+            reason = f"the event of {entity} lies between {low:06d} and {high:06d}"
+            for at in [self.legal(low + share * (high - low)) for share in (0.5, 0.35, 0.65)]:
+                inside = low < at < high and at not in self.tracks.looks
+                if inside and (look := self._search(entity, at, 1.0, "bracket", reason)) is not None:
+                    yield look
                     return
-        for end in (low, high):
-            if 0 < len(self.tracks.at(who, end)) < 2:
-                yield NextLook(end, self._angle(who, end), "verify", _ANSWER_BITS * _learned(USUAL))
 
-    def _step(self, who: str, event: Bracket, last: int) -> Iterator[NextLook]:
-        """Follow somebody on from a frame; at the end, look where the change may have been passed.
+    def _step(self, entity: str, event: Bracket, last: int) -> Iterator[NextLook]:
+        """Yield looks that follow a person on from a frame. At the end, look where the change may have been passed.
 
-        Whoever is missed is looked for where the newest sighting leads, and halfway; after a sighting just before they
-        are taken for hidden, after two misses for lost: they are then looked for to the sides.
+        A person who is missed once is looked for at the place to which the newest sighting leads, and at half of the
+        time. After two misses the person is looked for on the sides.
         """
-        seen = max(event.low, *(one.frame for one in self.tracks.people[who]))
+        seen = max(event.low, *(reading.frame for reading in self.tracks.people[entity]))
         lost = sorted(at for at in self.tracks.looks if at > seen)
         newest = max([seen, *lost])
         even = round(_EARLY * (last - newest) / max(self.left - _CLOSING, 1))
         at = min(newest + min(max(_STEP, even), 2 * _STEP), last)
-        if lost and not covered(self.tracks.looks[lost[0]], around(self._angle(who, lost[0]), EDGE_DEG)):
+        if lost and not covered(self.tracks.looks[lost[0]], around(self._angle(entity, lost[0]), EDGE_DEG)):
             at = lost[0]
         elif len(lost) == 1 and lost[0] - seen > _NEARBY:
             at = (seen + lost[0]) // 2
         elif len(lost) > 1 and len(self.tracks.looks[newest]) < _TRIES:
             at = newest
         at = self.legal(at)
-        if at > event.low and (found := self._search(who, at, 1.0, "bracket")) is not None:
-            yield found
+        reason = f"the event of {entity} was not seen up to {newest:06d}"
+        if at > event.low and (look := self._search(entity, at, 1.0, "bracket", reason)) is not None:
+            yield look
         if newest >= last - KEYFRAME_STEP:
-            yield from self._between(who, event.after)
+            yield from self._between(entity, event.after)
 
-    def _between(self, who: str, after: int) -> Iterator[NextLook]:
-        """A look into the longest time without a look from a frame on, the earliest of equal ones."""
+    def _between(self, entity: str, after: int) -> Iterator[NextLook]:
+        """Yield a look into the longest time without a look after a frame, the earliest of equal ones."""
         frames = sorted({after, *(at for at in self.tracks.looks if at > after)})
         before, then = max(itertools.pairwise(frames), key=lambda both: (both[1] - both[0], -both[0]), default=(0, 0))
-        # More bits than of whoever is looked for beside the last place.
-        found = self._search(who, self.legal((before + then) / 2), 1.5, "bracket")
-        if found is not None and then - before > _SHORTEST:
-            yield found
-
-    # -- the box --------------------------------------------------------------------------------------------------
+        # This look has more bits than a search on the sides of the last place.
+        reason = f"the event may lie between {before:06d} and {then:06d}"
+        look = self._search(entity, self.legal((before + then) / 2), 1.5, "bracket", reason)
+        if look is not None and then - before > _SHORTEST:
+            yield look
 
     def evidence(self) -> Iterator[NextLook]:
-        """Looks for a second box of the target that agrees with the first, at the frame with the most agreement."""
-        who = self.target
-        if who is None:
+        """Yield a look that shows the whole target, if an edge of the picture cuts all its boxes."""
+        entity = self.target
+        if entity is None:
             return
-        boxes = {one.frame: fused for one in self.tracks.people[who] if (fused := self.tracks.box(who, one.frame))}
-        frame = max(boxes, key=lambda at: (boxes[at].votes, len(self.tracks.at(who, at)) < MOST_READINGS, at))
-        if boxes[frame].votes < 2 and len(self.tracks.at(who, frame)) < MOST_READINGS:
-            # The last looks are for the box: without it nothing else counts.
+        readings = self.tracks.people[entity]
+        if any(reading.whole for reading in readings):
+            return
+        frame = readings[-1].frame
+        if len(self.tracks.readings_at(entity, frame)) < _MOST_READINGS:
+            # The last looks are for the box, because without a box the answer does not count.
             bits = _ANSWER_BITS * _learned(USUAL) * (10.0 if self.left <= 2 else 0.8)
-            yield NextLook(frame, self._angle(who, frame), "evidence", bits)
+            yield NextLook(frame, self._angle(entity, frame), "evidence", bits, f"an edge cuts the box of {entity}")
 
-    # -- where somebody is ----------------------------------------------------------------------------------------
+    # -- the place of a person --------------------------------------------------------------------------------------
 
-    def _angle(self, who: str, frame: int) -> float:
-        return expected_place(self.tracks.people[who], frame).angle
+    def _angle(self, entity: str, frame: int) -> float:
+        return expected_place(self.tracks.people[entity], frame).angle
 
-    def _search(self, who: str, frame: int, bits: float, purpose: Purpose) -> NextLook | None:
-        """The look at a frame that shows most of where somebody may be and was not looked for yet."""
-        place = expected_place(self.tracks.people[who], frame)
-        seen, best = self.tracks.looks.get(frame, ()), None
-        left = _AWAY + sum(_chance(gap, place.angle, place.angle_spread) for gap in gaps(seen, CIRCLE))
+    def _search(self, entity: str, frame: int, bits: float, purpose: Purpose, reason: str) -> NextLook | None:
+        """Return the look at a frame that shows most of where a person may be and no look shows yet."""
+        angle, spread = expected_place(self.tracks.people[entity], frame)
+        looks, best = self.tracks.looks.get(frame, ()), None
+        left = _AWAY + sum(_chance(gap, angle, spread) for gap in gaps(looks, CIRCLE))
         for turn in (0.0, 40.0, -40.0, 80.0, -80.0, 120.0, -120.0, 160.0, -160.0):
-            new = gaps(seen, around(place.angle + turn, FOV_DEG / 2))
-            chance = sum(_chance(gap, place.angle, place.angle_spread) for gap in new) / left
+            new = gaps(looks, around(angle + turn, FOV_DEG / 2))
+            chance = sum(_chance(gap, angle, spread) for gap in new) / left
             if new and (best is None or chance * bits > best.bits):
-                best = NextLook(frame, (place.angle + turn) % 360.0, purpose, chance * bits)
+                best = NextLook(frame, (angle + turn) % 360.0, purpose, chance * bits, reason)
         return best
 
 
 def _chance(arc: Arc, angle: float, spread: float) -> float:
-    """How likely somebody expected at an angle with this spread is inside an arc."""
+    """Return the probability that a person expected at an angle with this spread is inside an arc."""
     begin = clockwise(angle + 180.0, arc.start) - 180.0
     below, above = (math.erf(turn / (spread * math.sqrt(2))) for turn in (begin, begin + arc.span))
     return 0.9 * (above - below) / 2 + 0.1 * arc.span / 360.0
 
 
 def _learned(chance: float) -> float:
-    """Bits that one reading of the usual confidence tells about something with this chance."""
+    """Return the bits that one reading of the usual confidence tells about a statement of this probability."""
     return _entropy(chance * USUAL + (1 - chance) * (1 - USUAL)) - _entropy(USUAL)
 
 
@@ -441,8 +462,8 @@ def _entropy(chance: float) -> float:
     return -chance * math.log2(chance) - (1 - chance) * math.log2(1 - chance)
 
 
-def _fresh(tracks: Tracks, frame: int, angle: float) -> float:
-    """An angle near this one at which no look was made at the frame."""
+def _turn_aside(tracks: Tracks, frame: int, angle: float) -> float:
+    """Return an angle near this one at which no look was made at the frame."""
     made = [(look.left + CROP / 2) * 360.0 / WIDTH for look in tracks.looks.get(frame, ()) if look.width == CROP]
     turn = 0.0
     while any(angle_error(angle + turn, other) < _APART_DEG for other in made):

@@ -1,7 +1,7 @@
-"""Moments of events and absences, bounded by what was seen of a person at single frames.
+"""Moments of events and absences, bounded by the frames at which a person was read.
 
-An event lies between two sightings: the last before the change and the first after it. Near each other they decide its
-moment for certain; else the middle is the supported one. An absence needs looks that show where the person should be.
+An event lies between two sightings: the last before the change and the first after it. If they are near each other, the
+moment is certain; otherwise the middle is supported. An absence needs looks that show where the person should be.
 """
 
 from __future__ import annotations
@@ -9,24 +9,29 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perceive.association import expected_place
+from jrdb_avr.agent.perceive.expectation import expected_place
 from jrdb_avr.agent.perceive.geometry import around, covered
 from jrdb_avr.agent.perceive.votes import UNIT, SlotState, Tracks
-from jrdb_avr.queries.compiler.beliefs import RESOLVED_FRAMES
 from jrdb_avr.schema.plan import Plan
-from jrdb_avr.schema.rules import KEYFRAME_STEP
+from jrdb_avr.schema.rules import FPS, KEYFRAME_STEP
+
+RESOLVED_FRAMES: Final = round(2 * FPS)
+"""Maximum length in frames of the bracket of a certain moment: its middle is within a second of the event."""
 
 CHANGE: Final = 0.75 * UNIT
-"""Log-odds against a change between two frames: a reading that two others belie is none, the last one may be."""
+"""Log-odds penalty for a change of state between adjacent frames.
+
+A reading that both neighbors contradict is an error. A deviating last reading may be a real change.
+"""
 
 ABSENT_REACH: Final = 60.0
-"""Degrees to either side of the expected angle that looks must show before somebody counts as absent."""
+"""Degrees to either side of the expected angle that looks must show for a person to be absent."""
 
 
 class Bracket(NamedTuple):
-    """A change that lies after frame `low` and by frame `high`; None where it has not been seen yet.
+    """A change that lies after frame `low` and not later than frame `high`.
 
-    after: the frame from which on it is looked for.
+    high: None if the change has not been seen. after: first frame at which the change may lie.
     """
 
     low: int
@@ -35,7 +40,7 @@ class Bracket(NamedTuple):
 
     @property
     def middle(self) -> float | None:
-        """The moment taken for the event."""
+        """The moment of the event, None if the change has not been seen."""
         return None if self.high is None else (self.low + self.high) / 2
 
     @property
@@ -46,73 +51,126 @@ class Bracket(NamedTuple):
         return "certain" if self.high - self.low <= RESOLVED_FRAMES else "supported"
 
 
-def place_seen(tracks: Tracks, who: str, frame: int) -> bool:
-    """Whether the looks at a frame show all of the circle in which somebody can be expected."""
-    readings = tracks.people.get(who, ())
+def shows_place(tracks: Tracks, entity: str, frame: int) -> bool:
+    """Return whether the looks at a frame show all of the arc in which a person can be expected."""
+    readings = tracks.people.get(entity, ())
     if not readings or frame not in tracks.looks:
         return False
     return covered(tracks.looks[frame], around(expected_place(readings, frame).angle, ABSENT_REACH))
 
 
-def absence(tracks: Tracks, who: str, frame: int) -> SlotState:
-    """Whether somebody is known to be away at a frame.
+def absence(tracks: Tracks, entity: str, frame: int) -> SlotState:
+    """Return how well readings support the absence of a person at a frame.
 
-    Certain where looks show that at the frame and at another one within a second, supported where at the frame alone;
-    a sighting within a second contradicts it.
+    Args:
+        tracks: All readings and looks.
+        entity: The person.
+        frame: The frame.
+
+    Returns:
+        "certain" if looks show the absence at the frame and at another frame within a second, "supported" if they show
+        it at the frame only, "contradicted" after a sighting within a second, else "open".
     """
-    if any(abs(one.frame - frame) <= KEYFRAME_STEP for one in tracks.people.get(who, ())):
+    if any(abs(reading.frame - frame) <= KEYFRAME_STEP for reading in tracks.people.get(entity, ())):
         return "contradicted"
-    if not place_seen(tracks, who, frame):
+    if not shows_place(tracks, entity, frame):
         return "open"
-    near = [at for at in tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP and place_seen(tracks, who, at)]
+    near = [at for at in tracks.looks if 0 < abs(at - frame) <= KEYFRAME_STEP and shows_place(tracks, entity, at)]
     return "certain" if near else "supported"
 
 
-def presence(tracks: Tracks, who: str, frame: int) -> bool | None:
-    """Whether somebody was seen at a frame; None where neither they nor all of the place they should be at was."""
-    return True if tracks.at(who, frame) else False if place_seen(tracks, who, frame) else None
+def presence(tracks: Tracks, entity: str, frame: int) -> bool | None:
+    """Return whether a person was seen at a frame, or None if no look decides it."""
+    return True if tracks.readings_at(entity, frame) else False if shows_place(tracks, entity, frame) else None
 
 
-def performs_at(tracks: Tracks, who: str, action: str, frame: int) -> bool | None:
-    """Whether the readings at exactly this frame say that somebody performs an action; None where they do not tell."""
-    odds = _here(tracks, who, frame).statement(who, "action", action, frame).log_odds
+def is_in_group(tracks: Tracks, entity: str, frame: int) -> bool | None:
+    """Return whether the readings of a person at a frame show a group of two or more, or None if they do not decide."""
+    present = tracks.readings_at(entity, frame)
+    alone = tracks.statement(entity, "group_size", "1", frame).log_odds if present else 0.0
+    return None if alone == 0 else alone < 0
+
+
+def group_changes(plan: Plan, tracks: Tracks, people: Mapping[str, str]) -> dict[str, int]:
+    """Return the frames at which people were read to have joined or left a group, by the name of the event.
+
+    Args:
+        plan: The plan.
+        tracks: All readings and looks.
+        people: Entity of each node, as far as it is known.
+
+    Returns:
+        The frames of the events that were seen.
+    """
+    frames = {}
+    for name, time in plan.times.items():
+        if time.is_group_event and (entity := people.get(time.of or "")) is not None:
+            after = plan.times[time.after or ""].frame or 0
+            states = _known_states(tracks, lambda frame, entity=entity: is_in_group(tracks, entity, frame))
+            bracket = change(states, after, time.event == "joins_group")
+            if bracket.high is not None and states.get(bracket.low, True) is not states[bracket.high]:
+                frames[name] = bracket.high
+    return frames
+
+
+def performs_at(tracks: Tracks, entity: str, action: str, frame: int) -> bool | None:
+    """Return whether readings at exactly this frame show an action of a person, or None if they do not decide."""
+    odds = _only_at(tracks, entity, frame).statement(entity, "action", action, frame).log_odds
     return None if odds == 0 else odds > 0
 
 
-def _here(tracks: Tracks, who: str, frame: int) -> Tracks:
-    """Nothing but the readings of somebody at exactly this frame."""
-    return Tracks({who: tuple(tracks.at(who, frame))}, {})
+def _only_at(tracks: Tracks, entity: str, frame: int) -> Tracks:
+    """Return only the readings of a person at exactly this frame."""
+    return Tracks({entity: tuple(tracks.readings_at(entity, frame))}, {}, tracks.repeats)
 
 
-def _frames(tracks: Tracks, who: str, after: int) -> list[int]:
-    return sorted({one.frame for one in tracks.people.get(who, ()) if one.frame >= after})
+def _frames(tracks: Tracks, entity: str, after: int) -> list[int]:
+    return sorted({reading.frame for reading in tracks.people.get(entity, ()) if reading.frame >= after})
 
 
-def postures(tracks: Tracks, who: str, after: int) -> dict[int, str]:
-    """The posture of somebody at each frame read from one on, ascending: a single reading amid others is no change."""
-    read = {at: tracks.values(who, "pose", at) for at in _frames(tracks, who, after)}
-    return likeliest_course({at: {one.value: one.weight for one in tallies} for at, tallies in read.items() if tallies})
+def postures(tracks: Tracks, entity: str, after: int) -> dict[int, str]:
+    """Return the likeliest posture of a person at each frame with a reading, from frame `after`, ascending."""
+    tallies = {frame: tracks.values(entity, "pose", frame) for frame in _frames(tracks, entity, after)}
+    return likeliest_course(
+        {frame: {tally.value: tally.log_odds for tally in values} for frame, values in tallies.items() if values}
+    )
 
 
 def likeliest_course(votes: Mapping[int, Mapping[str, float]]) -> dict[int, str]:
-    """The value at each frame (ascending) that votes bear out best, each change costing `CHANGE`; empty without any."""
-    values = dict.fromkeys(value for told in votes.values() for value in told)
+    """Return the sequence of values with the highest sum of votes, where each change costs `CHANGE`.
+
+    Args:
+        votes: Log-odds of each value, by frame, ascending.
+
+    Returns:
+        The value at each frame. Empty without votes.
+    """
+    values = dict.fromkeys(value for odds in votes.values() for value in odds)
     if not values:
         return {}
     best: dict[str, tuple[float, tuple[str, ...]]] = dict.fromkeys(values, (0.0, ()))
-    for told in votes.values():
-        change = max(best.values(), key=lambda one: one[0])
+    for odds in votes.values():
+        highest = max(best.values(), key=lambda course: course[0])
         grown = {}
-        for value, own in best.items():
-            odds, course = own if own[0] >= change[0] - CHANGE else (change[0] - CHANGE, change[1])
-            grown[value] = odds + told.get(value, 0.0), (*course, value)
+        for value, same in best.items():
+            total, course = same if same[0] >= highest[0] - CHANGE else (highest[0] - CHANGE, highest[1])
+            grown[value] = total + odds.get(value, 0.0), (*course, value)
         best = grown
-    course = max(best.values(), key=lambda one: one[0])[1]
+    course = max(best.values(), key=lambda course: course[0])[1]
     return dict(zip(votes, course, strict=True))
 
 
 def change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
-    """The first change to `wanted` after a frame, by the states at the frames where they are known."""
+    """Return the bracket of the first change to `wanted` after a frame.
+
+    Args:
+        states: The states at the frames at which they are known.
+        after: The frame.
+        wanted: State after the change.
+
+    Returns:
+        The bracket.
+    """
     low = after
     for frame in sorted(frame for frame in states if frame > after):
         if states[frame] is wanted:
@@ -121,44 +179,56 @@ def change(states: Mapping[int, bool], after: int, wanted: bool) -> Bracket:
     return Bracket(low, None, after)
 
 
-def brackets(plan: Plan, tracks: Tracks, who: str) -> dict[str, Bracket]:
-    """The bracket of each event of a plan, by its time's name, except events that wait for one that was not seen."""
-    found: dict[str, Bracket] = {}
+def brackets(plan: Plan, tracks: Tracks, entity: str) -> dict[str, Bracket]:
+    """Return the brackets of the events of a plan's answer.
+
+    Args:
+        plan: The plan.
+        tracks: All readings and looks.
+        entity: The target.
+
+    Returns:
+        The brackets by the names of the times, without events that wait for an event that was not seen.
+    """
+    ends: dict[str, Bracket] = {}
+    # Twice, because an event may be written before the event that it waits for.
     for name in (*plan.times, *plan.times):
-        # Twice, as an event may be written before the one that it waits for.
         time = plan.times[name]
         if time.event is None or time.after is None or name not in plan.answer.times:
             continue
-        before = found[time.after].high if time.after in found else plan.times[time.after].frame
+        before = ends[time.after].high if time.after in ends else plan.times[time.after].frame
         if before is not None:
-            found[name] = change(_states(tracks, _state_of(plan, tracks, who, name, before)), before,
-                                 time.event in ("start", "returns"))  # fmt: skip
-    return found
+            states = _known_states(tracks, _state_of(plan, tracks, entity, name, before))
+            ends[name] = change(states, before, time.event in ("start", "returns", "joins_group"))
+    return ends
 
 
-def _states(tracks: Tracks, state: Callable[[int], bool | None]) -> dict[int, bool]:
-    known = {frame: state(frame) for frame in tracks.looks}
-    return {frame: value for frame, value in known.items() if value is not None}
+def _known_states(tracks: Tracks, state: Callable[[int], bool | None]) -> dict[int, bool]:
+    states = {frame: state(frame) for frame in tracks.looks}
+    return {frame: value for frame, value in states.items() if value is not None}
 
 
-def _state_of(plan: Plan, tracks: Tracks, who: str, name: str, before: int) -> Callable[[int], bool | None]:
-    """Whether what an event starts or ends goes on at a frame."""
+def _state_of(plan: Plan, tracks: Tracks, entity: str, name: str, before: int) -> Callable[[int], bool | None]:
+    """Return the function that says whether the state that an event starts or ends is present at a frame."""
     time = plan.times[name]
     if time.event in ("leaves", "returns"):
-        return lambda frame: presence(tracks, who, frame)
+        return lambda frame: presence(tracks, entity, frame)
+    if time.is_group_event:
+        return lambda frame: is_in_group(tracks, entity, frame)
     if time.event == "start":
-        return lambda frame: performs_at(tracks, who, time.action or "", frame)
-    # Somebody is seldom taken to do what they do not, and often not to do what they do: one such reading ends nothing.
-    # The end without an action is that of the posture held before.
-    held = _spells(tracks, who, before, time.action)
-    return lambda frame: held[frame] == held[min(held)] if frame in held else None
+        return lambda frame: performs_at(tracks, entity, time.action or "", frame)
+    # Models miss an action more often than they invent one, so one negative reading ends nothing. If the event names no
+    # action, the posture before the event ends.
+    spells = _spells(tracks, entity, before, time.action)
+    return lambda frame: spells[frame] == spells[min(spells)] if frame in spells else None
 
 
-def _spells(tracks: Tracks, who: str, after: int, action: str | None) -> dict[int, str]:
-    """What somebody does at each frame read from one on: the action, as yes or no, or the posture where it is None."""
+def _spells(tracks: Tracks, entity: str, after: int, action: str | None) -> dict[int, str]:
+    """Return at each frame whether the person performs the action ("yes" or "no"); without an action, the posture."""
     if action is None:
-        return postures(tracks, who, after)
+        return postures(tracks, entity, after)
     odds = {
-        at: _here(tracks, who, at).statement(who, "action", action, at).log_odds for at in _frames(tracks, who, after)
+        frame: _only_at(tracks, entity, frame).statement(entity, "action", action, frame).log_odds
+        for frame in _frames(tracks, entity, after)
     }
-    return likeliest_course({at: {"yes": max(told, 0.0), "no": max(-told, 0.0)} for at, told in odds.items()})
+    return likeliest_course({at: {"yes": max(value, 0.0), "no": max(-value, 0.0)} for at, value in odds.items()})

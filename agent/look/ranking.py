@@ -1,8 +1,8 @@
-"""Ranked hypotheses: which people the nodes of a plan are, by what readings tell of its parts.
+"""Bindings of a plan: which people are the nodes of the plan, ordered by the evidence of the plan's parts.
 
-A hypothesis binds the plan's nodes to different entities. Its log-odds are those of being who is meant, rather than
-anybody: that a condition holds tells little where it holds of many, that it does not tells much. What nobody read
-counts nothing. The best hypotheses are found by a beam along the plan's edges.
+The evidence of a part is the log-odds that these people are meant, not that any people are. A condition that holds for
+many people tells little if it holds, and much if it does not. Tables of evidence come from readings
+(`evidence_tables`) or from statements over the world model; `join` combines them.
 """
 
 from __future__ import annotations
@@ -10,55 +10,62 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Final, NamedTuple
 
-from jrdb_avr.agent.perceive.association import expected_place
+from jrdb_avr.agent.perceive.expectation import expected_place
 from jrdb_avr.agent.perceive.geometry import EDGE_DEG, FIRST, around, covered
 from jrdb_avr.agent.perceive.readings import topic_of
-from jrdb_avr.agent.perceive.votes import MOST_VOTES, UNIT, SlotState, Support, Tracks
-from jrdb_avr.queries.compiler.find import conditions_of, search_order, stated_frame, times_of
+from jrdb_avr.agent.perceive.votes import CAP, UNIT, SlotState, Support, Tracks
+from jrdb_avr.queries.compiler.find import search_order, stated_frame, times_of
 from jrdb_avr.schema.plan import Plan
 
 BEAM: Final = 32
-"""Hypotheses that are kept at each node."""
-
+"""Maximum number of bindings that are kept after each node."""
 
 _HOLDS: Final = {1: 0.4, 2: 0.2}
-"""Prior share of people for whom a condition is true (1), and of pairs for whom an edge is (2)."""
+"""Prior share of people for whom a condition is true (1), and of pairs for whom an edge is true (2)."""
+
 _RARELY: Final = 0.03
-"""Prior share of people for whom an action, object or interaction is true: there are many of each."""
+"""Prior share of people for whom one of the many actions, objects or interactions is true."""
 
 _CLOSED: Final = frozenset({"gender", "age", "pose", "sector", "distance", "group_size"})
 
 
 class PlanPart(NamedTuple):
-    """A condition of a node or an edge between two, at a stated frame (None: at any); `value` is "" for an edge."""
+    """A condition of a node, or an edge between two nodes, at a stated frame.
+
+    nodes: one node or two. frame: None if the part holds at any frame. value: "" for an edge.
+    """
 
     nodes: tuple[str, ...]
     name: str
     value: str
     frame: int | None
 
+    @property
+    def often(self) -> float:
+        """The prior share of people or pairs for whom the part is true."""
+        rare = len(self.nodes) == 1 and topic_of(self.name, self.value) not in _CLOSED
+        return _RARELY if rare else _HOLDS[len(self.nodes)]
+
     def support(self, tracks: Tracks, people: Sequence[str]) -> Support:
-        """What readings say of it where the nodes are these people."""
+        """Return what readings say of the part if the nodes are these people."""
         if len(people) == 2:
             return tracks.relation(people[0], self.name, people[1], self.frame or 0)
         return tracks.statement(people[0], self.name, self.value, self.frame)
 
-    def evidence(self, tracks: Tracks, people: Sequence[str]) -> float:
-        """The log-odds that it gives for these people being the ones who are meant."""
-        often = _RARELY if topic_of(self.name, self.value) not in _CLOSED and len(people) == 1 else _HOLDS[len(people)]
-        told = -math.log(often + (1 - often) * math.exp(-self.support(tracks, people).log_odds))
-        # Somebody is the first beside everybody, so that this does not tell who the source is.
-        return told + math.log(often) if self.name in FIRST else told
+    def evidence(self, log_odds: float) -> float:
+        """Return the log-odds that these people are meant, from the log-odds that the part holds for them."""
+        evidence = -math.log(self.often + (1 - self.often) * math.exp(-log_odds))
+        # Each person has a first person beside, so this edge does not tell who the source is.
+        return evidence + math.log(self.often) if self.name in FIRST else evidence
 
 
 @dataclass(frozen=True)
 class RankedHypothesis:
-    """Entities by node, how likely they are all together, and by how much the best other target is less likely.
+    """A binding: entities by node, their summed log-odds, and the margin over the best binding with another target.
 
-    A node is missing where there are fewer entities than nodes.
+    A node is missing if there are fewer entities than nodes.
     """
 
     nodes: Mapping[str, str]
@@ -67,7 +74,7 @@ class RankedHypothesis:
 
 
 class SlotSupport(NamedTuple):
-    """A part of the plan and its support under a hypothesis."""
+    """A part of the plan and its support under a binding."""
 
     part: PlanPart
     support: Support
@@ -78,101 +85,154 @@ class SlotSupport(NamedTuple):
         return self.support.state
 
 
+Alone = Mapping[tuple[str, str], float]
+"""Evidence of all conditions of a node, by node and entity. All entities have a value for each node."""
+
+Pairs = Mapping[tuple[int, str, str], float]
+"""Evidence of an edge, by the index of the edge, the source entity and the target entity. A missing pair counts 0
+log-odds for the edge.
+"""
+
+
 def parts_of(plan: Plan) -> tuple[PlanPart, ...]:
-    """The conditions and edges of a plan. Raises PlanError where one of them holds at no stated frame."""
+    """Return the conditions of a plan, and then its edges.
+
+    Args:
+        plan: The plan.
+
+    Returns:
+        The parts.
+
+    Raises:
+        PlanError: If a part holds at no stated frame.
+    """
     conditions = [
-        PlanPart((node.id,), *one.wanted, None if one.at is None else stated_frame(plan, one.at))
+        PlanPart((node.id,), *condition.wanted, None if condition.at is None else stated_frame(plan, condition.at))
         for node in plan.nodes
-        for one in node.conditions
+        for condition in node.conditions
     ]
-    edges = [
+    return (*conditions, *edges_of(plan))
+
+
+def edges_of(plan: Plan) -> tuple[PlanPart, ...]:
+    """Return the edges of a plan as parts, in the plan's order."""
+    return tuple(
         PlanPart((edge.source, edge.target), edge.relation, "", stated_frame(plan, edge.at)) for edge in plan.edges
-    ]
-    return (*conditions, *edges)
+    )
 
 
 def frames_of(plan: Plan, node: str) -> tuple[int, ...]:
-    """The stated frames at which a plan says something of a node."""
+    """Return the stated frames at which a plan says something about a node."""
     return tuple(dict.fromkeys(stated_frame(plan, time) for time in times_of(plan, node)))
 
 
 def rank(plan: Plan, tracks: Tracks) -> tuple[RankedHypothesis, ...]:
-    """The likeliest hypotheses, the best first; of equal ones that of the people who were read most often."""
-    own = {node.id: [part for part in parts_of(plan) if part.nodes == (node.id,)] for node in plan.nodes}
-    edges = parts_of(plan)[sum(len(conditions_of(plan, node.id)) for node in plan.nodes) :]
-    seen = {who: len(readings) for who, readings in tracks.people.items()}
+    """Return the bindings with the highest summed log-odds.
 
-    @cache
-    def odds(part: PlanPart, *people: str) -> float:
-        return part.evidence(tracks, people)
+    Args:
+        plan: The plan, as `perceivable` returns it.
+        tracks: All readings so far.
 
-    @cache
-    def alone(node: str, who: str) -> float:
-        absent = sum(_absence(tracks, who, frame) for frame in frames_of(plan, node))
-        return absent + sum(odds(part, who) for part in own[node])
+    Returns:
+        The bindings, the best first.
+    """
+    return join(plan, *evidence_tables(plan, tracks))
 
+
+def evidence_tables(plan: Plan, tracks: Tracks) -> tuple[Alone, Pairs]:
+    """Return the evidence of each node's conditions and of each edge, for all people who were read."""
+    parts, edges = parts_of(plan), edges_of(plan)
+    alone = {
+        (node.id, entity): sum(
+            part.evidence(part.support(tracks, (entity,)).log_odds) for part in parts if part.nodes == (node.id,)
+        )
+        + sum(absence_evidence(tracks, entity, frame) for frame in frames_of(plan, node.id))
+        for node in plan.nodes
+        for entity in tracks.people
+    }
+    pairs = {
+        (index, source, target): edge.evidence(edge.support(tracks, (source, target)).log_odds)
+        for index, edge in enumerate(edges)
+        for source in tracks.people
+        for target in tracks.people
+        if source != target
+    }
+    return alone, pairs
+
+
+def join(plan: Plan, alone: Alone, pairs: Pairs) -> tuple[RankedHypothesis, ...]:
+    """Combine the evidence of nodes and edges into bindings, node by node with a beam.
+
+    Args:
+        plan: The plan.
+        alone: Evidence of the nodes' conditions.
+        pairs: Evidence of the edges.
+
+    Returns:
+        The bindings, the best first. Bindings with equal log-odds are in the order of the entities' names.
+    """
+    edges, people = edges_of(plan), sorted({entity for _, entity in alone})
     beam: list[tuple[float, dict[str, str]]] = [(0.0, {})]
     for node, joins in search_order(plan):
-        grown = [(score + alone(node, who), {**bound, node: who})
-                 for score, bound in beam for who in seen if who not in bound.values()]  # fmt: skip
-        for at, (score, bound) in enumerate(grown):
-            ends = [(edges[i], [bound.get(end) for end in edges[i].nodes]) for i, _ in joins]
-            score += sum(odds(edge, *people) for edge, people in ends if None not in people)
-            grown[at] = score, bound
-        order = sorted(grown, key=lambda one: (-one[0], -sum(seen[who] for who in one[1].values()), *one[1].values()))
-        beam = _varied(order, node) or beam
+        grown = []
+        for log_odds, bound in beam:
+            for entity in people:
+                if entity not in bound.values():
+                    nodes = {**bound, node: entity}
+                    total = log_odds + alone[node, entity]
+                    for index, _ in joins:
+                        source, target = (nodes.get(end) for end in edges[index].nodes)
+                        if source is not None and target is not None:
+                            total += pairs.get((index, source, target), edges[index].evidence(0.0))
+                    grown.append((total, nodes))
+        # Rounding makes the order independent of the order in which evidence is added.
+        order = sorted(grown, key=lambda binding: (-round(binding[0], 9), *binding[1].values()))
+        beam = _with_each(order, node) or beam
     return tuple(
-        RankedHypothesis(bound, score, _margin(beam, plan.target, at)) for at, (score, bound) in enumerate(beam)
+        RankedHypothesis(bound, log_odds, _margin(beam, plan.target, index))
+        for index, (log_odds, bound) in enumerate(beam)
+        if bound
     )
 
 
-def _varied(order: Sequence[tuple[float, dict[str, str]]], node: str) -> list[tuple[float, dict[str, str]]]:
-    """The best hypotheses of a sorted list, and the best one for each person who may be the node."""
-    first = {bound[node]: at for at, (_, bound) in reversed([*enumerate(order)])}
-    return [one for at, one in enumerate(order) if at < BEAM or first[one[1][node]] == at]
+def _with_each(order: Sequence[tuple[float, dict[str, str]]], node: str) -> list[tuple[float, dict[str, str]]]:
+    """Return the best bindings of a sorted list, and the best binding of each entity that may be the node."""
+    first = {bound[node]: index for index, (_, bound) in reversed([*enumerate(order)])}
+    return [binding for index, binding in enumerate(order) if index < BEAM or first[binding[1][node]] == index]
 
 
-def _margin(beam: Sequence[tuple[float, dict[str, str]]], target: str, at: int) -> float:
-    score, bound = beam[at]
+def _margin(beam: Sequence[tuple[float, dict[str, str]]], target: str, index: int) -> float:
+    log_odds, bound = beam[index]
     others = [other for other, people in beam if people.get(target) != bound.get(target)]
-    return score - max(others, default=-math.inf)
+    return log_odds - max(others, default=-math.inf)
 
 
-def _absence(tracks: Tracks, who: str, frame: int) -> float:
-    """Log-odds against a person who is missing from looks that should show the person at a frame."""
-    place = expected_place(tracks.people[who], frame)
-    where = around(place.angle, max(place.angle_spread, EDGE_DEG))
-    looks, readings = tracks.looks.get(frame, ()), len(tracks.at(who, frame))
-    missed = sum(covered([look], where) for look in looks) - readings
+def absence_evidence(tracks: Tracks, entity: str, frame: int) -> float:
+    """Return the log-odds against a person who is missing from looks that should show the person at a frame."""
+    angle, spread = expected_place(tracks.people[entity], frame)
+    arc = around(angle, max(spread, EDGE_DEG))
+    looks, readings = tracks.looks.get(frame, ()), len(tracks.readings_at(entity, frame))
     if not readings:
-        return -UNIT if covered(looks, where) else 0.0
-    return max(-MOST_VOTES * UNIT, min(0.0, readings - 1 - missed) * UNIT)
+        return -UNIT if covered(looks, arc) else 0.0
+    missed = sum(covered([look], arc) for look in looks) - readings
+    return max(-CAP, min(0.0, (readings - 1 - missed) * UNIT))
 
 
 def best_of_each(hypotheses: Sequence[RankedHypothesis], node: str) -> dict[str, RankedHypothesis]:
-    """The best hypothesis for each person who may be a node, in the order of the hypotheses, the best first."""
-    found: dict[str, RankedHypothesis] = {}
-    for one in hypotheses:
-        if node in one.nodes:
-            found.setdefault(one.nodes[node], one)
-    return found
-
-
-def shares(hypotheses: Sequence[RankedHypothesis], node: str) -> dict[str, float]:
-    """How likely each entity is to be a node, among these hypotheses, the likeliest first."""
-    most = max((one.log_odds for one in hypotheses), default=0.0)
-    found: dict[str, float] = {}
-    for one in hypotheses:
-        if node in one.nodes:
-            found[one.nodes[node]] = found.get(one.nodes[node], 0.0) + math.exp(one.log_odds - most)
-    total = sum(found.values())
-    return {who: found[who] / total for who in sorted(found, key=lambda who: (-found[who], who))}
+    """Return the best binding for each person who may be a node, the best first."""
+    best: dict[str, RankedHypothesis] = {}
+    for hypothesis in hypotheses:
+        if node in hypothesis.nodes:
+            best.setdefault(hypothesis.nodes[node], hypothesis)
+    return best
 
 
 def slot_supports(plan: Plan, tracks: Tracks, hypothesis: RankedHypothesis) -> tuple[SlotSupport, ...]:
-    """The support of each part of the plan under a hypothesis; a part of a node without an entity is open."""
-    found = []
+    """Return the support of each part of a plan under a binding. A part of a node without an entity is open."""
+    supports = []
     for part in parts_of(plan):
         people = [hypothesis.nodes[node] for node in part.nodes if node in hypothesis.nodes]
-        found.append(SlotSupport(part, part.support(tracks, people) if len(people) == len(part.nodes) else Support()))
-    return tuple(found)
+        supports.append(
+            SlotSupport(part, part.support(tracks, people) if len(people) == len(part.nodes) else Support())
+        )
+    return tuple(supports)

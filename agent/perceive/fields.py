@@ -1,54 +1,46 @@
-"""Perception by the model: the people of one picture, each with a box, gender, age and the fields that a plan needs.
+"""Fields of a person: what a model is asked about each person of a picture, and how its reply is read.
 
-A request holds one picture and no question. What is closed, as gender or posture, is read from all its labels; what can
-only be stated, as an action or a relation between people, stands among as many statements that the plan does not need,
-so that a wish to please confirms nothing. What a reply denies is a reading too, what it cannot tell is none.
+Closed attributes, such as the posture, are asked by all their labels. Statements, such as actions and relations, stand
+among statements that the plan does not need, so that a model that agrees with everything gains nothing. "no" is
+evidence; "cannot tell" is not.
 """
 
 from __future__ import annotations
 
 import hashlib
-import itertools
-import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.conventions import Convention
-from jrdb_avr.agent.model.decode import BOX_SCHEMA, box_key, finite, read_box
-from jrdb_avr.agent.model.messages import Message, Part, metadata_line, picture_of
-from jrdb_avr.agent.model.prompts import render
+from jrdb_avr.agent.model.decode import box_key, finite, read_box
 from jrdb_avr.agent.perceive.geometry import DERIVED
 from jrdb_avr.agent.perceive.readings import PersonReading, ReadLabel, ReadTie, topic_of
 from jrdb_avr.queries.compiler.find import limits
 from jrdb_avr.schema.beliefs import ALWAYS, free_value
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.labels import AGES, GENDERS, INTERACTIONS, OTHER_ACTIONS, POSES, answer_of_choice
-from jrdb_avr.schema.method import Observation
-from jrdb_avr.schema.panorama import CROP, from_crop, iou
+from jrdb_avr.schema.panorama import from_crop
 from jrdb_avr.schema.plan import ATTRIBUTES, Condition, Edge, Node, Plan, Time, canonical
 from jrdb_avr.schema.relations import QUESTION_RELATIONS, RELATIONS, SAME_GROUP
 from jrdb_avr.schema.rules import FPS
 from jrdb_avr.schema.things import OBJECTS, VERBS
 
 MOST_PEOPLE: Final = 10
-"""People of one reply."""
+"""Maximum number of people in one call."""
 
 SAME_PLACE: Final = 0.95
-"""IoU from which on two people of one reply have the same box."""
+"""Minimum IoU of two boxes in one call that are the same box."""
 
 CANNOT_TELL: Final = "cannot tell"
 _LONGEST_WORDS: Final = 40
-"""Characters of a free attribute's value."""
+"""Maximum number of characters of a free attribute's value."""
 
 _AWAY: Final = round(2 * FPS)
-"""Frames between a stated frame and the one that is looked at for a moment before or after it."""
-
-PEOPLE_LINE: Final = "The people in the picture, as one JSON object:"
+"""Number of frames between the limit of a moment and the frame that is looked at for it."""
 
 _LABELS: Final = {"gender": GENDERS, "age": AGES, "pose": POSES}
 _HANDLING: Final = ("carrying", "holding", "pushing", "touching")
@@ -58,15 +50,16 @@ _OTHERS: Final = {
     "object": tuple(f"{verb}: {thing}" for verb in _HANDLING for thing in OBJECTS),
     "relation": tuple(label for label in QUESTION_RELATIONS if label not in DERIVED),
 }
-"""Statements that may stand beside those that a plan needs."""
+"""Statements that may stand beside the statements that a plan needs."""
 
 _TAKEN: Final = frozenset({*ATTRIBUTES, *_LABELS, *_OTHERS})
 """Names of attributes that are never free."""
 
 
 class Field(NamedTuple):
-    """One thing to be read of every person: an attribute by its labels or in free words, a statement, metres, or a
-    relation.
+    """One thing to read of each person.
+
+    kind: a closed attribute ("labels"), a free attribute ("words"), a statement, a distance or a relation.
     """
 
     kind: Literal["labels", "words", "statement", "metres", "relation"]
@@ -81,46 +74,90 @@ class Field(NamedTuple):
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What a reply may say, where it is a word."""
+        """The permitted words of a closed attribute or a statement."""
         return (*(_LABELS[self.name] if self.kind == "labels" else ("yes", "no")), CANNOT_TELL)
 
     def form(self) -> Any:
-        """The field as the prompt describes it."""
-        forms = {"metres": "number", "relation": "people", "words": f'one or two words, or "{CANNOT_TELL}"'}
+        """Return the description of the field for a prompt."""
+        forms = {"metres": "number", "relation": "ids of people", "words": f'one or two words, or "{CANNOT_TELL}"'}
         return forms.get(self.kind) or self.words
 
     def schema(self) -> dict[str, Any]:
-        """The JSON Schema of its value."""
+        """Return the JSON Schema of the field's value."""
         if self.kind == "metres":
             return {"type": ["number", "null"]}
         if self.kind == "relation":
-            return {"type": ["array", "null"], "items": {"type": "integer"}, "maxItems": MOST_PEOPLE}
+            return {"type": ["array", "null"], "items": {"type": "string"}, "maxItems": MOST_PEOPLE}
         if self.kind == "words":
             return {"type": "string", "minLength": 1, "maxLength": _LONGEST_WORDS}
         return {"type": "string", "enum": list(self.words)}
 
 
-def perceivable(plan: Plan) -> Plan:
-    """A plan as pictures can be read for it: of people alone, as boxes are read of people only, and at stated frames.
+# -- plans ------------------------------------------------------------------------------------------------------------
 
-    What joins somebody to a thing is a condition; that two people have to do with one and the same thing is left out,
-    and so is where a thing is seen by the robot, and words to a thing that name an attribute with labels, as "sector".
-    A moment is a frame two seconds before or after that of its bound, or in the middle of both.
+
+def perceivable(plan: Plan, changes: Mapping[str, int] = MappingProxyType({})) -> Plan:
+    """Return a plan that pictures can be read for: of people alone, and at stated frames.
+
+    A relation to a thing becomes a condition, and an attribute that is read of a thing becomes the person's. The
+    identity of a thing, its place, and free relations with a name in `ATTRIBUTES` are left out. A moment becomes the
+    frame two seconds from its limit, or in the middle of two. Facts at a group event hold at its frame.
+
+    Args:
+        plan: Plan.
+        changes: Known frames of group events, by time. An unknown event is expected two seconds after its time `after`.
+
+    Returns:
+        The plan for pictures.
     """
-    things, stated = plan.things, {n: Time(frame=_frame(plan, n)) for n, time in plan.times.items() if time.is_moment}
-    plan = msgspec.structs.replace(plan, times=plan.times | stated)
+    plan = _at_frames(plan, changes)
+    things = plan.things
     if not things:
         return plan
     people = [node for node in plan.nodes if node.id not in things]
     joins = [edge for edge in plan.edges if edge.target in things and edge.relation not in RELATIONS]
     joins = [edge for edge in joins if edge.relation in VERBS or _free_name(edge) not in _TAKEN]
     nodes = tuple(
-        Node(node.id, (*node.conditions, *(_of_thing(e, things[e.target]) for e in joins if e.source == node.id)))
+        Node(
+            node.id,
+            (*node.conditions, *(_of_thing(edge, things[edge.target]) for edge in joins if edge.source == node.id)),
+        )
         for node in people
     )
-    root = plan.target if plan.root in things else plan.root
+    answer, target = plan.answer, plan.target
+    if answer.of in things:
+        holder = next((edge.source for edge in plan.edges if edge.target == answer.of), people[0].id)
+        target = holder if target == answer.of else target
+        free = answer.attribute if answer.attribute in ATTRIBUTES else f"{things[answer.of]} {answer.attribute}"
+        answer = msgspec.structs.replace(answer, of=holder, attribute=str(free).replace(" ", "_"))
+    root = target if plan.root in things else plan.root
     edges = tuple(edge for edge in plan.edges if edge.target not in things)
-    return msgspec.structs.replace(plan, root=root, nodes=nodes, edges=edges)
+    return msgspec.structs.replace(plan, root=root, target=target, nodes=nodes, edges=edges, answer=answer)
+
+
+def _at_frames(plan: Plan, changes: Mapping[str, int]) -> Plan:
+    """Replace moments by frames, and let the facts of each group event hold at a stated frame."""
+    events = {name: time for name, time in plan.times.items() if time.is_group_event}
+    frames = {
+        name: Time(frame=changes.get(name, (plan.times[time.after or ""].frame or 0) + _AWAY))
+        for name, time in events.items()
+    }
+    known = msgspec.structs.replace(plan, times=plan.times | frames)
+    moments = {name: Time(frame=_frame(known, name)) for name, time in plan.times.items() if time.is_moment}
+    times = plan.times | moments | {f"{name}_frame": time for name, time in frames.items()}
+    if not events:
+        return msgspec.structs.replace(plan, times=times)
+    nodes = tuple(
+        msgspec.structs.replace(node, conditions=tuple(_at_frame(part, events) for part in node.conditions))
+        for node in plan.nodes
+    )
+    edges = tuple(_at_frame(edge, events) for edge in plan.edges)
+    return msgspec.structs.replace(plan, times=times, nodes=nodes, edges=edges)
+
+
+def _at_frame(part: Any, events: Mapping[str, Time]) -> Any:
+    """Return a condition or an edge that holds at the frame of its event."""
+    return msgspec.structs.replace(part, at=f"{part.at}_frame") if part.at in events else part
 
 
 def _frame(plan: Plan, moment: str) -> int:
@@ -140,29 +177,39 @@ def _free_name(edge: Edge) -> str:
     return edge.wanted.replace(" ", "_")
 
 
-def fields_of(plan: Plan, choices: Sequence[str] = ()) -> tuple[Field, ...]:
-    """The fields that a plan needs, statements and relations among as many others, in an order that tells nothing.
+# -- fields of a plan -------------------------------------------------------------------------------------------------
 
-    If an action is read, the offered actions are fields too, without others, as most of them are false. Where a plan
-    needs most statements of a kind, there are fewer others.
+
+def fields_of(plan: Plan, choices: Sequence[str] = ()) -> tuple[Field, ...]:
+    """Return the fields that a plan needs, among other statements, in an order that gives nothing away.
+
+    If the plan asks for an action, each offered action is a field.
+
+    Args:
+        plan: The plan, as `perceivable` returns it.
+        choices: The choices of the question.
+
+    Returns:
+        The fields.
     """
     needed = dict.fromkeys(_needed(plan))
-    stated = [field for field in needed if field.value]
-    for field in stated:
-        rest = [one for value in _OTHERS[field.name] if (one := field._replace(value=value)) not in needed]
-        needed |= dict.fromkeys(sorted(rest, key=lambda one: _shuffled(plan, one))[:1])
-    needed |= dict.fromkeys(_offered(choices) if plan.answer.read == "action" else ())
-    order = sorted((field for field in needed if field.value), key=lambda one: _shuffled(plan, one))
+    if plan.answer.read == "action":
+        needed |= dict.fromkeys(_offered(choices))
+    for field in [field for field in needed if field.value]:
+        rest = [other for value in _OTHERS[field.name] if (other := field._replace(value=value)) not in needed]
+        needed |= dict.fromkeys(sorted(rest, key=lambda other: _shuffled(plan, other))[:1])
+    order = sorted((field for field in needed if field.value), key=lambda field: _shuffled(plan, field))
     return (*(field for field in needed if not field.value), *order)
 
 
 def _needed(plan: Plan) -> Iterator[Field]:
     answer = plan.answer
-    # By these people are known again, whatever the plan says of them.
+    # Gender and age are always read, because people are recognized by them.
     yield Field("labels", "gender")
     yield Field("labels", "age")
     wanted = [condition.wanted for node in plan.nodes for condition in node.conditions]
     wanted += [] if answer.attribute is None else [(answer.attribute, "")]
+    wanted += [("group_size", "") for time in plan.times.values() if time.is_group_event]
     wanted += [("action", time.action) for time in plan.times.values() if time.action is not None]
     for name, value in wanted:
         if name == "group_size":
@@ -196,133 +243,100 @@ def _shuffled(plan: Plan, field: Field) -> str:
     return hashlib.sha256(f"{canonical(plan)} {field.key}".encode()).hexdigest()
 
 
-# -- a request --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Perceiver:
-    """Reads pictures for one plan."""
-
-    attempt: Attempt
-    fields: Sequence[Field]
-
-    def people(self, seen: Observation, name: str) -> tuple[PersonReading, ...] | None:
-        """The people read in a picture; None where neither of two replies could be read."""
-        sound: tuple[PersonReading, ...] | None = None
-        system = Message("system", (perceive_prompt(self.fields),))
-        before: tuple[Part, ...] = (field_line(self.fields), f"Picture: {metadata_line(seen)}", picture_of(seen))
-
-        def read(reply: Mapping[str, Any]) -> tuple[PersonReading, ...]:
-            nonlocal sound
-            people = read_people(reply, self.fields, seen, name, self.attempt.convention)
-            twice = [(one, other) for one, other in itertools.combinations(people, 2) if _alike(one, other)]
-            if not twice:
-                return people
-            # Which of two people has the box of the other cannot be told.
-            doubtful = {one.number for pair in twice for one in pair}
-            sound = tuple(_without(one, doubtful) for one in people if one.number not in doubtful)
-            raise DecodeError("; ".join(f"{one.number} and {other.number} have the same box" for one, other in twice))
-
-        try:
-            return self.attempt.ask_twice(
-                lambda faults: [system, Message("user", (*before, *faults, PEOPLE_LINE))],
-                perceive_schema(self.fields),
-                read,
-            )
-        except DecodeError:
-            return sound
-
-
-def perceive_prompt(fields: Sequence[Field]) -> str:
-    """The system message of a request for these fields."""
-    return render("agent_perceive", most=MOST_PEOPLE, example="".join(f', "{field.key}": ...' for field in fields))
-
-
-def field_line(fields: Sequence[Field]) -> str:
-    """The line that says what each field may hold."""
-    return f"Fields: {json.dumps({field.key: field.form() for field in fields})}"
-
-
-def perceive_schema(fields: Sequence[Field]) -> dict[str, Any]:
-    """The JSON Schema of a reply with these fields."""
-    person = decode.closed_object({"box": BOX_SCHEMA, **{field.key: field.schema() for field in fields}})
-    return decode.closed_object({"people": {"type": "array", "maxItems": MOST_PEOPLE, "items": person}})
-
-
-def _alike(one: PersonReading, other: PersonReading) -> bool:
-    return iou(one.box, other.box) >= SAME_PLACE
-
-
-def _without(one: PersonReading, others: Collection[int]) -> PersonReading:
-    """The reading without its relations to some of the others."""
-    return replace(one, ties=tuple(tie for tie in one.ties if tie.other not in others))
-
-
 # -- a reply ----------------------------------------------------------------------------------------------------------
 
 
-def read_people(
-    reply: Mapping[str, Any], fields: Sequence[Field], seen: Observation, name: str, convention: Convention
-) -> tuple[PersonReading, ...]:
-    """The people of a reply about an observation of this name. Raises DecodeError."""
-    people = decode.only_keys(reply, ("people",), "the reply")["people"]
-    if not isinstance(people, list) or len(people) > MOST_PEOPLE:
-        raise DecodeError(f'"people" must be a list of at most {MOST_PEOPLE} people')
-    return tuple(
-        _read_person(one, number, len(people), fields, seen, name, convention) for number, one in enumerate(people, 1)
-    )
-
-
-def _read_person(
+def read_person(
     value: object,
     number: int,
-    count: int,
+    numbers: Mapping[str, int],
     fields: Sequence[Field],
-    seen: Observation,
     name: str,
+    frame: int,
+    left: float,
+    size: tuple[int, int],
     convention: Convention,
 ) -> PersonReading:
+    """Read one person of a reply. The reply is untrusted.
+
+    Args:
+        value: The person: an object with a box and all fields.
+        number: Number of the person in the picture.
+        numbers: Numbers of the people of the same call, by id.
+        fields: The fields.
+        name: Name of the picture's observation.
+        frame: Frame of the picture.
+        left: Column of the panorama at the left edge of the picture.
+        size: Width and height of the picture in pixels.
+        convention: How the model writes boxes.
+
+    Returns:
+        The reading, with the box in stitched pixels.
+
+    Raises:
+        DecodeError: If a key is missing or unknown, or a value is not permitted.
+    """
     key = box_key(value, convention, "box")
-    part = decode.only_keys(value, (key, *(field.key for field in fields)), f"people[{number - 1}]")
-    box = read_box(part[key], (CROP, CROP), convention, key)
+    part = decode.only_keys(value, (key, *(field.key for field in fields)), "the person")
+    box = read_box(part[key], size, convention, key)
     labels: list[ReadLabel] = []
     ties: list[ReadTie] = []
     metres = None
     for field in fields:
-        said = part[field.key]
         if field.kind == "metres":
-            metres = None if said is None else _metres(said, field.key)
+            metres = _read_metres(part[field.key], field.key)
         elif field.kind == "relation":
-            ties += _ties(said, field, number, count)
-        elif field.kind == "words":
-            text = free_value(said) if isinstance(said, str) else ""
-            if not (0 < len(text) <= _LONGEST_WORDS and text.isprintable()):
-                raise DecodeError(f"{field.key} must be a text of 1 to {_LONGEST_WORDS} printable characters")
-            labels += [] if text == CANNOT_TELL else [ReadLabel(field.name, text)]
-        elif said not in field.words:
-            raise DecodeError(f"{field.key} must be one of {', '.join(field.words)}")
-        elif said != CANNOT_TELL:
-            # Postures are actions.
-            closed = ReadLabel("action" if field.name == "pose" else field.name, said)
-            labels.append(closed if field.kind == "labels" else ReadLabel(field.name, field.value, said == "yes"))
-    whole = box.x > 0 and box.x + box.w < CROP
-    place = from_crop(box, seen.left)
-    return PersonReading(name, number, seen.frame_index, place, tuple(labels), tuple(ties), metres, whole)
+            ties += _read_ties(part[field.key], field, number, numbers)
+        elif (label := read_label(field, part[field.key])) is not None:
+            labels.append(label)
+    whole = box.x > 0 and box.x + box.w < size[0]
+    return PersonReading(name, number, frame, from_crop(box, left), tuple(labels), tuple(ties), metres, whole)
 
 
-def _metres(value: object, key: str) -> float:
+def read_label(field: Field, value: object) -> ReadLabel | None:
+    """Read the value of a field that is an attribute or a statement.
+
+    Args:
+        field: The field.
+        value: The value in the reply.
+
+    Returns:
+        The label, or None for "cannot tell".
+
+    Raises:
+        DecodeError: If the value is not permitted.
+    """
+    if field.kind == "words":
+        text = free_value(value) if isinstance(value, str) else ""
+        if not (0 < len(text) <= _LONGEST_WORDS and text.isprintable()):
+            raise DecodeError(f"{field.key} must be a text of 1 to {_LONGEST_WORDS} printable characters")
+        return None if text == CANNOT_TELL else ReadLabel(field.name, text)
+    if value not in field.words:
+        raise DecodeError(f"{field.key} must be one of {', '.join(field.words)}")
+    if value == CANNOT_TELL:
+        return None
+    if field.kind == "labels":
+        # Postures are actions.
+        return ReadLabel("action" if field.name == "pose" else field.name, str(value))
+    return ReadLabel(field.name, field.value, value == "yes")
+
+
+def _read_metres(value: object, key: str) -> float | None:
+    if value is None:
+        return None
     metres = finite(value)
     if metres is None or not 0 <= metres <= 1000:
         raise DecodeError(f"{key} must be a number of metres, or null")
     return metres
 
 
-def _ties(value: object, field: Field, number: int, count: int) -> Iterator[ReadTie]:
-    """Of each other person of the picture, whether the relation leads to them."""
+def _read_ties(value: object, field: Field, number: int, numbers: Mapping[str, int]) -> Iterator[ReadTie]:
+    """Yield for each other person of the call whether the relation leads to that person."""
     if value is None:
         return
-    if not isinstance(value, list) or any(type(one) is not int for one in value):
-        raise DecodeError(f"{field.key} must be a list of numbers of people, or null")
-    for other in range(1, count + 1):
+    if not isinstance(value, list) or any(not isinstance(item, str) or item not in numbers for item in value):
+        raise DecodeError(f"{field.key} must be a list of ids of people of the same call, or null")
+    named = {numbers[item] for item in value}
+    for other in numbers.values():
         if other != number:
-            yield ReadTie(field.value, other, other in value)
+            yield ReadTie(field.value, other, other in named)

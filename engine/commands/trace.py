@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 @store_option()
 @page_option("trace.html")
 def command(run: str, question: str, store: Store, out: Path) -> None:
-    """Write a page with the steps of RUN for QUESTION (an id), and with the true answer.
+    """Write a page with the turns of RUN for QUESTION (an id), and with the true answer.
 
-    The page marks the angle of each look on the panorama. For a method with a world model, the page also shows the
-    world model after each step, and the changes of the world model that were refused.
+    The page shows the pictures of all looks. For a method with a world model, the page also shows the plan, the state
+    of the graph in each turn, refused writes, and the rows that decided the answer.
     """
     from jrdb_avr.engine.observe.observer import Observer
     from jrdb_avr.engine.pages.page import write_page

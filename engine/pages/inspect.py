@@ -22,7 +22,7 @@ from jrdb_avr.schema.answers import Choice
 from jrdb_avr.schema.errors import InputError, ObserveError
 from jrdb_avr.schema.method import Image
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, center_angle, to_crop
-from jrdb_avr.schema.plan import Plan, parse_plan
+from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.questions import QuestionRecord
 
 _STRIP: Final = (2820, 360)
@@ -254,32 +254,12 @@ def _question(question: Inspected, observer: Observer) -> dict[str, Any]:
         "choices": [{"text": text, "right": answer == Choice(index)} for index, text in enumerate(record.choices, 1)],
         "answer": "" if record.choices else in_words(record.answer),
         "graph": PlanGraph(question.plan),
-        "times": _times(question.plan),
-        "reads": _reads(question.plan),
         "roles": {role: index for index, role in enumerate(question.people)}
         | dict.fromkeys(question.counted, len(question.people)),
         "views": [_strip(question, frame, observer) for frame in question.boxes],
         "crop": _crop(question, observer),
         "proofs": proofs,
     }
-
-
-def _times(plan: Plan) -> list[str]:
-    """Return one text per time of a plan. The text describes the time in words."""
-    texts = []
-    for name, time in plan.times.items():
-        if time.frame is not None:
-            texts.append(f"{name}: frame {time.frame}")
-        else:
-            what = f" {time.action}" if time.action else ""
-            texts.append(f"{name}: {time.of} {time.event}s{what} after {time.after}".replace("ss ", "s "))
-    return texts
-
-
-def _reads(plan: Plan) -> str:
-    """Return the read of a plan in words: the property, the person, and the times."""
-    counted = f" of '{plan.answer.relation}'" if plan.answer.relation else ""
-    return f"{plan.answer.read.replace('_', ' ')}{counted} of {plan.answer.of} at {', '.join(plan.answer.times)}"
 
 
 def _strip(question: Inspected, frame: int, observer: Observer) -> View:

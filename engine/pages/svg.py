@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from jrdb_avr.schema.plan import Condition, Plan
+from jrdb_avr.schema.plan import Condition, Plan, Time
 
 NODE_WIDTH: Final = 165.0
 _NODE_CHARACTERS: Final = 23
@@ -69,44 +69,49 @@ class PlanNode(NamedTuple):
 
 
 class PlanEdge(NamedTuple):
-    """A drawn relation of a plan: the two ends of its line, and its text in lines.
+    """The drawn relations from one node to another node: an SVG path, and the text in lines.
 
-    The line begins at the right side of one node and ends at the left side of another node.
+    `x` and `y` are the middle of the last line of text. If `behind` is true, the path crosses the text, so that the
+    text needs a background.
     """
 
-    x1: float
-    y1: float
-    x2: float
-    y2: float
+    path: str
+    x: float
+    y: float
     lines: tuple[str, ...]
+    behind: bool
 
 
 class PlanGraph:
     """Layout of a plan from left to right. Nodes have equal sizes.
 
-    The column of a node is the number of relations between the root and the node.
+    The column of a node is the number of relations between the root and the node. A relation to the next column is a
+    straight line. A relation within a column is an arc on the right side. Other relations to the right are arcs above
+    the nodes, and relations to the left are arcs below the nodes.
 
     Attributes:
-        nodes: The drawn people of the plan.
-        edges: The drawn relations of the plan.
+        nodes: The drawn people and things of the plan.
+        edges: The drawn relations of the plan, one for each pair of nodes and direction.
         node_height: Height of each node.
-        top: Additional height above the nodes for the words of relations. 0 if no words reach above the nodes.
+        top: Additional height above the nodes. 0 if nothing reaches above the nodes.
         width: Width of the drawing.
         height: Height of the drawing without `top`.
+        times: One text for each time of the plan, such as "t0: frame 30".
+        reads: The read of the answer, such as "action of a at t0".
     """
 
     def __init__(self, plan: Plan) -> None:
         distance = {plan.root: 0}
         for _ in plan.nodes:
-            for edge in plan.edges:
-                if edge.source in distance:
-                    distance.setdefault(edge.target, distance[edge.source] + 1)
+            for source, target in plan.ways:
+                if source in distance:
+                    distance.setdefault(target, distance[source] + 1)
         columns: dict[int, list[str]] = {}
         for node in plan.nodes:
             columns.setdefault(distance[node.id], []).append(node.id)
         several = len(plan.times) > 1
-        lines = {node.id: _node_lines(node.conditions, several) for node in plan.nodes}
-        tall = self.node_height = _NODE_HEAD + _NODE_LINE * max(len(members) for members in lines.values()) + 4
+        lines = {node.id: _node_lines(node.conditions, several, plan.things.get(node.id, "")) for node in plan.nodes}
+        tall = self.node_height = _NODE_HEAD + _NODE_LINE * max(len(texts) for texts in lines.values()) + 4
         lanes, lane_height = max(len(members) for members in columns.values()), tall + _LANE_GAP
         # Edges between several lanes are slanted and need a wider gap for their words.
         stride = NODE_WIDTH + (_GAP if lanes == 1 else _WIDE_GAP)
@@ -116,21 +121,74 @@ class PlanGraph:
             for lane, role in enumerate(members)
         }
         self.nodes = [PlanNode(role, x, y, lines[role]) for role, (x, y) in corners.items()]
-        self.edges = []
+        self.times, self.reads = [_time(name, plan.times[name]) for name in plan.times], _read(plan)
+        self.top, self.width, self.height = 0.0, max(columns) * stride + NODE_WIDTH + 3, lanes * lane_height - _LANE_GAP
+        words: dict[tuple[str, str], tuple[str, ...]] = {}
         for edge in plan.edges:
-            (x1, y1), (x2, y2) = corners[edge.source], corners[edge.target]
-            lines_of_edge = wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)
-            self.edges.append(PlanEdge(x1 + NODE_WIDTH, y1 + tall / 2, x2, y2 + tall / 2, lines_of_edge))
-        self.top = max([0.0, *(_NODE_LINE * len(edge.lines) + 10 - tall / 2 for edge in self.edges)])
-        self.width = max(columns) * stride + NODE_WIDTH + 3
-        self.height = lanes * lane_height - _LANE_GAP
+            texts = wrapped(_timed(edge.relation, edge.at, several), _GAP_CHARACTERS)
+            words[edge.source, edge.target] = words.get((edge.source, edge.target), ()) + texts
+        self.edges = [
+            self._edge(corners[source], corners[target], distance[target] - distance[source], texts)
+            for (source, target), texts in words.items()
+        ]
+
+    def _edge(
+        self, source: tuple[float, float], target: tuple[float, float], columns: int, lines: tuple[str, ...]
+    ) -> PlanEdge:
+        """Place an edge between the corners of two nodes that are `columns` apart, and make room for it."""
+        (x1, y1), (x2, y2), tall, high = source, target, self.node_height, _NODE_LINE * len(lines)
+        if columns == 1:
+            x1, y1, y2 = x1 + NODE_WIDTH, y1 + tall / 2, y2 + tall / 2
+            level = y1 == y2
+            self.top = max(self.top, high + 10 - tall / 2)
+            y = y1 - 7 if level else (y1 + y2 + high) / 2 - 3
+            return PlanEdge(f"M{x1} {y1}L{x2} {y2}", (x1 + x2) / 2, y, lines, not level)
+        if columns == 0:
+            x1, y1, y2 = x1 + NODE_WIDTH, y1 + tall / 2, y2 + tall / 2
+            # A cubic curve reaches three quarters of the way to its control points.
+            apex = x1 + 0.75 * _GAP
+            self.width = max(self.width, apex + _LETTER * _GAP_CHARACTERS / 2)
+            path = f"M{x1} {y1}C{x1 + _GAP} {y1} {x1 + _GAP} {y2} {x1} {y2}"
+            # The words are nearer to the source, because an edge in the other direction may have words too.
+            return PlanEdge(path, apex, 0.65 * y1 + 0.35 * y2 + high / 2 - 3, lines, True)
+        # Each arc is outside the arcs that were placed before, so that their words do not overlap.
+        x1, x2 = x1 + 0.6 * NODE_WIDTH, x2 + 0.4 * NODE_WIDTH
+        if columns > 1:
+            apex = -self.top - 16
+            y, self.top = apex - 5, high + 8 - apex
+        else:
+            y1, y2, apex = y1 + tall, y2 + tall, self.height + 16
+            y = self.height = apex + high + 2
+            self.height += 6
+        pull = (4 * apex - (y1 + y2) / 2) / 3
+        return PlanEdge(f"M{x1} {y1}C{x1} {pull} {x2} {pull} {x2} {y2}", (x1 + x2) / 2, y, lines, False)
 
 
-def _node_lines(conditions: Sequence[Condition], several: bool) -> tuple[str, ...]:
+def _time(name: str, time: Time) -> str:
+    """Return a time of a plan in words, such as "t1: a starts walking after t0"."""
+    if time.frame is not None:
+        return f"{name}: frame {time.frame}"
+    limits = [f"{word} {limit}" for word, limit in (("after", time.after), ("before", time.before)) if limit]
+    if time.event is None:
+        return f"{name}: some moment {' and '.join(limits)}"
+    verb = f"{time.event}s" if time.event in ("start", "end") else time.event.replace("_", " a ")
+    return " ".join([f"{name}:", time.of or "", verb, *([time.action] if time.action else []), *limits])
+
+
+def _read(plan: Plan) -> str:
+    """Return the read of a plan in words: the property, the person, and the times."""
+    answer = plan.answer
+    subject = answer.attribute or answer.read.replace("_", " ")
+    counted = f" of '{answer.relation}'" if answer.relation else ""
+    return f"{subject}{counted} of {answer.of} at {', '.join(answer.times)}"
+
+
+def _node_lines(conditions: Sequence[Condition], several: bool, kind: str) -> tuple[str, ...]:
     """Return all conditions of a node as lines of text. They are not shortened: reviewers need the full text."""
     # Spaces allow a line break at the slashes between the names of objects.
-    texts = [_timed(_condition(condition).replace("/", " / "), condition.at, several) for condition in conditions]
-    return tuple(line for text in texts for line in wrapped(text, _NODE_CHARACTERS)) or ("anybody",)
+    texts = [kind] * bool(kind)
+    texts += [_timed(_condition(condition).replace("/", " / "), condition.at, several) for condition in conditions]
+    return tuple(line for text in texts for line in wrapped(text, _NODE_CHARACTERS)) or ("any person",)
 
 
 def _timed(text: str, at: str | None, several: bool) -> str:

@@ -5,42 +5,38 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 
 from jrdb_avr.engine.observe.observer import Observer
+from jrdb_avr.engine.pages.inspect import FramedBox, View
 from jrdb_avr.engine.pages.page import on_strip, picture_uri, readable, render, unit_of
-from jrdb_avr.engine.pages.svg import shortened
-from jrdb_avr.engine.report.traces import Look, StoredRow, Trace, Transcript
+from jrdb_avr.engine.pages.svg import PlanGraph
+from jrdb_avr.engine.pages.turns import ROLES, decision_of, entity_roles, look_words, plain_text, plan_of, turns_of
+from jrdb_avr.engine.report.traces import Look, Trace, Transcript
 from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.schema.answer_modes import frames_of_answer
 from jrdb_avr.schema.answers import Answer, Choice
-from jrdb_avr.schema.beliefs import ALWAYS
+from jrdb_avr.schema.beliefs import name_of
 from jrdb_avr.schema.errors import ObserveError
 from jrdb_avr.schema.panorama import CROP, WIDTH, Box, center_angle, iou, to_crop
 from jrdb_avr.schema.plan import parse_plan
-
-ROLES: Final = 6
-"""Number of colours of people in `roles.css`."""
 
 _STRIP: Final = (1128, 144)
 _SMALL: Final = (240, 240)
 _PICTURES: Final = 200
 """Maximum number of looks with a picture. With more pictures, browsers might fail to open the page."""
 
-_LONGEST: Final = 20_000
-"""Maximum number of characters of a text. The middle of a longer text is left out."""
+_LETTER: Final = 6.4
+_MAP_WIDTH: Final = 934.0
+"""Width of the map in `trace.html`, in units of its view box."""
 
 _NAMED: Final = 16
 """Maximum number of entities with names on the map. If there are more entities, the map shows no names."""
 
 _FAR: Final = 450
 """Maximum distance in frames from the map's other frames to the run's answer. The map leaves out a farther answer."""
-
-Names = Mapping[str, tuple[str, int]]
-"""Name and colour number of each entity of the world model, by the key of the entity. Keys are in order of creation."""
 
 
 def trace_page(trace: Trace, observer: Observer) -> str:
@@ -55,8 +51,7 @@ def trace_page(trace: Trace, observer: Observer) -> str:
     """
     sequence = str(trace.question["sequence"])
     strip = functools.cache(lambda frame: picture_uri(observer.panorama(sequence, frame), _STRIP))
-    made = [write.fact.entity for write in trace.writes if write.fact.entity is not None]
-    names = {entity.id: (entity.name, index % ROLES) for index, entity in enumerate(made)}
+    roles, plan, decision = entity_roles(trace), plan_of(trace), decision_of(trace)
     evidence = evidence_box(trace)
     unit = unit_of(parse_plan(trace.answer["plan"]))
     mode, choices = trace.question["answer_mode"], trace.question["choices"]
@@ -72,16 +67,20 @@ def trace_page(trace: Trace, observer: Observer) -> str:
         given=predicted,
         right=true,
         map=_map(trace, evidence),
-        marks=_marks(trace, names),
+        marks=_marks(trace, roles),
         box=evidence,
         panorama=WIDTH,
         strip_size=_STRIP,
         last_step=max((int(step["step"]) for step in trace.steps), default=0),
-        entities=_cards(trace, names),
-        web=_web(trace, names),
-        steps=_steps(trace, observer, strip),
+        roles=roles,
+        plan=plan,
+        graph=None if plan is None else PlanGraph(plan),
+        node_roles={} if plan is None else {node.id: index % ROLES for index, node in enumerate(plan.nodes)},
+        decision=decision,
+        bound=decision.bindings[0].nodes if decision is not None and decision.bindings else {},
+        turns=_turns(trace, observer, strip, roles),
         final=None if evidence is None else _final(trace, *evidence, observer, strip),
-        settings=_plain(msgspec.json.encode(trace.manifest.settings).decode()),
+        settings=plain_text(msgspec.json.encode(trace.manifest.settings).decode()),
     )
 
 
@@ -153,153 +152,28 @@ def _path(trace: Trace, low: int, high: int) -> list[list[tuple[float, int]]]:
     return path
 
 
-def _marks(trace: Trace, names: Names) -> list[dict[str, Any]]:
-    """Return the marks on the map. A mark shows a sighting of an entity, or a relation between entities in one frame.
+def _marks(trace: Trace, roles: Mapping[str, int]) -> list[dict[str, Any]]:
+    """Return the marks on the map. A mark shows a sighting of an entity.
 
-    Each mark has a step, a colour (`role`), a frame, a column and a text. The mark of a sighting also has a name
-    (`label`, which may be empty). `label_y` is the distance from the mark down to the name. The mark of a relation also
-    has the column of the relation's other end (`end`).
+    Each mark has a step, a colour (`role`), a frame, a column, a text, and a name (`label`, which may be empty).
+    `label_y` is the distance from the mark down to the name.
     """
     marks: list[dict[str, Any]] = []
-    columns: dict[tuple[str, int], float] = {}
     labelled: set[str] = set()
     levels: dict[int, list[list[tuple[float, float]]]] = {}
     for write in trace.writes:
-        if (sighting := write.fact.sighted) is not None and sighting.source in names:
-            name, role = names[sighting.source]
-            column = columns[sighting.source, sighting.frame] = (sighting.box.x + sighting.box.w / 2) % WIDTH
-            mark = {"step": write.step, "role": role, "frame": sighting.frame, "column": column, "end": None}
-            # If there are few entities, each name is drawn once, on the first free line below the first sighting.
-            label = name[:12] if sighting.source not in labelled and len(names) <= _NAMED else ""
-            left = column * _MAP_WIDTH / WIDTH
-            beside = levels.setdefault(sighting.frame // 15, [])
-            line = _level(beside, (left, left + 12 + _LETTER * len(label))) if label else 0
-            marks.append(mark | {"text": f"{name}, frame {sighting.frame}", "label": label, "label_y": 17 + 12 * line})
-            labelled.add(sighting.source)
-        if (tie := write.fact.related) is not None:
-            start, end = (columns.get((key, tie.first)) for key in (tie.source, tie.target))
-            if start is not None and end is not None:
-                mark = {"step": write.step, "role": names[tie.source][1], "frame": tie.first, "column": start}
-                marks.append(mark | {"end": end, "text": tie.name})
-    return marks
-
-
-# -- the world model as it grew ----------------------------------------------------------------------------------------
-
-
-class Statement(NamedTuple):
-    """A statement of the world model: the step that wrote it, the step that replaced it (`until`), and its text.
-
-    `until` is `ALWAYS` if no step replaced the statement.
-    """
-
-    step: int
-    until: int
-    text: str
-
-
-@dataclass
-class Card:
-    """An entity of the world model, with the statements about it.
-
-    `always` has the statements that do not belong to a frame. `frames` has the other statements, by frame.
-    """
-
-    name: str
-    role: int
-    step: int
-    kind: str
-    always: list[Statement] = field(default_factory=list)
-    frames: dict[int, list[Statement]] = field(default_factory=dict)
-
-
-def add_statement(statements: list[Statement], new: Statement) -> None:
-    """Add a statement to a list, or extend an old statement that has the same text.
-
-    If an old statement with the same text still holds at the step of the new one, no statement is added. Instead, the
-    field `until` of the old statement becomes the later of the two values of `until`.
-
-    Args:
-        statements: Statements about one entity. The list is changed in place.
-        new: The statement to add.
-    """
-    for index, old in enumerate(statements):
-        if old.text == new.text and new.step <= old.until:
-            statements[index] = old._replace(until=max(old.until, new.until))
-            return
-    statements.append(new)
-
-
-def _cards(trace: Trace, names: Names) -> list[Card]:
-    """Return a card for each entity, with the statements about the entity."""
-    cards: dict[str, Card] = {}
-    for write in trace.writes:
-        step, until, fact = write.step, write.until, write.fact
-        for freed in fact.freed:
-            if freed in cards:
-                cards[freed].always.append(Statement(step, ALWAYS, "is nobody of the plan any more"))
-        if (made := fact.entity) is not None:
-            card = cards[made.id] = Card(*names[made.id], step, made.kind)
-            if made.node:
-                card.always.append(Statement(step, ALWAYS, f"is the plan's {made.node}"))
-        if (now := fact.changed) is not None and now.id in cards:
-            text = f"is the plan's {now.node}" if now.node else f"is a {now.kind}"
-            cards[now.id].always.append(Statement(step, ALWAYS, text))
-        if (sighting := fact.sighted) is not None and sighting.source in cards:
-            position = Statement(step, until, f"at {sighting.angle:.0f}\N{DEGREE SIGN}")
-            add_statement(cards[sighting.source].frames.setdefault(sighting.frame, []), position)
-        if (has := fact.has) is not None and has.source in cards:
-            card, text = cards[has.source], f"{has.name}: {has.value}"
-            statements = card.frames.setdefault(has.first, []) if has.first == has.last else card.always
-            add_statement(statements, Statement(step, until, text))
-    return list(cards.values())
-
-
-_NODE: Final = (126.0, 40.0)
-_STRIDE: Final = 190.0
-_ARC: Final = 32.0
-_LETTER: Final = 6.4
-_MAP_WIDTH: Final = 934.0
-"""Width of the map in `trace.html`, in units of its view box."""
-_WORDS: Final = 60
-_MOST_NODES: Final = 40
-"""Maximum number of entities in the drawing of relations. With more entities, the page lists the relations as text."""
-
-
-def _web(trace: Trace, names: Names) -> dict[str, Any] | None:
-    """Return the drawing of the relations between entities.
-
-    `knots` are the entities, which stand in a row. `ties` are the relations, which are arcs above the row. `left` and
-    `size` give the view box. The result is None if there are no relations, or if there are too many entities
-    for a drawing.
-    """
-    made = {write.fact.entity.id: write.step for write in trace.writes if write.fact.entity is not None}
-    related = [(write, tie) for write in trace.writes if (tie := write.fact.related) is not None]
-    joined = dict.fromkeys(key for _, tie in related for key in (tie.source, tie.target) if key in made)
-    if not joined or len(joined) > _MOST_NODES:
-        return None
-    positions = {key: index * _STRIDE + 1 for index, key in enumerate(joined)}
-    several = len({tie.first for _, tie in related}) > 1
-    levels: list[list[tuple[float, float]]] = []
-    ties: list[dict[str, Any]] = []
-    for write, tie in related:
-        if tie.source not in positions or tie.target not in positions:
+        if (sighting := write.fact.sighted) is None:
             continue
-        shift = _NODE[0] * (0.62 if positions[tie.target] > positions[tie.source] else 0.38)
-        x1, x2 = positions[tie.source] + shift, positions[tie.target] + _NODE[0] - shift
-        title = f"{tie.name}, frame {tie.first}"
-        # The text has the frame only if the relations are not all in the same frame.
-        text = shortened(title if several else tie.name, _WORDS)
-        half = max(abs(x1 - x2), _LETTER * len(text)) / 2 + 6
-        rise = _ARC * (1 + _level(levels, ((x1 + x2) / 2 - half, (x1 + x2) / 2 + half)))
-        tie_words = {"text": text, "title": title, "step": write.step, "until": write.until}
-        ties.append({"x1": x1, "x2": x2, "rise": rise, **tie_words})
-    knots = [{"x": x, "name": names[key][0], "role": names[key][1], "step": made[key]} for key, x in positions.items()]
-    # The words on arcs may reach beyond the row of entities.
-    ends = [end for level in levels for extent in level for end in extent]
-    left, right = min(0.0, *ends), max((len(positions) - 1) * _STRIDE + _NODE[0] + 2, *ends)
-    height = max((tie["rise"] for tie in ties), default=0.0) + 18 + _NODE[1] + 2
-    return {"left": left, "size": (right - left, height), "node": _NODE, "knots": knots, "ties": ties}
+        name, column = name_of(sighting.source), (sighting.box.x + sighting.box.w / 2) % WIDTH
+        # If there are few entities, each name is drawn once, on the first free line below the first sighting.
+        label = name[:12] if name not in labelled and len(roles) <= _NAMED else ""
+        left = column * _MAP_WIDTH / WIDTH
+        beside = levels.setdefault(sighting.frame // 15, [])
+        line = _level(beside, (left, left + 12 + _LETTER * len(label))) if label else 0
+        mark = {"step": write.step, "role": roles.get(name, 0), "frame": sighting.frame, "column": column}
+        marks.append(mark | {"text": name, "label": label, "label_y": 17 + 12 * line})
+        labelled.add(name)
+    return marks
 
 
 def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float]) -> int:
@@ -312,53 +186,34 @@ def _level(levels: list[list[tuple[float, float]]], extent: tuple[float, float])
     return len(levels) - 1
 
 
-# -- steps -------------------------------------------------------------------------------------------------------------
+# -- turns -------------------------------------------------------------------------------------------------------------
 
 
-class _Message(msgspec.Struct):
-    role: str
-    content: str
+def _turns(trace: Trace, observer: Observer, strip: Callable[[int], str], roles: Mapping[str, int]) -> list[Any]:
+    """Return pairs of a turn and the pictures of its looks."""
+    views = {look.step: _view(trace, look, observer, strip, roles) for look in trace.looks[:_PICTURES]}
+    missing = {"crop": None, "missing": f"only the first {_PICTURES} looks have pictures"}
+    views |= {look.step: missing | {"words": look_words(look)} for look in trace.looks[_PICTURES:]}
+    return [(turn, [views[look.step] for look in turn.looks]) for turn in turns_of(trace)]
 
 
-class _Reply(msgspec.Struct):
-    content: str = ""
-    reasoning: str = ""
-    finish_reason: str = ""
-
-
-def _steps(trace: Trace, observer: Observer, strip: Callable[[int], str]) -> list[dict[str, Any]]:
-    """Return the steps of the run. Each step has its look, if any, and the refused changes of the world model."""
-    views = {look.step: _view(trace, look, observer, strip) for look in trace.looks[:_PICTURES]}
-    for look in trace.looks[_PICTURES:]:
-        views[look.step] = {"look": look, "missing": f"only the first {_PICTURES} looks have pictures"}
-    refused: dict[int, list[StoredRow]] = {}
-    for write in trace.refused:
-        refused.setdefault(write.step, []).append(write.row)
-    return [
-        _step(step) | {"refused": refused.get(step["step"], []), "view": views.get(step["step"])}
-        for step in trace.steps
-    ]
-
-
-def _step(step: StoredRow) -> dict[str, Any]:
-    of_model = step["kind"] == "model"
-    request = _messages(step["request"]) if of_model else _plain(step["request"])
-    response = _reply(step["response"]) if of_model else _plain(step["response"])
-    # Show a short call and its result side by side.
-    short = not of_model and max(len(request), len(response)) <= 160 and "\n" not in request + response
-    return {**step, "request": request, "response": response, "short": short}
-
-
-def _view(trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str]) -> dict[str, Any]:
-    """Return a look with two pictures: its panorama and its crop.
+def _view(
+    trace: Trace, look: Look, observer: Observer, strip: Callable[[int], str], roles: Mapping[str, int]
+) -> dict[str, Any]:
+    """Return a look with two pictures, its panorama and its crop, and the boxes that the run wrote for it.
 
     If a picture is missing, the value of `missing` is the reason. Otherwise the value is an empty text.
     """
-    view: dict[str, Any] = {"look": look, "missing": "", "crop": ""}
+    taken = {write.fact.observation.id for write in trace.writes if write.fact.observation and write.step == look.step}
+    seen = [sighted for write in trace.writes if (sighted := write.fact.sighted) and sighted.target in taken]
+    boxes = [(name_of(sighting.source), sighting.box) for sighting in seen]
+    on_panorama = [(roles.get(name, 0), part) for name, box in boxes for part in on_strip(box, _STRIP[0])]
+    view: dict[str, Any] = {"look": look, "words": look_words(look), "missing": "", "crop": None, "boxes": on_panorama}
     try:
         if look.angle is not None:
-            crop = observer(str(trace.question["sequence"]), look.frame, look.angle).image
-            view["crop"] = picture_uri(crop, _SMALL)
+            crop = observer(str(trace.question["sequence"]), look.frame, look.angle)
+            framed = [FramedBox(name, *to_crop(box, crop.left)) for name, box in boxes]
+            view["crop"] = View(view["words"], picture_uri(crop.image, _SMALL), CROP, CROP, framed, plate=34.0)
         return view | {"strip": strip(look.frame)}
     except ObserveError as error:
         return view | {"missing": str(error)}
@@ -388,53 +243,3 @@ def _final(trace: Trace, frame: int, box: Box, observer: Observer, strip: Callab
         }
     except ObserveError as error:
         return view | {"missing": str(error)}
-
-
-# -- texts of models, which may contain anything -----------------------------------------------------------------------
-
-
-def _messages(text: str) -> str:
-    """Return the messages to a model as text. Images are represented by their names."""
-    messages = _decoded(text, list[_Message])
-    return _cut(
-        text if messages is text else "\n\n".join(f"[{message.role}]\n{message.content}" for message in messages)
-    )
-
-
-def _reply(text: str) -> str:
-    reply = _decoded(text, _Reply)
-    if reply is text:
-        return _cut(text)
-    thought = f"[reasoning]\n{_cut(reply.reasoning)}\n\n" if reply.reasoning else ""
-    ended = "" if reply.finish_reason in ("", "stop") else f"\n[finish_reason {reply.finish_reason}]"
-    return f"{thought}{_plain(reply.content)}{ended}"
-
-
-def _plain(text: str | None) -> str:
-    """Indent a long JSON text, including JSON objects inside its strings.
-
-    Other texts are returned without indents. The middle of a very long text is left out.
-    """
-    if not text or len(text) <= 100:
-        return text or ""
-    value = _decoded(text)
-    if isinstance(value, dict):
-        inner = {name: isinstance(item, str) and item.startswith("{") for name, item in value.items()}
-        value = {name: _decoded(item) if inner[name] else item for name, item in value.items()}
-    try:
-        return _cut(text if value is text else msgspec.json.format(msgspec.json.encode(value), indent=1).decode())
-    except (UnicodeError, RecursionError):
-        return _cut(text)
-
-
-def _decoded(text: str, kind: Any = Any) -> Any:
-    """Return the value of a JSON text. If the text is not JSON of the type `kind`, return the text itself."""
-    try:
-        return msgspec.json.decode(text, type=kind)
-    except (msgspec.DecodeError, UnicodeError, RecursionError):
-        return text
-
-
-def _cut(text: str) -> str:
-    half, more = _LONGEST // 2, len(text) - _LONGEST
-    return text if more <= 0 else f"{text[:half]}\n[{more} characters left out]\n{text[-half:]}"

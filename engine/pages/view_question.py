@@ -7,22 +7,20 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 from jrdb_avr.engine.pages.page import readable, render, unit_of
-from jrdb_avr.engine.pages.trace import ROLES, evidence_box
-from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript, Written
+from jrdb_avr.engine.pages.trace import evidence_box
+from jrdb_avr.engine.pages.turns import entity_roles, turns_of
+from jrdb_avr.engine.report.traces import StoredRow, Trace, Transcript
 from jrdb_avr.engine.report.truth import read_answer
 from jrdb_avr.queries.questions import QuestionRow
 from jrdb_avr.schema.answers import Choice
-from jrdb_avr.schema.beliefs import ALWAYS
+from jrdb_avr.schema.beliefs import name_of
 from jrdb_avr.schema.method import SequenceInfo
 from jrdb_avr.schema.panorama import HEIGHT, WIDTH, Box
 from jrdb_avr.schema.plan import parse_plan
 from jrdb_avr.schema.wording.text import moment, parse, stated_frames
 
-_LONGEST: Final = 4_000
-"""Maximum number of characters of a step's text. The page `trace` shows longer texts."""
-
-_MOST: Final = 3_000
-"""Maximum number of beliefs, of refused writes and of steps on a page. Built-in methods have fewer of each."""
+_MOST: Final = 1_000
+"""Maximum number of turns on a page. Built-in methods have fewer."""
 
 
 class Asked(NamedTuple):
@@ -39,30 +37,6 @@ class Asked(NamedTuple):
     parts: Sequence[str]
     right: int | None
     given: int | None
-
-
-class Belief(NamedTuple):
-    """A statement of the world model and its evidence.
-
-    Attributes:
-        person: Name of the entity that the statement is about.
-        role: Number of the entity's colour.
-        text: The statement.
-        step: Number of the step that wrote the statement.
-        until: Number of the step that replaced the statement. None if the statement still holds.
-        frame: Frame of the evidence, or None if there is no single frame.
-        look: Number of the step that made the look with the evidence, or None if the look is unknown.
-        votes: Number of readings that agree with the statement, and number of readings that contradict it.
-    """
-
-    person: str
-    role: int
-    text: str
-    step: int
-    until: int | None
-    frame: int | None
-    look: int | None
-    votes: tuple[int, int]
 
 
 def question_page(
@@ -114,10 +88,8 @@ def question_page(
         chosen=chosen,
         given=given,
         right_text=readable(mode, true, question.choices, fps, unit),
-        beliefs=[] if transcript is None else beliefs(transcript.writes)[:_MOST],
-        refused=[] if transcript is None else transcript.refused[:_MOST],
-        steps=[] if transcript is None else [_step(step, transcript) for step in transcript.steps[:_MOST]],
-        looks=[] if transcript is None else transcript.looks,
+        roles={} if transcript is None else entity_roles(transcript),
+        turns=[] if transcript is None else turns_of(transcript)[:_MOST],
         scene=scene(info, transcript),
         scored=trace is not None,
         missing=missing,
@@ -172,7 +144,10 @@ def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
     looks: list[dict[str, Any]] = []
     if transcript is not None:
         looks = [{"frame": look.frame, "step": look.step, "spans": look.spans} for look in transcript.looks]
-        boxes += _sightings(transcript.writes)
+        roles = entity_roles(transcript)
+        for seen in (write.fact.sighted for write in transcript.writes if write.fact.sighted):
+            name = name_of(seen.source)
+            boxes.append(_drawn(seen.box, seen.frame, f"role{roles.get(name, 0)}", name))
         if isinstance(transcript, Trace):
             boxes += [
                 _drawn(Box(*sides), frame, "target", "target") for frame, sides in sorted(transcript.target.items())
@@ -185,64 +160,3 @@ def scene(info: SequenceInfo, transcript: Transcript | None) -> dict[str, Any]:
 
 def _drawn(box: Box, frame: int, kind: str, name: str) -> dict[str, Any]:
     return {"frame": frame, "box": list(box), "kind": kind, "name": name[:40]}
-
-
-def _names(writes: Sequence[Written]) -> dict[str, tuple[str, int]]:
-    """Return a dict from the key of each entity to the entity's name and the number of its colour."""
-    made = [write.fact.entity for write in writes if write.fact.entity is not None]
-    return {entity.id: (entity.name, index % ROLES) for index, entity in enumerate(made)}
-
-
-def _sightings(writes: Sequence[Written]) -> list[dict[str, Any]]:
-    names, boxes = _names(writes), []
-    for write in writes:
-        if (sighting := write.fact.sighted) is not None and sighting.source in names:
-            name, role = names[sighting.source]
-            boxes.append(_drawn(sighting.box, sighting.frame, f"role{role}", name))
-    return boxes
-
-
-def beliefs(writes: Sequence[Written]) -> list[Belief]:
-    """Return the statements that a run has written to a world model.
-
-    Args:
-        writes: The changes that the run made to the world model, in order.
-
-    Returns:
-        The statements in the order of the changes. Each statement has its evidence.
-    """
-    names = _names(writes)
-    taken = {write.fact.observation.id: write.fact.observation for write in writes if write.fact.observation}
-    statements = []
-    for write in writes:
-        fact = write.fact
-        until = None if write.until == ALWAYS else write.until
-        rows: list[tuple[str, str, int | None, str, tuple[int, int]]] = []
-        if (sighting := fact.sighted) is not None:
-            votes = (sighting.votes, sighting.against)
-            rows.append(
-                (sighting.source, f"at {sighting.angle:.0f}\N{DEGREE SIGN}", sighting.frame, sighting.target, votes)
-            )
-        if (has := fact.has) is not None:
-            frame = has.first if has.first == has.last else None
-            rows.append((has.source, f"{has.name}: {has.value}", frame, has.target, (has.votes, has.against)))
-        if (tie := fact.related) is not None:
-            text = f"{tie.name} \N{RIGHTWARDS ARROW} {names.get(tie.target, ('?', 0))[0]}"
-            rows.append((tie.source, text, tie.first, tie.observation, (tie.votes, tie.against)))
-        for entity, text, frame, observation, votes in rows:
-            look = taken.get(observation)
-            at = frame if frame is not None or look is None else look.frame
-            person, role = names.get(entity, ("?", 0))
-            statements.append(
-                Belief(person, role, text, write.step, until, at, None if look is None else look.step, votes)
-            )
-    return statements
-
-
-def _step(step: StoredRow, transcript: Transcript) -> dict[str, Any]:
-    look = next((candidate for candidate in transcript.looks if candidate.step == step["step"]), None)
-    return {**step, "look": look, **{name: _cut(step[name] or "") for name in ("request", "response")}}
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}\n[{len(text) - _LONGEST} characters left out]"

@@ -16,7 +16,7 @@ from jrdb_avr.engine.report.scoring import score_predictions
 from jrdb_avr.engine.report.truth import Truth
 from jrdb_avr.queries.runs import read_run_manifest
 from jrdb_avr.queries.store import Store, read_rows
-from jrdb_avr.schema.beliefs import ALWAYS, Fact
+from jrdb_avr.schema.beliefs import Fact
 from jrdb_avr.schema.errors import InputError, StoreError
 from jrdb_avr.schema.panorama import CROP, WIDTH
 
@@ -58,13 +58,11 @@ class Written:
     Attributes:
         row: The write's row of the table `world`.
         step: Index of the step that made the write.
-        until: Index of the step that replaced this write by a later write. `ALWAYS` if this write was never replaced.
         fact: The written fact.
     """
 
     row: StoredRow
     step: int
-    until: int
     fact: Fact
 
 
@@ -79,7 +77,6 @@ class Transcript:
         steps: The question's rows of the table `steps`, sorted by step.
         looks: The looks that the steps record, in the order of the steps.
         writes: All writes to the world model, in the order of time.
-        refused: The writes that the world model refused. These are also in `writes`.
     """
 
     def __init__(self, store: Store, run_id: str, question_id: str) -> None:
@@ -104,10 +101,7 @@ class Transcript:
         self.looks = [look for step in self.steps if (look := look_of(step)) is not None]
         world = path / "world.parquet"
         rows = read_rows(world, "question_id", question_id).sort_by("number").to_pylist() if world.exists() else []
-        facts = [(row, _fact(row["fact"], world)) for row in rows]
-        until = {replaced: row["step"] for row, fact in facts for replaced in fact.replaced}
-        self.writes = [Written(row, row["step"], until.get(row["number"], ALWAYS), fact) for row, fact in facts]
-        self.refused = [write for write in self.writes if not write.row["accepted"]]
+        self.writes = [Written(row, row["step"], _fact(row["fact"], world)) for row in rows]
 
 
 class Trace(Transcript):

@@ -1,15 +1,15 @@
 """The statement that finds the people of a plan: its conditions and edges as one Cypher statement.
 
 Each row binds the plan's nodes to different people, so that every condition and edge is possible. The columns `sure0`,
-`sure1`, ... say whether each condition and edge is certain. The rows of a plan decide its outcome. The text of the
-statement depends only on the form of the plan, so plans of one form run together. Their times and values are rows of
-the parameter `$plans`. The compiler makes all names in the statement, so that no text of a plan is part of it.
+`sure1`, ... say whether each condition, edge and event is certain. The rows of a plan decide its outcome. The text of
+the statement depends only on the form of the plan, so plans of one form run together. Their times and values are in
+the rows of `$plans`. The compiler makes all names in the statement, so that no text of a plan is part of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 from jrdb_avr.queries.compiler.clauses import Clause, Variables
@@ -33,14 +33,16 @@ class Find:
     """The Cypher statement that finds the people of a plan.
 
     Attributes:
-        cypher: Statement. It returns the columns id, who0, who1, ... and sure0, sure1, ..., ordered.
+        cypher: Statement. It returns the columns id, who0, ..., when0, ... and sure0, ..., ordered.
         nodes: Nodes of the plan, in the order of the columns `who`.
-        row: Values of the plan in `$plans`, without `id` and `scope`.
+        row: Values of the plan in `$plans`, without `id`, `scope` and the changes of groups.
+        events: Events of `GROUP_EVENTS`, in the order of the columns `when`, by the variable of their changes.
     """
 
     cypher: str
     nodes: tuple[str, ...]
     row: dict[str, Any]
+    events: Mapping[str, str] = field(default_factory=dict)
 
 
 def compile_find(plan: Plan) -> Find:
@@ -50,11 +52,14 @@ def compile_find(plan: Plan) -> Find:
         plan: Plan.
 
     Raises:
-        PlanError: If the plan is invalid, has conditions or edges at an event, or names an attribute without labels.
+        PlanError: If the plan is invalid, names an attribute without labels, or has conditions or edges at an event
+            that is not of `GROUP_EVENTS`.
     """
     validate(plan)
     if plan.answer.attribute not in (None, *PEOPLE.conditions):
         raise PlanError("answer.attribute", f"{plan.answer.attribute!r} is not labelled; {_LABELLED}")
+    if plan.answer.of in plan.things and plan.answer.attribute != "sector":
+        raise PlanError("answer.attribute", f"{plan.answer.attribute!r} of a thing is not labelled; use 'sector'")
     return _Pattern(plan).compiled()
 
 
@@ -68,44 +73,63 @@ class _Pattern:
         self.times = {name: f"t{i}" for i, name in enumerate(sorted(plan.times))}
         self.things = plan.things
         self.moments: dict[str, str] = {}
+        self.events = {self.times[name]: name for name, time in plan.times.items() if time.is_group_event}
 
     def compiled(self) -> Find:
         people = [self._person(node, edges) for node, edges in search_order(self.plan)]
-        bound = ["id", "scope", *self.row]
+        changes = [f"{t}{part}" for t in self.events for part in ("", "_who", "_sure")]
+        bound = ["id", "scope", *self.row, *changes]
         lines = ["UNWIND $plans AS q", f"WITH {', '.join(f'q.{name} AS {name}' for name in bound)}"]
         sure: list[str] = []
-        for index, (match, where, sightings, holds) in enumerate(people):
-            bound += [f"n{index}", *sightings]
-            certain = [f"{text} AS {name}" for name, text in holds.items()]
-            lines += [f"MATCH {match}", f"WHERE {where}", f"WITH {', '.join([*bound, *certain])}"]
+        for index, (matches, sightings, holds) in enumerate(people):
+            bound.append(f"n{index}")
+            for at, (match, where) in enumerate(matches):
+                certain = [f"{text} AS {name}" for name, text in holds.items()] if at == len(matches) - 1 else []
+                new = [name for name in sightings if f"[{name}:" in match]
+                bound += new
+                lines += [f"MATCH {match}", f"WHERE {where}", f"WITH {', '.join([*bound, *certain])}"]
             bound += holds
             sure += holds
         things = [i for i, node in enumerate(self.nodes) if node in self.things]
         keys = [f"{self._space(node).key.format(n=f'n{i}')} AS who{i}" for i, node in enumerate(self.nodes)]
         # Each result has a column of its own, because the engine cannot join the results of several EXISTS.
         certain = [f"{name} AS sure{i}" for i, name in enumerate(sure)]
-        lines.append(f"RETURN {', '.join(['id', *keys, *certain])}")
+        frames = [f"{t} AS when{i}" for i, t in enumerate(self.events)]
+        lines.append(f"RETURN {', '.join(['id', *keys, *frames, *certain])}")
         # Names of things come last, because the engine orders numbers after a string wrongly.
         order = [i for i in range(len(self.nodes)) if i not in things] + things
         lines.append(f"ORDER BY {', '.join(['id', *(f'who{i}' for i in order)])}")
-        return Find("\n".join(lines), tuple(self.nodes), self.row)
+        return Find("\n".join(lines), tuple(self.nodes), self.row, self.events)
 
-    def _person(self, node: str, edges: Edges) -> tuple[str, str, list[str], dict[str, str]]:
-        """Return the parts of the MATCH of a node: pattern, conditions, sightings, and tests of certainty by name."""
+    def _person(self, node: str, edges: Edges) -> tuple[list[tuple[str, str]], list[str], dict[str, str]]:
+        """Return patterns with conditions of each MATCH of a node, sightings, and tests of certainty by name."""
         self.nodes.append(node)
         index, space = len(self.nodes) - 1, self._space(node)
-        times = times_of(self.plan, node)
+        # A moment comes last, because its sightings are many.
+        times = sorted(self._times(node), key=lambda time: self.plan.times[time].is_moment)
         # A thing has no sighting, so only the first time is needed.
         bound = [self._at(node, time) for time in (times[:1] if node in self.things else times)]
-        where = [space.present.format(**at) for at in reversed(bound)]
-        where += [text for time, at in zip(times, bound, strict=False) for text in self._begun(node, time, at)]
-        where += [f"n{index}.id <> n{earlier}.id" for earlier in range(index)]
-        holds: dict[str, str] = {}
+        seen = [
+            [space.present.format(**at), *self._begun(node, time, at)] for time, at in zip(times, bound, strict=False)
+        ]
+        where = [f"n{index}.id <> n{earlier}.id" for earlier in range(index)]
+        changed = zip(times, bound, strict=False)
+        holds = {f"{at['t']}_changes": f"{self._change(node, time)} AND {at['t']}_sure" for time, at in changed
+                 if self._change(node, time)}  # fmt: skip
         for name, clause, at in self._clauses(node, edges):
             where.append(clause.could.format(**at))
             holds[f"{name}_sure"] = clause.sure.format(**at)
-        match = ", ".join(space.pattern.format(**at) for at in bound)
-        return match, " AND ".join(where), [] if node in self.things else [at["s"] for at in bound], holds
+        matches = [space.pattern.format(**at) for at in bound]
+        sightings = [] if node in self.things else [at["s"] for at in bound]
+        if len(bound) > 1 and any(self.plan.times[time].is_moment for time in times):
+            # Each sighting has its own MATCH, because one pattern of all needs memory for every combination of frames.
+            steps = [(match, " AND ".join(tests)) for match, tests in zip(matches, seen, strict=True)]
+            return [*steps[:-1], (steps[-1][0], " AND ".join([*seen[-1], *where]))], sightings, holds
+        tests = [*(text for group in reversed(seen) for text in group), *where]
+        return [(", ".join(matches), " AND ".join(tests))], sightings, holds
+
+    def _times(self, node: str) -> list[str]:
+        return times_of(self.plan, node, group_events_of(self.plan, node))
 
     def _space(self, node: str) -> NodeMapping:
         return THINGS if node in self.things else PEOPLE
@@ -116,10 +140,10 @@ class _Pattern:
             name = f"c{self.nodes.index(node)}_{i}"
             if condition.kind not in PEOPLE.conditions:
                 raise PlanError(f"conditions of {node}", f"{condition.attribute!r} is not labelled; {_LABELLED}")
-            at = self._at(node, condition.at or times_of(self.plan, node)[0])
+            at = self._at(node, condition.at or self._times(node)[0])
             yield name, PEOPLE.conditions[condition.kind], at | self._values(name, condition_values(condition))
         if node in self.things:
-            name, at = f"k{self.nodes.index(node)}", self._at(node, times_of(self.plan, node)[0])
+            name, at = f"k{self.nodes.index(node)}", self._at(node, self._times(node)[0])
             yield name, THINGS.conditions["kind"], at | self._values(name, {"v": self.things[node]})
         for i, edge in edges:
             to, at = self._at(edge.target, edge.at), self._at(edge.source, edge.at)
@@ -133,21 +157,32 @@ class _Pattern:
     def _at(self, node: str, time: str) -> Variables:
         index, t = self.nodes.index(node), self.times[time]
         bound = {"n": f"n{index}", "s": f"s{index}_{t}", "t": t, "scope": "scope"}
-        if limits(self.plan, time) is None:
+        if self.plan.times[time].is_moment:
+            if node not in self.things or time in self.moments:
+                # The sighting of the first person at a moment decides the frame.
+                bound["t"] = self.moments.setdefault(time, f"{bound['s']}.frame")
+        elif not self.plan.times[time].is_group_event:
             self.row[t] = stated_frame(self.plan, time)
-        elif node not in self.things or time in self.moments:
-            # The sighting of the first person at a moment decides the frame.
-            bound["t"] = self.moments.setdefault(time, f"{bound['s']}.frame")
         return bound
 
-    def _begun(self, node: str, time: str, at: Variables) -> list[str]:
-        """Return the conditions for the frame of a moment that a sighting of the node decides."""
-        within = limits(self.plan, time)
-        if within is None or node in self.things or at["t"] != f"{at['s']}.frame":
-            return []
-        names = [f"{self.times[time]}_{name}" for name in ("after", "before")]
-        self.row |= dict(zip(names, within, strict=True))
-        return [f"{at['t']} > {names[0]}", f"{at['t']} < {names[1]}"]
+    def _change(self, node: str, time: str) -> str:
+        """Return the test that a node is the person of a group event, or "" if the time is no event of the node."""
+        t = self.times[time]
+        return f"n{self.nodes.index(node)}.track = {t}_who" if time in group_events_of(self.plan, node) else ""
+
+    def _begun(self, node: str, time: str, at: Variables) -> Iterator[str]:
+        """Yield the test of a group event, or of the frame of a moment that a sighting of the node decides."""
+        if change := self._change(node, time):
+            yield change
+        moment = self.plan.times[time]
+        if not moment.is_moment or node in self.things or at["t"] != f"{at['s']}.frame":
+            return
+        for sign, limit in ((">", moment.after), ("<", moment.before)):
+            if limit is not None:
+                t = self.times[limit]
+                if t not in self.events:
+                    self.row[t] = self.plan.times[limit].frame
+                yield f"{at['t']} {sign} {t}"
 
     def _values(self, prefix: str, values: Mapping[str, Any]) -> Variables:
         self.row |= {f"{prefix}_{variable}": value for variable, value in values.items()}
@@ -192,6 +227,16 @@ def search_order(plan: Plan) -> list[tuple[str, Edges]]:
     ]
 
 
+def group_events_of(plan: Plan, node: str) -> list[str]:
+    """Return the names of the events at which a node joins or leaves a group, sorted.
+
+    Args:
+        plan: Plan.
+        node: Id of the node.
+    """
+    return sorted(name for name, time in plan.times.items() if time.is_group_event and time.of == node)
+
+
 def stated_frame(plan: Plan, time: str) -> int:
     """Return the frame of a time of conditions or edges.
 
@@ -204,7 +249,9 @@ def stated_frame(plan: Plan, time: str) -> int:
     """
     frame = plan.times[time].frame
     if frame is None:
-        raise PlanError(f"times.{time}", "conditions and edges hold at stated frames; an event is only read")
+        raise PlanError(
+            f"times.{time}", "conditions and edges hold at stated frames and group events, not at this event"
+        )
     return frame
 
 
@@ -214,26 +261,31 @@ def limits(plan: Plan, time: str) -> tuple[int, int] | None:
     Args:
         plan: Plan.
         time: Name of the time.
+
+    Raises:
+        PlanError: If an event limits the moment.
     """
     moment = plan.times[time]
     if not moment.is_moment:
         return None
-    after, before = (None if name is None else plan.times[name].frame for name in (moment.after, moment.before))
+    after, before = (None if name is None else stated_frame(plan, name) for name in (moment.after, moment.before))
     return -1 if after is None else after, ALWAYS if before is None else before
 
 
-def times_of(plan: Plan, node: str) -> list[str]:
-    """Return the names of the times of a node's conditions and edges, or the first stated time if it has neither.
+def times_of(plan: Plan, node: str, further: Sequence[str] = ()) -> list[str]:
+    """Return the names of the times of a node's conditions and edges, or the first stated time if there is none.
 
     Args:
         plan: Plan.
         node: Id of the node.
+        further: Further times of the node, which follow the others.
 
     Raises:
         PlanError: If the plan states no time.
     """
     times = [condition.at for condition in conditions_of(plan, node) if condition.at is not None]
     times += [edge.at for edge in plan.edges if node in (edge.source, edge.target)]
+    times += further
     stated = sorted(name for name, time in plan.times.items() if time.frame is not None)
     if not times and not stated:
         raise PlanError("times", "a stated frame is needed, at which people are looked for")
@@ -256,6 +308,21 @@ def people_of(find: Find, row: Mapping[str, Any]) -> dict[str, PersonId]:
     return {node: row[f"who{index}"] for index, node in enumerate(find.nodes)}
 
 
+def frames_of_events(find: Find, rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Return the frames of the group events of a plan that is defined, by the name of the time.
+
+    Args:
+        find: Statement.
+        rows: Rows of the statement. The first certain row has the frames.
+    """
+    row = next((row for row in rows if _is_sure(row)), None) if find.events else None
+    return {} if row is None else {name: row[f"when{i}"] for i, name in enumerate(find.events.values())}
+
+
+def _is_sure(row: Mapping[str, Any]) -> bool:
+    return all(row[name] for name in row if name.startswith("sure"))
+
+
 def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
     """Return the outcome if one binding must be certain, and no other binding possible.
 
@@ -267,7 +334,7 @@ def outcome_of_people(find: Find, rows: Sequence[Mapping[str, Any]]) -> Agreed:
     sure: dict[tuple[PersonId, ...], bool] = {}
     for row in rows:
         people = tuple(people_of(find, row).values())
-        sure[people] = sure.get(people, False) or all(row[name] for name in row if name.startswith("sure"))
+        sure[people] = sure.get(people, False) or _is_sure(row)
     certain = sum(sure.values())
     if certain > 1:
         return "ambiguous", {}

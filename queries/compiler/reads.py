@@ -14,6 +14,7 @@ from functools import cache
 from typing import Any, Final, Literal, Protocol
 
 from jrdb_avr.queries.beliefs.graph import WorldGraph
+from jrdb_avr.queries.compiler.changes import first_change, read_states
 from jrdb_avr.queries.compiler.find import Agreed, Find, compile_find, outcome_of_people
 from jrdb_avr.queries.compiler.mapping import BOXED, PEOPLE, PersonId, edge_kind, edge_values
 from jrdb_avr.queries.graph.handle import Graph
@@ -27,6 +28,9 @@ from jrdb_avr.schema.rules import KEYFRAME_STEP, SLACK, LoadRules, frames
 
 _TIMEOUT_S: Final = 60.0
 """Maximum seconds of each statement."""
+
+_STATES: Final = ("boxes", "memberships")
+"""Statements that return who is in a group when."""
 
 _COUNTED: Final = 32
 """Maximum number of counts of one statement, because the memory of the engine is bounded."""
@@ -121,6 +125,10 @@ class Reader(Protocol):
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         """Return the outcome of the rows of a statement of `find`."""
 
+    def rows(self, find: Find, plan: Plan, scope: str) -> list[dict[str, Any]]:
+        """Return the rows of a plan in `$plans`: one for each combination of changes of groups at its events."""
+        return [{"scope": scope, **find.row}]
+
     def run(self, cypher: str, rows: Rows) -> list[dict[str, Any]]:
         """Run a compiled statement.
 
@@ -178,6 +186,7 @@ class SceneReader(Reader):
         self.graph, self.timeout_s = graph, timeout_s
         grid = read_statement("reads/scene/grid.cypher")
         self._grid = cache(lambda scope: next(iter(self.query(grid, {"scopes": [scope]})), None))
+        self._states = cache(lambda scope: read_states(*(self._read_all(name, scope) for name in _STATES)))
         self.values = {
             "margin": rules.neighbor_margin_deg,
             "sector_true": rules.sector_true_deg + SLACK,
@@ -193,6 +202,28 @@ class SceneReader(Reader):
         """See `Reader.find`."""
         return compile_find(plan)
 
+    def rows(self, find: Find, plan: Plan, scope: str) -> list[dict[str, Any]]:
+        """See `Reader.rows`."""
+        rows: list[tuple[dict[str, int], dict[str, Any]]] = [({}, {"scope": scope, **find.row})]
+        for variable, name in find.events.items():
+            time = plan.times[name]
+            after, person = plan.times[time.after or ""].frame or 0, time.of or ""
+            changes = {
+                who: first_change(states, after, time.event == "joins_group")
+                for who, states in self._states(scope).items()
+            }
+            rows = [
+                (who | {person: track}, row | {variable: frame, f"{variable}_who": track, f"{variable}_sure": sure})
+                for who, row in rows
+                for track, (frames, sure) in changes.items()
+                if who.get(person, track) == track
+                for frame in frames
+            ]
+        return [row for _, row in rows]
+
+    def _read_all(self, name: str, scope: str) -> list[dict[str, Any]]:
+        return self.query(read_statement(f"reads/scene/{name}.cypher"), {"scopes": [scope]})
+
     def agreed(self, plan: Plan, find: Find, rows: Rows) -> Agreed:
         """See `Reader.agreed`."""
         return outcome_of_people(find, rows)
@@ -201,7 +232,10 @@ class SceneReader(Reader):
         """See `Reader.values_at`."""
         names = {person.id: name for person, _, name, _ in queries if name != "action"}
         values = self._actions_at([query for query in queries if query[2] == "action"])
-        for row in self._read("value", [person.row(t=t) for person, t, *_ in queries if person.id in names]):
+        people = [person.row(t=t) for person, t, *_ in queries if person.id in names]
+        things = [row for row in people if isinstance(row["who"], str)]
+        rows = self._read("value", [row for row in people if row not in things]) + self._read("thing", things)
+        for row in rows:
             off = {word: angle_error(row["angle"], axis) for word, axis in ROBOT_SECTORS.items()}
             sector = next((word for word in off if off[word] <= self.values["sector_true"]), None)
             value = (row | {"sector": sector})[names[row["id"]]]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from jrdb_avr.queries.compiler.find import Outcome
+from jrdb_avr.queries.compiler.find import Outcome, frames_of_events
 from jrdb_avr.queries.compiler.mapping import PersonId
 from jrdb_avr.queries.compiler.reads import Person, Reader, Seen, Segment, events_of
 from jrdb_avr.schema.answers import Answer, FrameAnswer, FrameViewpoint, Number, Span, encode_answer
@@ -82,12 +82,15 @@ def solve(
         together[find.cypher].append(i)
     for cypher, members in together.items():
         bindings: dict[int, list[dict[str, Any]]] = defaultdict(list)
-        for row in reader.run(cypher, [{"id": i, "scope": queries[i].scope, **finds[i].row} for i in members]):
+        values = {i: reader.rows(finds[i], queries[i].plan, queries[i].scope) for i in members}
+        rows = [{"id": i, **row} for i in members for row in values[i]]
+        for row in reader.run(cypher, rows):
             bindings[row["id"]].append(row)
         for i in members:
             outcome, people = reader.agreed(queries[i].plan, finds[i], bindings[i])
             if outcome == "defined":
                 plans.append(_BoundPlan(i, queries[i], people))
+                plans[-1].times |= frames_of_events(finds[i], bindings[i])
             else:
                 solutions[i] = Solution(outcome)
         advance(len(members))

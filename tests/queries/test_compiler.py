@@ -16,12 +16,14 @@ from random_worlds import form, in_other_words, lively_world, random_world, soci
 
 from jrdb_avr.engine.rederive import rederive
 from jrdb_avr.loaders.graph import build_scene, stage_scene
+from jrdb_avr.queries.compiler.changes import first_change
 from jrdb_avr.queries.compiler.find import compile_find, outcome_of_people
 from jrdb_avr.queries.compiler.reads import SceneReader
 from jrdb_avr.queries.compiler.solve import PlanQuery, solve
 from jrdb_avr.queries.graph.handle import Graph
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import PlanError, QueryError
+from jrdb_avr.schema.labels import ROBOT_SECTORS
 from jrdb_avr.schema.plan import Plan, parse_plan
 from jrdb_avr.schema.rules import LoadRules, Rules
 
@@ -188,7 +190,7 @@ def to_thing(world, frame, track, label, thing):
 
 
 def bound_with_thing(world, plan):
-    """The outcome of a plan with one thing, and who is found, over every binding."""
+    """The outcome of a plan with one thing, or who and what is found, over every binding."""
     frame, kind = plan["times"]["t0"]["frame"], next(n["kind"] for n in plan["nodes"] if "kind" in n)
     people = [node["id"] for node in plan["nodes"] if "kind" not in node]
     values = {}
@@ -202,7 +204,30 @@ def bound_with_thing(world, plan):
             own = [facts[who[edge["source"]]][i] for i, edge in enumerate(plan["edges"])]
             values[tracks, thing] = [MAYBE if what is None else YES if what == kind else NO, *own]
     only = world.only(values)
-    return only if only in (EMPTY, SEVERAL, MAYBE) else dict(zip(people, only[0], strict=True))
+    return only if only in (EMPTY, SEVERAL, MAYBE) else {**dict(zip(people, only[0], strict=True)), "t": only[1]}
+
+
+def test_the_sector_of_a_thing_is_read_by_its_box(sites):
+    rng, seen = random.Random(8), Counter()
+    for site in sites:
+        world, plans, expected = site.world, [], []
+        frames = {frame for frame, _ in world.people if boxes_of_things(world).get(frame)}
+        for frame in sorted(frames)[:: max(1, len(frames) // 40)] * 4:
+            plan = with_thing(world, rng, frame) | {"target": "t"}
+            answer = {"mode": "multiple_choice", "read": "attribute", "attribute": "sector", "of": "t", "at": "t0"}
+            plans.append(json.dumps(plan | {"answer": answer}))
+            outcome = bound_with_thing(world, plan)
+            angle = boxes_of_things(world)[frame].get(outcome["t"]) if isinstance(outcome, dict) else None
+            near = [word for word, axis in ROBOT_SECTORS.items() if angle is not None and off(angle, axis) <= 40 + 1e-9]
+            expected.append(near[0] if near else None)
+        for plan, solution, word in zip(plans, site.solve(plans), expected, strict=True):
+            assert solution.answer == word, plan
+            seen[word is None] += 1
+    assert min(seen[True], seen[False]) > 2, seen
+
+
+def off(angle, axis):
+    return abs((angle - axis + 180) % 360 - 180)
 
 
 @pytest.mark.slow
@@ -220,7 +245,8 @@ def test_things_people_have_to_do_with_are_found_as_by_brute_force(sites):
             expected.append(bound_with_thing(world, plan))
         for plan, solution, outcome in zip(plans, site.solve(plans), expected, strict=True):
             people = {node: who for node, who in solution.people.items() if node != "t"}
-            assert (people or found(solution)) == outcome, plan
+            expects = {n: who for n, who in outcome.items() if n != "t"} if isinstance(outcome, dict) else outcome
+            assert (people or found(solution)) == expects, plan
             seen["one" if isinstance(outcome, dict) else outcome] += 1
     assert all(seen[kind] for kind in ("one", MAYBE, EMPTY, SEVERAL)), seen
 
@@ -315,6 +341,149 @@ def test_what_holds_before_or_after_a_frame_is_found_as_by_brute_force(sites):
             assert (dict(solution.people) or found(solution)) == outcome, plan
             seen["one" if isinstance(outcome, dict) else outcome] += 1
     assert all(seen[kind] for kind in ("one", MAYBE, EMPTY, SEVERAL)), seen
+
+
+# -- changes of groups --------------------------------------------------------------------------------------------
+
+
+def in_company(world, frame, track):
+    """Whether a person is in a group of two or more at a frame with a box, by the raw labels."""
+    own = world.groups_of(frame, track)
+    others = [world.groups_of(frame, other) for at, other in world.people if at == frame and other != track]
+    for cluster in (cluster for cluster, state in own.items() if state == YES):
+        states = {groups[cluster] for groups in others if cluster in groups}
+        return YES if YES in states else MAYBE if states else NO
+    return MAYBE
+
+
+def changes_of_group(world, track, event, after):
+    """{frame: certain} of the first change, over every way in which the unknown states may be known."""
+    frames = sorted(frame for frame, other in world.people if other == track and frame >= after)
+    states = [in_company(world, frame, track) for frame in frames]
+    new, old = (YES, NO) if event == "joins_group" else (NO, YES)
+    found = set()
+    unknown = [k for k, state in enumerate(states) if state == MAYBE]
+    for values in itertools.product((YES, NO), repeat=len(unknown)):
+        known = dict(enumerate(states)) | dict(zip(unknown, values, strict=True))
+        pairs = [k for k in range(1, len(frames)) if frames[k] - frames[k - 1] <= 15]
+        found.add(next((frames[k] for k in pairs if (known[k - 1], known[k]) == (old, new)), None))
+    return {frame: YES if found == {frame} else MAYBE for frame in found - {None}}
+
+
+def around_a_change(world, rng, values):
+    """A plan of a person who joins or leaves a group, with facts before, at or after it."""
+    frames = sorted({frame for frame, _ in world.people})
+    t0 = rng.choice(frames[: len(frames) // 2])
+    condition = world.plain([rng.choice(values)], "m") if rng.random() < 0.7 else []
+    own = condition + (world.plain([rng.choice(values)], "t0") if rng.random() < 0.4 else [])
+    source = rng.choice("ab")
+    label = rng.choice((GROUP, *FIRST, *TOGETHER)) if rng.random() < 0.5 else None
+    bounds = rng.choice(({"after": "t0", "before": "j"}, {"before": "j"}, {"after": "j"}))
+    event = {"event": rng.choice(("joins_group", "leaves_group")), "of": "a", "after": "t0"}
+    edge = {"source": source, "relation": label, "target": "ba"[source == "b"], "at": rng.choice("jm")}
+    plan = {
+        "root": source if label else "a",
+        "target": "a",
+        "times": {"t0": {"frame": t0}, "m": bounds, "j": event},
+        "nodes": [{"id": "a", "conditions": own}, *([{"id": "b", "conditions": []}] if label else [])],
+        "edges": [edge] if label else [],
+    }
+    return plan | {"answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "j"}}
+
+
+def bound_around_a_change(world, plan):
+    """The outcome over every person, change and frame of the moment: the people and the frame of the event."""
+    time, bounds, names = plan["times"]["j"], plan["times"]["m"], [node["id"] for node in plan["nodes"]]
+    t0 = plan["times"]["t0"]["frame"]
+    parts = [*((c, n["id"]) for n in plan["nodes"] for c in n["conditions"]), *((e, None) for e in plan["edges"])]
+    frames = sorted({frame for frame, _ in world.people}) if any(p.get("at") == "m" for p, _ in parts) else [None]
+    values = defaultdict(list)
+    for track in world.told:
+        for joins, certain in changes_of_group(world, track, time["event"], t0).items():
+            low = {"t0": t0, "j": joins}.get(bounds.get("after"), -1)
+            high = joins if "before" in bounds else 10**9
+            for frame in (frame for frame in frames if frame is None or low < frame < high):
+                at = {"t0": t0, "j": joins, "m": frame}
+                for other in world.told if "b" in names else [None]:
+                    who = {"a": track, "b": other}
+                    seen = [(track, joins), *((who[n], at[p["at"]]) for p, n in parts if n and "at" in p)]
+                    seen += [(who[n], at[p["at"]]) for p, n in parts if n is None for n in "ab"]
+                    if other == track or not all(one in world.counting(when) for one, when in seen):
+                        continue
+                    facts = [certain]
+                    facts += [holds_of(world, p, at[p.get("at", "j")], who[n]) for p, n in parts if n]
+                    facts += [world.related(at[p["at"]], who[p["source"]], p["relation"], who[p["target"]])
+                              for p, n in parts if n is None]  # fmt: skip
+                    values[tuple(who[n] for n in names)].append((facts, joins))
+    sure = {people: [joins for facts, joins in every if {*facts} <= {YES}] for people, every in values.items()}
+    possible = [people for people, every in values.items() if any(NO not in facts for facts, _ in every)]
+    if sum(map(bool, sure.values())) > 1:
+        return SEVERAL
+    if len(possible) == 1 and sure[possible[0]]:
+        return dict(zip(names, possible[0], strict=True)), sure[possible[0]][0]
+    return MAYBE if possible else EMPTY
+
+
+def test_facts_around_a_change_of_group_are_found_as_by_brute_force(sites):
+    rng, seen = random.Random(3), Counter()
+    for site in (*sites[:2], *sites[4:7]):
+        world = site.world
+        values = sorted({c for frame, track in site.moments(11) for c in world.conditions(frame, track)}, key=str)
+        plans = [around_a_change(world, rng, values) for _ in range(25)]
+        for plan, solution in zip(plans, site.solve(map(json.dumps, plans)), strict=True):
+            outcome = bound_around_a_change(world, plan)
+            known = (dict(solution.people), solution.times["j"]) if solution.people else found(solution)
+            assert known == outcome, plan
+            seen["one" if isinstance(outcome, tuple) else outcome] += 1
+    assert all(seen[kind] for kind in ("one", MAYBE, EMPTY, SEVERAL)), seen
+
+
+def test_a_bag_carried_before_joining_a_group_singles_out_the_person(tmp_path):
+    world = people.World(range(0, 151, 15))
+    for track, joins in ((1, 75), (2, 105), (3, 999)):
+        alone, together = range(0, min(joins, 151), 15), range(joins, 151, 15)
+        x = track * 400.0
+        world.see(track, alone, ["walking"], x=x, group=track).see(track, together, ["standing"], x=x, group=9)
+    world.see(9, range(0, 151, 15), ["sitting"], x=2000.0, group=9)
+    # Another person carries a bag too, but after joining.
+    world.handle(1, [30, 45], "carrying", 40).handle(2, [120], "carrying", 40).list(
+        [1, 2, 3, 9], world.frames, "handles"
+    )
+    bag = {"object": "accessory", "verb": "carrying", "at": "m"}
+    times = {"t0": {"frame": 0}, "m": {"before": "j"}, "j": {"event": "joins_group", "of": "a", "after": "t0"}}
+    read = {"mode": "frame", "read": "start", "of": "a", "at": "j"}
+    pose = {"mode": "multiple_choice", "read": "action", "of": "a", "at": "j"}
+    plans = [one_person([bag], times, answer) for answer in (read, pose)]
+    plans.append(one_person([], times, read))
+    plans.append(one_person([], times | {"j": times["j"] | {"event": "leaves_group"}}, read))
+    store = Store(tmp_path)
+    stage_scene(store, people.SEQUENCE, people.intervals_of(world, LoadRules()))
+    with Graph.memory() as graph:
+        build_scene(graph, store, [people.SEQUENCE])
+        asked = [PlanQuery(plan, people.SEQUENCE, ("walking", "standing")) for plan in plans]
+        joined, posed, several, left = solve(SceneReader(graph, LoadRules()), asked, Rules())
+    assert (joined.people, joined.times["j"], joined.answer) == ({"a": 1}, 75, '{"frame":75}')
+    assert posed.answer == "standing"
+    # Person 9 was alone until person 1 came.
+    assert (several.outcome, left.outcome) == ("ambiguous", "empty")
+
+
+@pytest.mark.parametrize(
+    ("states", "joins", "leaves"),
+    [
+        ("FT", ([1], True), ([], False)),
+        ("FUT", ([1, 2], False), ([], False)),
+        ("UFT", ([2], True), ([1], False)),
+        ("F TF", ([], False), ([3], True)),
+        ("UT FT", ([1, 4], False), ([], False)),
+        ("FTFT", ([1], True), ([2], True)),
+        ("FUF", ([1], False), ([2], False)),
+    ],
+)
+def test_the_first_change_is_certain_if_no_other_frame_is_possible(states, joins, leaves):
+    known = {15 * i: {"T": True, "F": False, "U": None}[state] for i, state in enumerate(states) if state != " "}
+    for wanted, (indices, certain) in ((True, joins), (False, leaves)):
+        assert first_change(known, 0, wanted) == (tuple(15 * i for i in indices), certain)
 
 
 # -- reads --------------------------------------------------------------------------------------------------------

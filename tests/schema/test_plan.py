@@ -151,6 +151,9 @@ def test_the_example_is_valid_and_comes_back():
         ({"times__t1__after": "t1"}, "times.t1.after"),
         ({"times__t1__action": DROP}, "times.t1.action"),
         ({"times__t1__event": "leaves"}, "times.t1.action"),
+        ({"times__t1__event": "joins_group"}, "times.t1.action"),
+        ({"times__t2": {"event": "leaves_group", "of": "a", "after": "t1"}}, "times.t2.after"),
+        ({"times__t2": {"before": "t1"}}, "times.t2.before"),
         ({"times__t1__event": "begins"}, "times.t1.event"),
         ({"answer__of": "z"}, "answer.of"),
         ({"answer__at": "t9"}, "answer.at"),
@@ -185,6 +188,7 @@ def test_a_fault_is_refused_by_its_field(changes, field):
         ({"answer": VALUE | {"read": "duration"}}, '"seconds_between"'),
         ({"answer": VALUE | {"attribute": "side"}}, '"sector"'),
         ({"times__t1__event": "enters"}, '"returns"'),
+        ({"times__t1__event": "joins"}, '"joins_group"'),
         ({"nodes__1__category": "table"}, '"kind"'),
     ],
 )

@@ -7,13 +7,16 @@ from question_files import all_evidence
 from scored_runs import table
 
 from jrdb_avr.queries.runs import RunManifest, questions_hash, write_run_manifest
-from jrdb_avr.schema.beliefs import AttributeRow, EntityRow, Fact, RelationRow, SightingRow
+from jrdb_avr.schema.beliefs import AttributeRow, EntityRow, EpisodeRow, Fact, RelationRow, SightingRow
 from jrdb_avr.schema.panorama import Box
 from jrdb_avr.schema.tables import RUNS
 
 HOSTILE = (
     '</script><script>document.title="hit"</script><img src=x onerror=\'document.title="hit"\'>\x1b[31m\u202e\u05d0'
 )
+PERSON = HOSTILE.replace("/", "|")
+"""A hostile name of an entity. Names of entities have no slash."""
+
 LONG = "x" * 10_000
 
 
@@ -40,12 +43,12 @@ def world_rows(frame):
         (2, "add_attribute", "", Fact(has=has("p1", 1, 2, "walking", frame))),
         (2, "add_relation", f"no observation o9 {HOSTILE}", Fact()),
         (5, "add_attribute", "", Fact(has=has("p1", 3, 5, "sitting", frame), replaced=(1,))),
-        (5, "add_entity", "", Fact(entity=entity(HOSTILE, 1, 5), sighted=sighted(HOSTILE, 4, 5, frame, 3750.0))),
+        (5, "add_entity", "", Fact(entity=entity(PERSON, 1, 5), sighted=sighted(PERSON, 4, 5, frame, 3750.0))),
         (
             5,
             "add_relation",
             "",
-            Fact(related=RelationRow("e/p1", f"e/{HOSTILE}", "e", 5, 5, *READ, "conversation", "o1", frame, frame)),
+            Fact(related=RelationRow("e/p1", f"e/{PERSON}", "e", 5, 5, *READ, "conversation", "o1", frame, frame)),
         ),
     ]
     return [
@@ -81,6 +84,43 @@ def step_rows(sequence, frame):
     ]
 
 
+PLAN = {
+    "root": "a",
+    "target": "a",
+    "times": {"t0": {"frame": 0}},
+    "nodes": [{"id": "a", "conditions": [{"attribute": "gender", "value": "male"}]}, {"id": "b", "conditions": []}],
+    "edges": [{"source": "a", "relation": "conversation", "target": "b", "at": "t0"}],
+    "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
+}
+
+DECISION = {
+    "conclusion": {"entity": "p1", "frame": 0, "verdict": "supported", "support": "sitting has log-odds 2.2."},
+    "bindings": [
+        {"nodes": {"a": "p1", "b": PERSON}, "log_odds": 3.5, "margin": 1.5},
+        {"nodes": {"a": PERSON, "b": "p1"}, "log_odds": 2.0, "margin": -1.5},
+    ],
+    "proposed": {"choice": 1},
+    "parts": [{"part": f"a gender male {HOSTILE}", "support": [[2.2, "certain"], [0.0, "open"]]}],
+    "statements": [{"name": "slots", "parameters": {"episode": "e"}, "rows": [["a", "p1", 2.2], {"x": HOSTILE}]}],
+}
+
+
+def decided_run(store, frame):
+    """Write a run of an agent with a world model: a plan, a prompt with the state of the graph, and a decision."""
+    world = {"likely": [{"nodes": {"a": "p1", "b": PERSON}, "log_odds": 3.5}], "open": [f"b: {HOSTILE}"]}
+    looks = [{"frame_id": f"{frame:06}", "angle_deg": 212.0, "reason": f"p1 may be there {HOSTILE}"}]
+    prompt = f"World: {json.dumps(world)}\nLooks: {json.dumps(looks)}\n{HOSTILE}"
+    steps = [
+        ("model", json.dumps([{"role": "user", "content": prompt}]), json.dumps({"content": "{}"})),
+        ("tool", json.dumps({"tool": "final_answer", "entity": HOSTILE}), json.dumps(f"refused: {HOSTILE}")),
+        ("solve", '{"accepted":false}', json.dumps(DECISION)),
+    ]
+    plan = Fact(episode=EpisodeRow("e", "r", "q", "s", json.dumps(PLAN), ""))
+    own = {"number": 6, "step": 0, "tool": "plan", "arguments": "{}", "accepted": True, "reason": ""}
+    rows = [*world_rows(frame), own | {"fact": msgspec.json.encode(plan).decode()}]
+    stored_run(store, "decided", steps=steps, world=rows)
+
+
 def stored_run(store, name, *, steps, world=None, prediction=None, manifest=None):
     question = store.questions("questions").to_pylist()[0]
     own = {"run_id": name, "question_id": question["question_id"]}
@@ -110,7 +150,7 @@ def stored_run(store, name, *, steps, world=None, prediction=None, manifest=None
 
 
 def trace_runs(store):
-    """Write three runs into a store: a complete one, an empty one, and one with a box that cannot be drawn."""
+    """Write runs into a store: all kinds of steps, a world model that decided, no steps, and a box that cannot be drawn."""
     question = store.questions("questions").to_pylist()[0]
     evidence = all_evidence(store).to_pylist()
     box = next(row for row in evidence if row["question_id"] == question["question_id"])
@@ -118,6 +158,7 @@ def trace_runs(store):
     given = {"evidence_frame": frame} | {f"evidence_{key}": box[key] + 1.0 for key in "xywh"}
     steps, world = step_rows(question["sequence"], frame), world_rows(frame)
     stored_run(store, "full", steps=steps, world=world, prediction=given | {"answer": f'{{"choice": "{LONG}"'})
+    decided_run(store, frame)
     stored_run(store, "empty", steps=[], prediction={"status": "error", "reason": LONG})
     broken = {"evidence_frame": frame, "evidence_x": float("inf"), "evidence_y": 1.0, "evidence_w": None}
     stored_run(store, "broken", steps=[], prediction=broken)

@@ -309,7 +309,9 @@ def test_a_question_shows_answer_plan_people_and_proofs(opened, inspected, sampl
             assert set(re.findall(r"\d+", said)) & set(re.findall(r"\d+", own["answer"]))
         plan = json.loads(own["plan"])
         assert len(article.find_elements("css selector", ".plan rect.node")) == len(plan["nodes"])
-        assert len(article.find_elements("css selector", ".plan line.edge")) == len(plan["edges"])
+        assert len(article.find_elements("css selector", ".plan path.edge")) == len(
+            {(e["source"], e["target"]) for e in plan["edges"]}
+        )
         assert {m.text for m in article.find_elements("css selector", "text.moment")} == set(plan["times"])
         article.find_element("tag name", "summary").click()
         assert len(article.find_elements("css selector", "details tbody tr")) == len(json.loads(own["proofs"]))
@@ -443,7 +445,7 @@ def test_unknown_questions_are_refused(sample_benchmark, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_world_model_grows_with_the_slider(opened, benchmark_copy, tmp_path):
+def test_sightings_appear_with_the_slider(opened, benchmark_copy, tmp_path):
     driver, _ = opened
     store, name = benchmark_copy, trace_runs(benchmark_copy)
     code, _, err = run("trace", "full", name, "--store", store.path, "--out", tmp_path / "t.html")
@@ -462,22 +464,26 @@ def test_the_world_model_grows_with_the_slider(opened, benchmark_copy, tmp_path)
         )
 
     assert visible(".verdict b") == ["answer \N{BALLOT X}", "evidence \N{CHECK MARK}", "combined \N{BALLOT X}"]
-    assert len(driver.find_elements("css selector", "section.step")) == 7
+    assert driver.find_element("css selector", "section.step h3").text.startswith("Turn 1: looked at")
     # Two looks have a known form, and one of them was refused.
     assert len(driver.find_elements("css selector", ".map rect.look")) == 2, "a crop over the seam is two parts"
-    assert len(visible(".entity")) == 2 and len(visible("circle.given")) == 1
-    assert visible(".entity .gone") == [t for t in visible(".entity .belief") if "walking" in t] != []
+    assert len(visible("circle.seen")) == 2 and len(visible("circle.given")) == 1
     at(1)
-    assert visible(".entity") == visible("circle.seen") == visible("td.refused") == []
+    assert visible("circle.seen") == []
     at(2)
-    assert [text.split()[0] for text in visible(".entity")] == ["p1"]
-    assert any("walking" in t for t in visible(".entity .belief")) and not visible(".gone")
-    assert len(visible("td.refused")) == 1 and not visible(".map path.tie")
-    assert driver.find_element("id", "at").text == "2 of 6: model"
-    at(5)
-    assert len(visible(".map path.tie")) == len(visible(".web path.tie")) == len(visible(".entity .gone")) == 1
+    assert len(visible("circle.seen")) == 1
+    assert driver.find_element("id", "at").text.startswith("2 of 6: Turn 2: wrote 1 person (p1 new)")
     # A text of ten thousand letters does not make the page wide.
     assert driver.execute_script("return document.documentElement.scrollWidth") <= 1250
+    assert run("trace", "decided", name, "--store", store.path, "--out", tmp_path / "d.html")[0] == 0
+    driver.get((tmp_path / "d.html").as_uri())
+    assert complaints(driver) == [] and "hit" not in driver.title
+    text = driver.find_element("tag name", "main").text
+    assert "p1 is the likeliest A, the target: log-odds +3.5, 1.5 ahead of the next person." in text
+    assert "sitting has log-odds 2.2. Verdict: supported." in text
+    assert driver.find_element("css selector", ".plan .name").text == "A = p1, target"
+    assert len(driver.find_elements("css selector", "table.bindings tbody tr")) == 2
+    assert "212\N{DEGREE SIGN}: p1 may be there" in text
     for other in ("empty", "broken"):
         assert run("trace", other, name, "--store", store.path, "--out", tmp_path / "o.html")[0] == 0
         driver.get((tmp_path / "o.html").as_uri())
@@ -510,8 +516,63 @@ def test_a_plan_goes_from_left_to_right():
     places = {node.role: (node.x, node.y) for node in graph.nodes}
     assert places["a"][0] < places["b"][0] == places["c"][0] < places["d"][0]
     assert places["b"][1] < places["a"][1] == places["d"][1] < places["c"][1]
-    assert all(edge.x1 < edge.x2 for edge in graph.edges)
     assert graph.nodes[0].lines == ("gender: male",)
+    assert (graph.times, graph.reads) == (["t0: frame 30"], "action of d at t0")
+    assert len(graph.edges) == 4
+
+
+def plan_with(edges, nodes="abc", times=None):
+    """Return a plan with the given edges between nodes without conditions."""
+    return parse_plan(
+        json.dumps(
+            {
+                "root": "a",
+                "target": "a",
+                "times": {"t0": {"frame": 30}} | (times or {}),
+                "nodes": [{"id": node, "conditions": []} for node in nodes],
+                "edges": [{"source": s, "target": t, "relation": r, "at": "t0"} for s, t, r in edges],
+                "answer": {"mode": "multiple_choice", "read": "action", "of": "a", "at": "t0"},
+            }
+        )
+    )
+
+
+def test_all_relations_of_a_pair_share_a_line():
+    (edge,) = PlanGraph(plan_with([("a", "b", "in front of"), ("a", "b", "conversation")], "ab")).edges
+    assert edge.lines == ("in front of", "conversation")
+
+
+@pytest.mark.parametrize(
+    ("edges", "outside"),
+    [
+        ([("a", "b", "x"), ("b", "a", "y")], "below"),
+        ([("a", "b", "x"), ("b", "c", "y"), ("c", "a", "z")], "below"),
+        ([("a", "b", "x"), ("a", "c", "y"), ("b", "c", "z")], "right"),
+    ],
+)
+def test_relations_that_do_not_lead_to_the_next_column_are_drawn_outside_the_nodes(edges, outside):
+    graph = PlanGraph(plan_with(edges, sorted({node for edge in edges for node in edge[:2]})))
+    last = graph.edges[-1]
+    if outside == "below":
+        assert max(node.y for node in graph.nodes) + graph.node_height < last.y <= graph.height
+    else:
+        assert max(node.x for node in graph.nodes) + 165 < last.x <= graph.width
+    assert len({(edge.x, edge.y) for edge in graph.edges}) == len(edges)
+
+
+def test_each_kind_of_time_has_words():
+    times = {
+        "t1": {"event": "start", "of": "a", "action": "walking", "after": "t0"},
+        "t2": {"event": "leaves", "of": "a", "after": "t0"},
+        "t3": {"after": "t0"},
+    }
+    graph = PlanGraph(plan_with([], "a", times))
+    assert graph.times[1:] == [
+        "t1: a starts walking after t0",
+        "t2: a leaves after t0",
+        "t3: some moment after t0",
+    ]
+    assert graph.nodes[0].lines == ("any person",)
 
 
 def timeline(*values):

@@ -4,13 +4,15 @@ The page in a browser is in `test_pages.py`.
 """
 
 import json
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
 from processes import run
-from traced_runs import stored_run, trace_runs
+from traced_runs import PERSON, stored_run, trace_runs
 
 from jrdb_avr.engine.pages import trace as trace_page
+from jrdb_avr.engine.pages.turns import turns_of
 from jrdb_avr.engine.report.traces import Trace, look_of
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.tables import RUNS
@@ -58,8 +60,62 @@ def test_looks_are_those_that_were_shown(traced):
     assert look_of({"kind": "tool", "request": "{}", "response": "{}", "step": 0}) is None
 
 
-def test_a_statement_that_is_read_again_stands_once_and_one_that_was_replaced_twice():
-    statements = []
-    for step, until, text in [(1, 4, "sits"), (2, 2, "stands"), (4, 7, "sits"), (9, 12, "sits")]:
-        trace_page.add_statement(statements, trace_page.Statement(step, until, text))
-    assert [*map(tuple, statements)] == [(1, 7, "sits"), (2, 2, "stands"), (9, 12, "sits")]
+def test_turns_are_titled_by_what_they_did(traced):
+    store, name = traced
+    turns = turns_of(Trace(store, "full", name))
+    titles = [turn.title.replace(PERSON, "p2") for turn in turns]
+    frame = turns[0].looks[0].frame
+    assert titles == [
+        f"Turn 1: looked at frame {frame}, 0\N{DEGREE SIGN}",
+        "Turn 2: wrote 1 person (p1 new), 1 refused",
+        "Turn 3: wrote 2 people (p2 new)",
+    ]
+    assert [person.facts for person in turns[1].people] == [["action: walking"]]
+    assert turns[1].refused[0]["reason"].startswith("no observation o9")
+
+
+def model_step(step, *lines):
+    """Return a model call whose prompt has the given lines."""
+    request = json.dumps([{"role": "user", "content": "\n".join(lines)}])
+    return {"step": step, "kind": "model", "request": request, "response": "{}", "seconds": 0.5}
+
+
+def transcript(*steps):
+    """Return a transcript that holds only steps."""
+    looks = [look for step in steps if (look := look_of(step))]
+    return SimpleNamespace(steps=steps, looks=looks, writes=[], prediction={"status": "answered"})
+
+
+def test_a_turn_has_what_the_prompt_stated_about_the_graph():
+    world = {"likely": [{"nodes": {"a": "p1"}, "log_odds": 2.5}], "open": ["a gender female: open"]}
+    looks = [{"frame_id": "000150", "angle_deg": 212.0, "reason": "b may be there"}]
+    step = model_step(0, "Which?", f"World: {json.dumps(world)}", f"Looks: {json.dumps(looks)}")
+    (turn,) = turns_of(transcript(step))
+    assert turn.graph.likely[0].nodes == {"a": "p1"} and turn.graph.open == ["a gender female: open"]
+    assert [look.words for look in turn.advised] == ["frame 150, 212\N{DEGREE SIGN}"]
+
+
+@pytest.mark.parametrize("line", ["World: {", 'World: {"likely": 3}', "World: []", "World:", "Looks: {}", "Looks: [3]"])
+def test_lines_of_another_form_are_no_state_of_a_graph(line):
+    (turn,) = turns_of(transcript(model_step(0, line)))
+    assert (turn.graph, turn.advised, turn.title) == (None, [], "Turn 1: answered")
+
+
+def test_calls_are_told_in_words_with_their_results():
+    call = {"tool": "add_people", "observation": "o1", "people": [{}, {}]}
+    steps = [
+        ("tool", json.dumps(call), '"o1: p1 written"'),
+        ("tool", '{"tool":"final_answer","entity":"p1"}', '"refused: p2 is likelier"'),
+        ("tool", "no JSON", "nor this"),
+    ]
+    rows = [
+        {"step": number, "kind": kind, "request": request, "response": response, "seconds": 0.0}
+        for number, (kind, request, response) in enumerate(steps, 1)
+    ]
+    (turn,) = turns_of(transcript(model_step(0), *rows))
+    assert turn.title == "Turn 1: final answer refused"
+    assert [tuple(call) for call in turn.calls] == [
+        ("add_people observation o1, 2 people", "o1: p1 written", False),
+        ("final_answer entity p1", "refused: p2 is likelier", True),
+        ("no JSON", "nor this", False),
+    ]
