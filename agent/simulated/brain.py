@@ -20,7 +20,7 @@ from jrdb_avr.agent.look.attention import NextLook, next_looks
 from jrdb_avr.agent.look.ranking import RankedHypothesis, rank
 from jrdb_avr.agent.model.conventions import CONTRACT
 from jrdb_avr.agent.model.decode import write_box
-from jrdb_avr.agent.perceive.fields import fields_of, perceivable, read_person
+from jrdb_avr.agent.perceive.fields import Field, fields_of, perceivable, read_person
 from jrdb_avr.agent.perceive.readings import PersonReading
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.agent.simulated.fields import say
@@ -55,20 +55,8 @@ class Thought:
         """People of all pictures, under the identities by which the model knows them."""
         tracks = Tracks({}, {})
         fields = fields_of(self.plan, self.request.choices)
-        for number, look in enumerate(self.request.looks, 1):
-            ids = [f"p{person.identity}" for person in look.people]
-            people: list[tuple[str, PersonReading]] = []
-            for index, (entity, person) in enumerate(zip(ids, look.people, strict=True), 1):
-                said = {field.key: say(field.key, person, look.people) for field in fields}
-                said = {
-                    key: [ids[n - 1] for n in value] if isinstance(value, list) else value
-                    for key, value in said.items()
-                }
-                value = {"box": box_in(look, person), **said}
-                name = look.name or f"o{number}"
-                reading = read_person(value, index, ids, fields, name, look.frame, look.view.left, look.size, CONTRACT)
-                people.append((entity, reading))
-            tracks = tracks.with_people(look.columns, look.frame, people)
+        for index, look in enumerate(self.request.looks, 1):
+            tracks = tracks.with_people(look.columns, look.frame, _read(look, look.name or f"o{index}", fields))
         return tracks
 
     @cached_property
@@ -108,6 +96,20 @@ class Thought:
         return sorted(shown, key=lambda pair: not _is_whole(*pair))
 
 
+def _read(look: Look, name: str, fields: Sequence[Field]) -> list[tuple[str, PersonReading]]:
+    """Return the people of a picture under the model's identities, as readings of the fields."""
+    numbers = {f"p{person.identity}": number for number, person in enumerate(look.people, 1)}
+    ids, people = [*numbers], []
+    for entity, person in zip(ids, look.people, strict=True):
+        value: dict[str, Any] = {"box": box_in(look, person)}
+        for field in fields:
+            said = say(field.key, person, look.people)
+            value[field.key] = [ids[number - 1] for number in said] if isinstance(said, list) else said
+        place = name, look.frame, look.view.left, look.size
+        people.append((entity, read_person(value, numbers[entity], numbers, fields, *place, CONTRACT)))
+    return people
+
+
 def _is_whole(look: Look, box: Box) -> bool:
     return box.x >= 0 and box.x + box.w <= look.view.width
 
@@ -127,7 +129,8 @@ def _react(request: Request) -> StageReply:
     """Play a turn of ReAct: the next look, or the answer with the person's box in the newest picture."""
     thought, left = Thought(request), request.left("Looks made: ")
     request.legal()
-    look = thought.next_look(left)
+    # The last look is for the box, which must be in the newest picture.
+    look = thought.next_look(left - 1)
     if look is not None:
         return StageReply({"action": "observe", **_placed(look.frame, look.angle)})
     conclusion = thought.conclude()
@@ -172,8 +175,8 @@ def _chat(request: Request) -> StageReply:
     conclusion = thought.conclude()
     # Without a person, the call has no box. It is refused, and the question ends with an answer alone.
     place: dict[str, Any] = {"observation": looks[-1].name if looks else "o1", "box": []}
-    for look, box in thought.evidence(conclusion, looks)[:1]:
-        place = {"observation": look.name, "box": write_box(box, look.size)}
+    for shown, box in thought.evidence(conclusion, looks)[:1]:
+        place = {"observation": shown.name, "box": write_box(box, shown.size)}
     call = {"tool": "final_answer", "answer": thought.answer(conclusion), **place}
     return StageReply({"calls": [call]}, _missing(conclusion))
 

@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cached_property
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Final
 
@@ -28,7 +27,6 @@ from jrdb_avr.agent.simulated.recorded import RecordedReader
 from jrdb_avr.agent.simulated.requests import UserMessage, lines_of, read_request
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, forced, tool_calls, user_turns, with_stage
-from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
@@ -79,20 +77,18 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 128
 
-    def __init__(self, store: Store | str, errors: Errors | None = None, port: int = 0) -> None:
+    def __init__(self, store: Store | str | None, errors: Errors | None = None, port: int = 0) -> None:
         """Open the store and the port.
 
         Args:
-            store: Store with annotations.
+            store: Store with annotations. Without it, the model passes only the checks of a server.
             errors: Errors of the model. None takes the profile that a request's model names, or else the usual one.
             port: Port on 127.0.0.1. 0 takes a free one.
 
         Raises:
             StoreError: If the store has no annotations.
         """
-        self._store = Store.of(store)
-        names = opaque_names(self._store, self._store.manifest().sequences)
-        self._sight = Sight(self._store, {opaque: name for name, opaque in names.items()})
+        self._sight = None if store is None else Sight(Store.of(store))
         self._errors = errors
         super().__init__(("127.0.0.1", port), _Handler)
 
@@ -100,17 +96,6 @@ class Server(ThreadingHTTPServer):
     def url(self) -> str:
         """Base URL for a client."""
         return f"http://127.0.0.1:{self.server_port}/v1"
-
-    @cached_property
-    def _sequences(self) -> Mapping[str, str]:
-        """Sequence of each question by its text. Questions of two sequences with the same text are left out."""
-        found: dict[str, str] = {}
-        twice = set()
-        table = self._store.questions("questions", ["question", "sequence"])
-        for text, sequence in zip(table["question"].to_pylist(), table["sequence"].to_pylist(), strict=True):
-            if found.setdefault(text, sequence) != sequence:
-                twice.add(text)
-        return {text: sequence for text, sequence in found.items() if text not in twice}
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore a client that goes away, as when a run is killed. Report any other error."""
@@ -135,12 +120,16 @@ class Server(ThreadingHTTPServer):
             raise DecodeError(f"not a chat-completions request: {error}") from None
         message.check()
         errors = self._errors or PROFILES[_profile_name(message.model)]
-        kind = RecordedReader if errors.readings else Reader
+        sight, kind = self._sight, RecordedReader if errors.readings else Reader
 
         def see(view: View) -> tuple[ReadPerson, ...]:
-            return kind(errors, view).people(self._sight.people(view.sequence, view.frame))
+            if sight is None:
+                raise DecodeError("the simulated model has no store to read annotations from")
+            return kind(errors, view).people(sight.people(view.sequence, view.frame))
 
-        request = read_request(message.turns, STAGES, see, self._sequences if message.tools else {})
+        # Only programs that declare tools may send pictures without references.
+        sequences = sight.sequences if sight is not None and message.tools else {}
+        request = read_request(message.turns, STAGES, see, sequences)
         calls: list[dict[str, Any]] = []
         if request is None:
             content = _probe_reply(message)
@@ -227,12 +216,12 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def simulated_server(store: Store | str, errors: Errors) -> Iterator[str]:
+def simulated_server(store: Store | str | None, errors: Errors | None) -> Iterator[str]:
     """Serve from a thread of this process while a `with` block lasts.
 
     Args:
-        store: Store with annotations.
-        errors: Errors of the model.
+        store: As in `Server`.
+        errors: As in `Server`.
 
     Yields:
         The base URL.

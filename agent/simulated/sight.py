@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from jrdb_avr.agent.simulated.people import Person
+from jrdb_avr.queries.opaque import key_path, opaque_names
 from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import DecodeError, StoreError
 from jrdb_avr.schema.labels import DISTANCE_BOUNDS_M, DISTANCE_WORDS, INTERACTIONS, PERSON_SECTORS, POSES
@@ -38,23 +39,28 @@ Row = dict[str, Any]
 class Sight:
     """Annotated people of a store's sequences. Many threads may share an object."""
 
-    def __init__(self, store: Store | str, names: Mapping[str, str] | None = None) -> None:
-        """Open a store.
-
-        Args:
-            store: Store with annotations, or its folder.
-            names: Real name of each sequence by its opaque name.
-
-        Raises:
-            StoreError: If the store has no annotations.
-        """
-        self._store = Store.of(store)
-        self._loaded = frozenset(self._store.manifest().sequences)
+    def __init__(self, store: Store) -> None:
+        """Open a store with annotations. Raise StoreError if it has none."""
+        self._store = store
+        self._loaded = frozenset(store.manifest().sequences)
         if not self._loaded:
-            raise StoreError(f"{self._store.path} has no annotations, which the simulated model reads")
-        self._names = names or {}
-        self._sequence = functools.lru_cache(_SEQUENCES)(self._read_sequence)
+            raise StoreError(
+                f"{store.path} has no annotations, which the simulated model reads: serve the model from the store "
+                "with annotations (python -m jrdb_avr.agent.simulated --store S), then give --base-url and --simulated"
+            )
+        opaque = opaque_names(store, self._loaded) if key_path(store).exists() else {}
+        self._names = {hidden: name for name, hidden in opaque.items()}
+        self._sequence = functools.lru_cache(_SEQUENCES)(lambda name: _Sequence(store, name))
         self._frame = functools.lru_cache(_FRAMES)(lambda name, frame: self._sequence(name).people(frame))
+
+    @functools.cached_property
+    def sequences(self) -> Mapping[str, str]:
+        """Sequence of each question by its text. Texts of questions about several sequences are left out."""
+        table = self._store.questions("questions", ["question", "sequence"])
+        found: dict[str, set[str]] = defaultdict(set)
+        for text, sequence in zip(table["question"].to_pylist(), table["sequence"].to_pylist(), strict=True):
+            found[text].add(sequence)
+        return {text: sequence for text, (sequence, *others) in found.items() if not others}
 
     def people(self, sequence: str, frame: int) -> tuple[Person, ...]:
         """Return the people of a frame.
@@ -74,9 +80,6 @@ class Sight:
             raise DecodeError(f"the simulated model's store has no sequence {sequence[:60]!r}")
         people: tuple[Person, ...] = self._frame(name, frame)
         return people
-
-    def _read_sequence(self, name: str) -> _Sequence:
-        return _Sequence(self._store, name)
 
 
 class _Layer:
