@@ -9,6 +9,8 @@ import argparse
 
 from jrdb_avr.agent.simulated.profiles import PROFILES, USUAL, describe_settings, parse_errors
 from jrdb_avr.agent.simulated.server import Server
+from jrdb_avr.agent.simulated.sight import Sight
+from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import AvrError
 
 
@@ -28,7 +30,8 @@ def main() -> None:
     options = parser.parse_args()
     try:
         errors = parse_errors(options.simulate, PROFILES[options.profile or USUAL])
-        server = Server(options.store, errors if options.profile or options.simulate else None, options.port)
+        sight = Sight(Store(options.store))
+        server = Server(sight, errors if options.profile or options.simulate else None, options.port)
     except AvrError as error:
         parser.error(str(error))
     with server:

@@ -27,7 +27,6 @@ from jrdb_avr.agent.simulated.recorded import RecordedReader
 from jrdb_avr.agent.simulated.requests import UserMessage, lines_of, read_request
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, forced, tool_calls, user_turns, with_stage
-from jrdb_avr.queries.store import Store
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box
 
@@ -72,25 +71,22 @@ _REQUEST: Final = msgspec.json.Decoder(_Request)
 
 
 class Server(ThreadingHTTPServer):
-    """Server of the simulated model on one store. It serves until `shutdown`."""
+    """Server of the simulated model. It serves until `shutdown`."""
 
     daemon_threads = True
     request_queue_size = 128
 
-    def __init__(self, store: Store | str | None, errors: Errors | None = None, port: int = 0) -> None:
-        """Open the store and the port.
+    def __init__(self, sight: Sight | None, errors: Errors | None = None, port: int = 0) -> None:
+        """Open the port.
 
         Args:
-            store: Store with annotations. Without it, the model passes only the checks of a server.
+            sight: Annotated people of a store. Without it, the model passes only the checks of a server.
             errors: Errors of the model. None takes the profile that a request's model names, or else the usual one.
             port: Port on 127.0.0.1. 0 takes a free one.
-
-        Raises:
-            StoreError: If the store has no annotations.
         """
-        self._sight = None if store is None else Sight(Store.of(store))
-        self._errors = errors
         super().__init__(("127.0.0.1", port), _Handler)
+        self._sight = sight
+        self._errors = errors
 
     @property
     def url(self) -> str:
@@ -216,20 +212,17 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def simulated_server(store: Store | str | None, errors: Errors | None) -> Iterator[str]:
+def simulated_server(sight: Sight | None, errors: Errors | None) -> Iterator[str]:
     """Serve from a thread of this process while a `with` block lasts.
 
     Args:
-        store: As in `Server`.
+        sight: As in `Server`.
         errors: As in `Server`.
 
     Yields:
         The base URL.
-
-    Raises:
-        StoreError: If the store has no annotations.
     """
-    with Server(store, errors) as server:
+    with Server(sight, errors) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:

@@ -123,8 +123,9 @@ def serving(
         yield base_url
     elif profile_of(model) is not None:
         from jrdb_avr.agent.simulated.server import simulated_server
+        from jrdb_avr.agent.simulated.sight import Sight
 
-        with simulated_server(store, errors) as url:
+        with simulated_server(None if store is None else Sight(store), errors) as url:
             yield url
     else:
         raise EndpointError(f"--model {model} needs --base-url, the address of the server that has it")
