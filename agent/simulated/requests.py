@@ -241,10 +241,15 @@ def _looks(parts: UserMessage, see: See, sequence: str | None) -> Iterator[Look]
 
 def _shown(reference: Reference | None, announced: tuple[str, _Metadata] | None, sequence: str | None) -> View:
     if reference is not None:
-        return _view(reference.sequence, reference.frame, reference.angle)
+        return view_of(reference)
     if announced is None or sequence is None:
         raise DecodeError("a picture has no reference: declare the run simulated (--simulated)")
     return _view(sequence, int(announced[1].frame_id), announced[1].angle_deg)
+
+
+def view_of(reference: Reference) -> View:
+    """Return the part of a panorama that a picture shows."""
+    return _view(reference.sequence, reference.frame, reference.angle)
 
 
 def _view(sequence: str, frame: int, angle: float | None) -> View:

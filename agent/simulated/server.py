@@ -18,17 +18,19 @@ from typing import Any, Final
 
 import msgspec
 
+from jrdb_avr.agent.model.conventions import SCALE
 from jrdb_avr.agent.model.decode import write_box
+from jrdb_avr.agent.model.labelled_people import PERSON_LINE
 from jrdb_avr.agent.model.probes import BOX_LINE, CORNER_LINE, CROP_LINE, PANORAMA_LINE
 from jrdb_avr.agent.simulated.brain import STAGES
 from jrdb_avr.agent.simulated.noise import Draws, Reader, ReadPerson, View
 from jrdb_avr.agent.simulated.profiles import PROFILES, SIMULATED, USUAL, Errors
 from jrdb_avr.agent.simulated.recorded import RecordedReader
-from jrdb_avr.agent.simulated.requests import UserMessage, lines_of, read_request
+from jrdb_avr.agent.simulated.requests import See, UserMessage, lines_of, read_request, view_of
 from jrdb_avr.agent.simulated.sight import Sight
 from jrdb_avr.agent.simulated.tools import ChatMessage, Tool, forced, tool_calls, user_turns, with_stage
 from jrdb_avr.schema.errors import DecodeError
-from jrdb_avr.schema.panorama import Box
+from jrdb_avr.schema.panorama import CROP, Box, iou
 
 _LONGEST_REQUEST: Final = 256 * 1024 * 1024
 _IMAGE_TOKENS: Final = 256
@@ -128,7 +130,7 @@ class Server(ThreadingHTTPServer):
         request = read_request(message.turns, STAGES, see, sequences)
         calls: list[dict[str, Any]] = []
         if request is None:
-            content = _probe_reply(message)
+            content = _probe_reply(message, see)
         else:
             reply = STAGES[request.stage](request).reply
             content = msgspec.json.encode(reply).decode()
@@ -236,16 +238,19 @@ def simulated_server(sight: Sight | None, errors: Errors | None) -> Iterator[str
 
 _WORD: Final = re.compile(r"Reply with the one word: (\w{1,40})")
 _OBJECT: Final = re.compile(r"Reply with the JSON object (\{.*\}) and nothing else\.")
+_BOX: Final = re.compile(r"inside the box (\[[0-9, ]+\]):")
 _FRAME: Final = re.compile(r'Picture \d+: \{"frame_id": ?"(\d{6})"\}')
 
 
-def _probe_reply(request: _Request) -> str:
+def _probe_reply(request: _Request, see: See) -> str:
     """Return the reply to a request that is not a stage of a question. Raise DecodeError if its picture is missing."""
     parts = request.turns[-1] if request.turns else []
     lines = lines_of(parts)
     text, last = "\n".join(lines), lines[-1] if lines else ""
     if last in (CORNER_LINE, BOX_LINE, PANORAMA_LINE, CROP_LINE):
         return msgspec.json.encode(_picture_reply(last, parts)).decode()
+    if last == PERSON_LINE:
+        return msgspec.json.encode(_person_reply(text, parts, see)).decode()
     if found := _OBJECT.search(text):
         return found[1]
     match request.response_format:
@@ -260,6 +265,20 @@ def _first_value(schema: object) -> Any:
     match schema:
         case {"enum": [value, *_]}:
             return value
+
+
+def _person_reply(text: str, parts: UserMessage, see: See) -> dict[str, Any]:
+    """Return the labels of the person whose box overlaps most with the box in a probe's text."""
+    reference, box = next((part.jrdb_avr for part in parts if part.jrdb_avr is not None), None), _BOX.search(text)
+    if reference is None or box is None:
+        raise DecodeError("the request names no box, or its picture has no reference")
+    left, top, right, bottom = (side * CROP / SCALE for side in msgspec.json.decode(box[1], type=list[int]))
+    asked = Box(left, top, right - left, bottom - top)
+    person = max(see(view_of(reference)), key=lambda other: iou(other.box, asked), default=None)
+    known = person is not None and iou(person.box, asked) > 0
+    return {
+        name: (person.label(name) if person and known else None) or "cannot tell" for name in ("gender", "age", "pose")
+    }
 
 
 def _picture_reply(last: str, parts: UserMessage) -> dict[str, Any]:

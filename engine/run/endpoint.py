@@ -1,6 +1,6 @@
 """Connect to the server of a model: check it before a run, start the simulated model, and store calibrations.
 
-STORE/conventions/<model>.json    the calibration of a model: how the model writes boxes, as `calibrate` found out
+STORE/conventions/<model>.json    the calibration of a model: how it writes boxes, and how its errors repeat
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from jrdb_avr.agent.preflight import preflight, require
 from jrdb_avr.agent.simulated.profiles import Errors, profile_of
 from jrdb_avr.queries.store import Store, is_plain_name, write_json
 from jrdb_avr.schema.errors import EndpointError, StoreError
+from jrdb_avr.schema.repeats import USUAL_REPEATS
 
 
 class Endpoint:
@@ -30,6 +31,7 @@ class Endpoint:
 
     Attributes:
         convention: How the model writes boxes.
+        repeats: Weights of repeated readings: the measured ones of the calibration, or the usual ones.
         client: The client that sends requests to the server.
         settings: Settings for the manifest of a run, as plain JSON. A run can be resumed only with equal settings.
         warnings: One line for each check that failed.
@@ -64,6 +66,7 @@ class Endpoint:
         convention = convention_of(model)
         self.convention = convention if calibration is None else calibration.convention(convention)
         options = declared(model, options)
+        self.repeats = USUAL_REPEATS if calibration is None else calibration.repeats
         self.client = Client(base_url, model, options, convention=self.convention, cache=cache)
         checks = preflight(self.client)
         if strict:
@@ -85,6 +88,7 @@ class Endpoint:
             "served_model": self.served,
             "server_version": self.client.server_version(),
             "convention": self.convention.settings() | calibrated,
+            "repeats": msgspec.structs.asdict(self.repeats),
             "decoder": decode.VERSION,
             "preflight": self.warnings,
         }
