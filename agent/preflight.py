@@ -41,10 +41,9 @@ from jrdb_avr.agent.model.probes import (
 )
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply, thinking_text
-from jrdb_avr.agent.reference.episode import LIMITS
-from jrdb_avr.agent.reference.graph_memory import graph_turn_schema
+from jrdb_avr.agent.reference.loop import LIMITS
 from jrdb_avr.agent.reference.planning import plan_form
-from jrdb_avr.agent.reference.tool_calls import LOOK_SCHEMA
+from jrdb_avr.agent.reference.tools import world_schema
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 from jrdb_avr.schema.method import Panorama, Question
 from jrdb_avr.schema.panorama import Box
@@ -55,10 +54,10 @@ CROPS: Final = max(BUDGET, LIMITS.looks)
 
 SENDERS: Final = {
     "panoramas": ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world"),
-    "crops": ("react", "agent-model", "agent-no-world-model"),
-    "plan": ("agent-model", "agent-passive", "agent", "agent-no-world", "agent-guided", "agent-no-world-guided"),
+    "crops": ("react", "agent-no-world"),
+    "plan": ("agent", "agent-passive"),
 }
-"""The methods that need a check, by name of the check. A policy other than the default is part of a method's name."""
+"""The methods that need a check, by name of the check."""
 
 _LONGER_REMEDY: Final = "give a larger --max-tokens"
 _KEY: Final = "sea_state_q7"
@@ -256,7 +255,7 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
         render("preflight_panoramas", n=PANORAMAS),
         *shown,
         PANORAMA_LINE,
-        schema=graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA),
+        schema=world_schema(question, (), looks=True, advised=True),
     )
     calls = probe.value.get("calls")
     last = calls[-1] if isinstance(calls, list) and calls else None

@@ -24,7 +24,6 @@ import pyarrow.compute as pc
 
 from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.prices import Price
-from jrdb_avr.agent.reference.method import Policy
 from jrdb_avr.agent.simulated.profiles import Errors, changed_errors, parse_errors, profile_of
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
@@ -32,13 +31,12 @@ from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
 from jrdb_avr.engine.run.journal import world_rows
 from jrdb_avr.engine.run.live_scores import LiveScore, report_scores
 from jrdb_avr.engine.run.methods import (
+    ADVISED,
     CHATS,
-    DRIVABLE,
     METHODS,
     NO_MODEL,
     WORLD_METHODS,
     CustomMethod,
-    default_policy,
     is_custom,
     load_custom_method,
     make_method,
@@ -209,11 +207,10 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
             field="simulate",
         )
     _errors(model, options)
-    policy = playing.policy or default_policy(method)
-    if policy != "model" and method not in DRIVABLE:
-        raise InputError(f"--policy {policy} works only with the methods {' and '.join(DRIVABLE)}", field="policy")
-    if playing.history is not None and (method not in CHATS or policy != "model"):
-        raise InputError(f"--history works only with {' and '.join(CHATS)} under --policy model", field="history")
+    if playing.advice == "off" and method != ADVISED:
+        raise InputError(f"--advice off works only with the method {ADVISED}", field="advice")
+    if playing.history is not None and method not in CHATS:
+        raise InputError(f"--history works only with {' and '.join(CHATS)}", field="history")
     if options.run.world_db is not None and method not in WORLD_METHODS:
         raise InputError(f"--world-db: the method {method} has no world model", field="world_db")
     if selection.shard is not None and not 1 <= selection.shard[0] <= selection.shard[1]:
@@ -238,17 +235,13 @@ def name_run(store: Store, method: str | Method, model: str, options: EvaluateOp
     """
     run_id = options.run.run_id
     if run_id is None:
-        run_id = default_run_id(name_player(_name(method), options.method.policy), model)
+        advice = "-advice-off" if options.method.advice == "off" else ""
+        run_id = default_run_id(_name(method) + advice, model)
     # Checked before the suffixes are added, because an empty id would be valid with a suffix.
     store.run_path(run_id)
     shard, epoch = options.selection.shard, options.run.epoch
     run_id += "" if shard is None else f"-{shard[0]}of{shard[1]}"
     return run_id + ("" if epoch is None else f"-{epoch}")
-
-
-def name_player(method: str, policy: Policy | None) -> str:
-    """Return "METHOD-POLICY". If the policy is None or the default of the method, return only the method's name."""
-    return method if policy in (None, default_policy(method)) else f"{method}-{policy}"
 
 
 def default_run_id(method: str, model: str) -> str:
@@ -278,10 +271,8 @@ def _connect(
     folder, endpoint = run.store.run_path(run.run_id), options.endpoint
     with serving(model, endpoint.base_url, run.store, errors) as url:
         calibration = read_calibration(run.store, model)
-        player = name_player(_name(method), options.method.policy)
-        checked = Endpoint(
-            calibration, model, url, endpoint, folder / "calls.jsonl", player, options.run.strict_preflight
-        )
+        journal, strict = folder / "calls.jsonl", options.run.strict_preflight
+        checked = Endpoint(calibration, model, url, endpoint, journal, _name(method), strict)
         for line in checked.warnings:
             warnings.warn(f"preflight: {line}", AvrWarning, stacklevel=4)
         yield checked
@@ -296,7 +287,8 @@ def _make(
     if is_custom(method):
         return load_custom_method(method, None if endpoint is None else endpoint.client)
     assert endpoint is not None, "built-in methods need a model: check_options"
-    return make_method(method, endpoint.client, endpoint.convention, world, options.policy, options.history)
+    advice = options.advice == "on"
+    return make_method(method, endpoint.client, endpoint.convention, world, advice, options.history)
 
 
 @contextlib.contextmanager

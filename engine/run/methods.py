@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
-    from jrdb_avr.agent.reference.method import Policy
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
@@ -43,22 +42,14 @@ METHODS: Final = (
     "agent-passive-no-world",
 )
 
-POLICIES: Final = ("model", "guided", "driven")
-"""Names of the policies. A policy says whether the program or the model chooses an agent's looks."""
-
-DRIVABLE: Final = ("agent", "agent-no-world")
-"""Methods that accept any policy. By default the program chooses their looks (policy `driven`)."""
-
 CHATS: Final = ("react", "agent-no-world")
-"""Methods that send all pictures again in every turn if the policy is `model`."""
+"""Methods that send all pictures again in every turn."""
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write to a world model."""
 
-
-def default_policy(method: object) -> Policy:
-    """Return the policy that a method uses if the user names no policy."""
-    return "driven" if method in DRIVABLE else "model"
+ADVISED: Final = "agent"
+"""The method whose world model proposes looks."""
 
 
 @contextlib.contextmanager
@@ -92,7 +83,7 @@ def make_method(
     chat: Chat,
     convention: Convention,
     world: WorldModel | None = None,
-    policy: Policy | None = None,
+    advice: bool = True,
     history: int | None = None,
 ) -> ConfigurableMethod:
     """Make a built-in method.
@@ -102,7 +93,7 @@ def make_method(
         chat: The client of the model.
         convention: How the model writes boxes.
         world: The world model, which a method of `WORLD_METHODS` needs.
-        policy: The policy of an agent. Default: `default_policy`.
+        advice: Whether the world model of `ADVISED` proposes looks.
         history: Maximum number of pictures that a method of `CHATS` sends in a turn. If None, it sends all pictures.
 
     Returns:
@@ -117,9 +108,7 @@ def make_method(
     if name in WORLD_METHODS and world is None:
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
-        return ReferenceAgent(
-            chat, convention, world, looks="passive" not in name, policy=policy or default_policy(name), history=history
-        )
+        return ReferenceAgent(chat, convention, world, looks="passive" not in name, advice=advice, history=history)
     if name == ReAct.name:
         return ReAct(chat, convention, history=history)
     kinds = (Monolithic, ChainOfThought, SearchRecognize)

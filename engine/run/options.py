@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Literal
 
 from jrdb_avr.agent.model.options import DEFAULTS as DEFAULT_ENDPOINT
 from jrdb_avr.agent.model.options import EndpointOptions
-from jrdb_avr.engine.run.methods import POLICIES
 from jrdb_avr.schema.errors import InputError
 from jrdb_avr.schema.option import Options, option
-
-if TYPE_CHECKING:
-    from jrdb_avr.agent.reference.method import Policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,17 +78,16 @@ class QuestionSelection(Options):
 class MethodOptions(Options):
     """Options that change how a method answers."""
 
-    policy: Policy | None = option(
-        None,
-        "Who chooses where agent and agent-no-world look. 'model': the model. 'guided': the model, from the program's "
-        "proposals. 'driven' (default): the program. With 'guided' or 'driven', the model gets one picture at a time. "
-        "With a policy that is not the default, the run is named METHOD-POLICY-MODEL unless --run-id is given.",
-        choices=POLICIES,
+    advice: Literal["on", "off"] = option(
+        "on",
+        "Whether the world model of the method agent proposes the next looks. With 'off', the run is named "
+        "agent-advice-off-MODEL unless --run-id is given.",
+        choices=("on", "off"),
     )
     history: int | None = option(
         None,
-        "For react, and for agent-no-world with --policy model: send only the last N pictures in each turn, and the "
-        "frame and angle of each older picture. Default: send all pictures.",
+        "For react and agent-no-world: send only the last N pictures in each turn, and the frame and angle of each "
+        "older picture. Default: send all pictures.",
         minimum=1,
         metavar="N",
     )
