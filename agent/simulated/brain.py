@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Final
 
 import msgspec
@@ -24,8 +24,9 @@ from jrdb_avr.agent.perceive.fields import Field, fields_of, perceivable, read_p
 from jrdb_avr.agent.perceive.readings import PersonReading
 from jrdb_avr.agent.perceive.votes import Tracks
 from jrdb_avr.agent.simulated.fields import say
+from jrdb_avr.agent.simulated.noise import ReadPerson, View
 from jrdb_avr.agent.simulated.play_tools import tools_turn
-from jrdb_avr.agent.simulated.requests import Look, Play, Request, StageReply, box_in, stitched_box
+from jrdb_avr.agent.simulated.requests import Look, Play, Request, StageReply, stitched_box
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import CROP, Box, angle_error, center_angle, iou
@@ -37,6 +38,7 @@ _SHOWN_DEG: Final = 3.0
 _TURN_DEG: Final = 1.5
 """Minimum angle between two looks at a frame, because equal looks are refused."""
 _Corners = tuple[float, float, float, float]
+_Readings = tuple[tuple[str, PersonReading], ...]
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ class Thought:
         tracks = Tracks({}, {})
         fields = fields_of(self.plan, self.request.choices)
         for index, look in enumerate(self.request.looks, 1):
-            tracks = tracks.with_people(look.columns, look.frame, _read(look, look.name or f"o{index}", fields))
+            readings = _read(look.people, look.view, look.name or f"o{index}", fields)
+            tracks = tracks.with_people(look.columns, look.frame, readings)
         return tracks
 
     @cached_property
@@ -96,18 +99,19 @@ class Thought:
         return sorted(shown, key=lambda pair: not _is_whole(*pair))
 
 
-def _read(look: Look, name: str, fields: Sequence[Field]) -> list[tuple[str, PersonReading]]:
+@lru_cache(4096)
+def _read(people: tuple[ReadPerson, ...], view: View, name: str, fields: tuple[Field, ...]) -> _Readings:
     """Return the people of a picture under the model's identities, as readings of the fields."""
-    numbers = {f"p{person.identity}": number for number, person in enumerate(look.people, 1)}
-    ids, people = [*numbers], []
-    for entity, person in zip(ids, look.people, strict=True):
-        value: dict[str, Any] = {"box": box_in(look, person)}
+    numbers = {f"p{person.identity}": number for number, person in enumerate(people, 1)}
+    ids, readings = [*numbers], []
+    for entity, person in zip(ids, people, strict=True):
+        value: dict[str, Any] = {"box": write_box(person.box, view.size)}
         for field in fields:
-            said = say(field.key, person, look.people)
+            said = say(field.key, person, people)
             value[field.key] = [ids[number - 1] for number in said] if isinstance(said, list) else said
-        place = name, look.frame, look.view.left, look.size
-        people.append((entity, read_person(value, numbers[entity], numbers, fields, *place, CONTRACT)))
-    return people
+        place = name, view.frame, view.left, view.size
+        readings.append((entity, read_person(value, numbers[entity], numbers, fields, *place, CONTRACT)))
+    return tuple(readings)
 
 
 def _is_whole(look: Look, box: Box) -> bool:
@@ -115,7 +119,7 @@ def _is_whole(look: Look, box: Box) -> bool:
 
 
 def _bbox(look: Look, box: Box) -> dict[str, Any]:
-    return {"frame_id": f"{look.frame:06d}", "bbox": write_box(box, look.size)}
+    return {"frame_id": f"{look.frame:06d}", "bbox": write_box(box, look.view.size)}
 
 
 def _missing(conclusion: Conclusion | None) -> list[str]:
@@ -176,7 +180,7 @@ def _chat(request: Request) -> StageReply:
     # Without a person, the call has no box. It is refused, and the question ends with an answer alone.
     place: dict[str, Any] = {"observation": looks[-1].name if looks else "o1", "box": []}
     for shown, box in thought.evidence(conclusion, looks)[:1]:
-        place = {"observation": shown.name, "box": write_box(box, shown.size)}
+        place = {"observation": shown.name, "box": write_box(box, shown.view.size)}
     call = {"tool": "final_answer", "answer": thought.answer(conclusion), **place}
     return StageReply({"calls": [call]}, _missing(conclusion))
 

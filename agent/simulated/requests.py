@@ -55,11 +55,6 @@ class Look:
         return self.view.width == WIDTH
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in pixels."""
-        return int(self.view.width), HEIGHT
-
-    @property
     def columns(self) -> SeenColumns:
         """Columns that the picture shows."""
         return SeenColumns(self.view.left, self.view.width)
@@ -67,7 +62,7 @@ class Look:
 
 def box_in(look: Look, person: ReadPerson) -> list[int]:
     """Return a person's box as a reply writes it: left, top, right, bottom in thousandths of the picture."""
-    return write_box(person.box, look.size)
+    return write_box(person.box, look.view.size)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ repeats a word or an object, follows a JSON Schema of labels, and finds the mark
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
 import sys
@@ -34,6 +35,8 @@ from jrdb_avr.schema.panorama import CROP, Box, iou
 
 _LONGEST_REQUEST: Final = 256 * 1024 * 1024
 _IMAGE_TOKENS: Final = 256
+_PICTURES: Final = 4096
+"""Maximum number of pictures in memory, as they were read."""
 
 
 class _Request(msgspec.Struct):
@@ -89,6 +92,15 @@ class Server(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), _Handler)
         self._sight = sight
         self._errors = errors
+        # Every turn sends all pictures again.
+        self._see = functools.lru_cache(_PICTURES)(self._read)
+
+    def _read(self, errors: Errors, view: View) -> tuple[ReadPerson, ...]:
+        """Return the people who are read in a picture."""
+        if self._sight is None:
+            raise DecodeError("the simulated model has no store to read annotations from")
+        reader = (RecordedReader if errors.readings else Reader)(errors, view)
+        return reader.people(self._sight.people(view.sequence, view.frame))
 
     @property
     def url(self) -> str:
@@ -118,15 +130,9 @@ class Server(ThreadingHTTPServer):
             raise DecodeError(f"not a chat-completions request: {error}") from None
         message.check()
         errors = self._errors or PROFILES[_profile_name(message.model)]
-        sight, kind = self._sight, RecordedReader if errors.readings else Reader
-
-        def see(view: View) -> tuple[ReadPerson, ...]:
-            if sight is None:
-                raise DecodeError("the simulated model has no store to read annotations from")
-            return kind(errors, view).people(sight.people(view.sequence, view.frame))
-
+        see = functools.partial(self._see, errors)
         # Only programs that declare tools may send pictures without references.
-        sequences = sight.sequences if sight is not None and message.tools else {}
+        sequences = self._sight.sequences if self._sight is not None and message.tools else {}
         request = read_request(message.turns, STAGES, see, sequences)
         calls: list[dict[str, Any]] = []
         if request is None:
