@@ -28,14 +28,14 @@ def command() -> None:
     queries of world models.
 
     Examples:
-      jrdb-avr world merge agent-marker --store S
-      jrdb-avr world drop agent-marker --store S
+      jrdb-avr world merge agent-simulated --store S
+      jrdb-avr world drop agent-simulated --store S
     """
 
 
 @command.command(
     short_help="Add world models of runs to the graph of the store.",
-    epilog="Example: jrdb-avr world merge agent-marker agent-passive-marker --store S",
+    epilog="Example: jrdb-avr world merge agent-simulated agent-passive-simulated --store S",
 )
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
@@ -58,7 +58,7 @@ def merge(run_ids: tuple[str, ...], store: Store, form: RowFormat) -> None:
     print_rows(rows, form=form)
 
 
-@command.command(epilog="Example: jrdb-avr world drop agent-marker --store S")
+@command.command(epilog="Example: jrdb-avr world drop agent-simulated --store S")
 @run_argument("run_ids", nargs=-1, required=True, metavar="RUN...")
 @store_option()
 @form_option
