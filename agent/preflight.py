@@ -41,10 +41,9 @@ from jrdb_avr.agent.model.probes import (
 )
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply, thinking_text
-from jrdb_avr.agent.reference.episode import LIMITS
-from jrdb_avr.agent.reference.graph_memory import graph_turn_schema
+from jrdb_avr.agent.reference.loop import LIMITS
 from jrdb_avr.agent.reference.planning import plan_form
-from jrdb_avr.agent.reference.tool_calls import LOOK_SCHEMA
+from jrdb_avr.agent.reference.tools import world_schema
 from jrdb_avr.schema.errors import DecodeError, EndpointError
 from jrdb_avr.schema.method import Panorama, Question
 from jrdb_avr.schema.panorama import Box
@@ -55,10 +54,10 @@ CROPS: Final = max(BUDGET, LIMITS.looks)
 
 SENDERS: Final = {
     "panoramas": ("monolithic", "chain-of-thought", "search-recognize", "agent-passive", "agent-passive-no-world"),
-    "crops": ("react", "agent-model", "agent-no-world-model"),
-    "plan": ("agent-model", "agent-passive", "agent", "agent-no-world", "agent-guided", "agent-no-world-guided"),
+    "crops": ("react", "agent-no-world"),
+    "plan": ("agent", "agent-passive"),
 }
-"""The methods that need a check, by name of the check. A policy other than the default is part of a method's name."""
+"""The methods that need a check, by name of the check."""
 
 _LONGER_REMEDY: Final = "give a larger --max-tokens"
 _KEY: Final = "sea_state_q7"
@@ -246,19 +245,23 @@ def _many_pictures(send: Callable[..., _Probe]) -> Iterator[Check]:
     to the model.
     """
     question = Question("", "", "", tuple(map(str, range(1, PANORAMAS + 1))), "multiple_choice")
-    panoramas = [
-        Panorama("drawn", n, f"{n:06d}", float(n), drawn_picture(PANORAMA_SIZE, box).data)
-        for n in range(1, PANORAMAS + 1)
-        for box in [Box(1500, 130, 180, 240) if n == 5 else None]
-    ]
+    boxes = [Box(1500, 130, 180, 240) if n == 5 else None for n in range(1, PANORAMAS + 1)]
+    drawn = [drawn_picture(PANORAMA_SIZE, box) for box in boxes]
+    panoramas = [Panorama("drawn", n, f"{n:06d}", float(n), picture.data) for n, picture in enumerate(drawn, 1)]
+    pictures = iter(drawn)
     content = f"{PANORAMAS} panoramas in one request, with the schema of the agent's turns (anyOf in a list)"
-    parts = [render("preflight_panoramas", n=PANORAMAS), *panorama_parts(panoramas), PANORAMA_LINE]
-    probe = send(*parts, schema=graph_turn_schema(question, ("a", "b"), LOOK_SCHEMA))
+    shown = (part if isinstance(part, str) else next(pictures) for part in panorama_parts(panoramas))
+    probe = send(
+        render("preflight_panoramas", n=PANORAMAS),
+        *shown,
+        PANORAMA_LINE,
+        schema=world_schema(question, (), looks=True, advised=True),
+    )
     calls = probe.value.get("calls")
     last = calls[-1] if isinstance(calls, list) and calls else None
     yield _largest_request("panoramas", content, probe, isinstance(last, dict) and last.get("answer") == 5)
     content = f"{CROPS} crops in one request, with the schema of ReAct's turns (anyOf at the root)"
-    parts = [render("preflight_crops", n=CROPS)]
+    parts: list[Part] = [render("preflight_crops", n=CROPS)]
     for n in range(1, CROPS + 1):
         box = CORNERS["upper left"] if n == 14 else None
         parts += [f'Picture {n}: {{"frame_id": "{n:06d}"}}', drawn_picture(CROP_SIZE, box)]

@@ -142,6 +142,8 @@ class Prediction:
         raw: Last text that the model wrote.
         reason: Why the model's last output was refused, "" if it was accepted.
         verdict: How well the world model supports the answer, or None if the method has no world model.
+        proposed: Stored JSON of the answer that the model proposed last, or None if it proposed none or if the method
+            has no world model. The answer differs if the world model does not support the proposed answer.
         n_observations: Number of crops and panoramas that the method looked at.
         n_model_calls: Number of model calls.
         prompt_tokens: Number of tokens sent to the model.
@@ -154,6 +156,7 @@ class Prediction:
     raw: str = ""
     reason: str = ""
     verdict: Verdict | None = None
+    proposed: str | None = None
     n_observations: int = 0
     n_model_calls: int = 0
     prompt_tokens: int = 0

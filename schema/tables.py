@@ -163,6 +163,7 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "settings": (_S, "other settings of the run, as JSON"),
     "status": (_S, "answered; invalid if answer or box is missing because output could not be read; or error"),
     "verdict": (_S, "support of the world model: certain, supported or guess; null if the method has none"),
+    "proposed": (_S, "answer that the model proposed last, as JSON; null without a proposal or a world model"),
     "evidence_frame": (_I, "frame of the evidence box"),
     "evidence_x": (_F, "left edge of the evidence box, stitched pixels"),
     "evidence_y": (_F, "upper edge of the evidence box, stitched pixels"),
@@ -357,7 +358,7 @@ _RUNS: Final = {
     "predictions": (
         "Predictions of the runs: the answer and the evidence box of each question, with costs.",
         "run_id question_id status answer? evidence_frame? evidence_x? evidence_y? evidence_w? evidence_h? raw "
-        "reason verdict? n_observations n_model_calls prompt_tokens completion_tokens seconds",
+        "reason verdict? proposed? n_observations n_model_calls prompt_tokens completion_tokens seconds",
     ),
     "steps": ("Transcripts: model calls, looks and so on.", "run_id question_id step kind request response seconds"),
     "world": (

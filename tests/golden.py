@@ -65,7 +65,7 @@ BOX = ", ".join(f"evidence_{part}" for part in ("frame", "x", "y", "w", "h"))
 PREDICTIONS = f"question_id, status, answer, {BOX}, verdict, n_observations, n_model_calls"
 SCORES = "run_id, question_id, answer_score, evidence_score, combined_score, invalid"
 
-METHODS = (  # each entry: a method and, if it has several policies, a policy
+METHODS = (  # each entry: a method, and the options of the method
     "monolithic",
     "chain-of-thought",
     "search-recognize",
@@ -74,9 +74,7 @@ METHODS = (  # each entry: a method and, if it has several policies, a policy
     "agent-passive",
     "agent-no-world",
     "agent-passive-no-world",
-    "agent --policy guided",
-    "agent --policy model",
-    "agent-no-world --policy model",
+    "agent --advice off",
 )
 NOISE = ("wrong_attribute=0.1", "wrong_box=0.1", "malformed=0.1", "seed=3")
 """Knobs of the simulated model in half of the recorded runs, so that replies have to be repaired."""

@@ -19,7 +19,7 @@ from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import Convention
 from jrdb_avr.agent.model.messages import Message, Part, metadata_of, transcript
 from jrdb_avr.agent.model.reply import Reply
-from jrdb_avr.schema.answers import TIE, Answer, Evidence
+from jrdb_avr.schema.answers import TIE, Answer, Evidence, encode_answer
 from jrdb_avr.schema.errors import DecodeError, ObserveError
 from jrdb_avr.schema.method import Observation, Panorama, Prediction, Step, StepKind, Task, Verdict
 from jrdb_avr.schema.panorama import CROP, HEIGHT, WIDTH, Box, angle_error, from_crop
@@ -106,6 +106,7 @@ class ParsedReply:
     answer, evidence: the decoded parts, None if a part is missing or could not be read. faults: one reason per part
     that could not be read. refusal: why no final answer was accepted, or "". The prediction states this reason if there
     are no faults. verdict: how well the method's world model supports the answer, None without a world model.
+    proposed: the answer that the model proposed to the world model last.
     """
 
     answer: Answer | None = None
@@ -113,6 +114,7 @@ class ParsedReply:
     faults: tuple[str, ...] = ()
     refusal: str = ""
     verdict: Verdict | None = None
+    proposed: Answer | None = None
 
     def over(self, earlier: ParsedReply) -> ParsedReply:
         """Fill in the missing parts of this reply from an earlier reply.
@@ -412,6 +414,7 @@ class Attempt:
             raw=self.raw,
             reason="; ".join(parsed.faults) or parsed.refusal,
             verdict=parsed.verdict,
+            proposed=None if parsed.proposed is None else encode_answer(parsed.proposed),
             n_observations=self.looks,
             n_model_calls=self.calls,
             prompt_tokens=self.prompt_tokens,

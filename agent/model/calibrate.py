@@ -1,10 +1,12 @@
-"""Find out how a model writes boxes, by asking for the boxes of drawn rectangles.
+"""Find out how a model writes boxes, and how its errors repeat.
 
 The model gets pictures of marked rectangles with known boxes. The prompts request boxes in the same words as the
 prompts of a run. A reading is an order and a scale of the four numbers of a box. For each JSON key under which the
 model writes boxes, the boxes that result from every reading are compared with the known boxes. A reading is chosen only
-if it explains the replies well, and no other reading explains the replies nearly as well. No question of a store is
-used.
+if it explains the replies well, and no other reading explains the replies nearly as well.
+
+The model also gets crops of labelled people, each person three times. The errors in two readings of one label give the
+weights of repeated readings (`schema.repeats`). No question of a store is used.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Final, NamedTuple, get_args
@@ -22,12 +24,14 @@ import msgspec
 from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import CONTRACT_KEY, Convention, Order, Reading, Scale
 from jrdb_avr.agent.model.decode import EVIDENCE_SCHEMA, closed_object, finite, place_box, read_each, reply_object
+from jrdb_avr.agent.model.labelled_people import PERSON_SCHEMA, LabelledPerson, find_errors, request_labels
 from jrdb_avr.agent.model.messages import Message, fingerprint
 from jrdb_avr.agent.model.probes import BOX_LINE, DrawnPicture, drawn_rectangles
 from jrdb_avr.agent.model.prompts import render
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.schema.errors import DecodeError
 from jrdb_avr.schema.panorama import Box, iou
+from jrdb_avr.schema.repeats import USUAL_REPEATS, ErrorCorrelation, Repeats, correlate_errors
 
 PICTURES: Final = 50
 SEED: Final = 0
@@ -75,7 +79,8 @@ class Calibration(msgspec.Struct, frozen=True):
     the requests. readable: the number of replies with a box. scores: one score for each reading of each JSON key that
     the replies use. boxes: the order of the numbers, for each JSON key with a chosen reading. scales: the scale of the
     numbers, for each JSON key with a chosen reading. `boxes` and `scales` are empty if no reading was chosen. reason:
-    why no reading was chosen, or "".
+    why no reading was chosen, or "". frame_errors, person_errors: the correlation of the errors in two crops of one
+    frame, and in two frames a second apart.
     """
 
     model: str
@@ -89,6 +94,14 @@ class Calibration(msgspec.Struct, frozen=True):
     boxes: dict[str, Order]
     scales: dict[str, Scale]
     reason: str = ""
+    frame_errors: ErrorCorrelation = ErrorCorrelation()
+    person_errors: ErrorCorrelation = ErrorCorrelation()
+
+    @property
+    def repeats(self) -> Repeats:
+        """The weights of repeated readings. A weight that could not be measured is the usual one."""
+        usual = USUAL_REPEATS
+        return Repeats(self.frame_errors.weight(usual.frame), self.person_errors.weight(usual.person))
 
     def convention(self, declared: Convention) -> Convention:
         """Return a convention with the calibrated readings.
@@ -112,12 +125,18 @@ class _Written(NamedTuple):
     drawn: DrawnPicture
 
 
-def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] = lambda steps: None) -> Calibration:
-    """Request boxes of drawn rectangles, and find for each JSON key the reading that explains the replies.
+def calibrate(
+    client: Client,
+    n: int = PICTURES,
+    advance: Callable[[int], None] = lambda steps: None,
+    people: Sequence[LabelledPerson] = (),
+) -> Calibration:
+    """Request boxes of drawn rectangles and labels of people, and find for each JSON key the reading of boxes.
 
     Args:
         client: The client of the model's server.
-        n: The number of pictures.
+        n: The number of pictures of rectangles.
+        people: The labelled people, each of whom needs three requests.
         advance: Called with 1 after each reply.
 
     Returns:
@@ -127,12 +146,16 @@ def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] 
         EndpointError: If the server refuses a request, or if all retries fail.
     """
     pictures = drawn_rectangles(n, SEED)
-    requests = [request(drawn) for drawn in pictures]
+    views = [view for person in people for view in person]
+    requests = [(request(drawn), BOX_REPLY_SCHEMA) for drawn in pictures]
+    requests += [(request_labels(view), PERSON_SCHEMA) for view in views]
     replies = []
     with ThreadPoolExecutor(_IN_FLIGHT) as pool:
-        for reply in pool.map(lambda messages: client.complete(messages, BOX_REPLY_SCHEMA), requests):
+        for reply in pool.map(lambda request: client.complete(*request), requests):
             replies.append(reply)
             advance(1)
+    labels = [find_errors(reply, view, client.convention) for reply, view in zip(replies[n:], views, strict=True)]
+    replies = replies[:n]
     boxes = [_written(reply, drawn, client.convention) for reply, drawn in zip(replies, pictures, strict=True)]
     written = [box for box in boxes if box is not None]
     scores, reason = _judge(written, n, client.convention)
@@ -143,7 +166,7 @@ def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] 
         scores = [msgspec.structs.replace(score, chosen=False) for score in scores]
     chosen = [score for score in scores if score.chosen]
     options = client.options
-    sent = [fingerprint(messages) for messages in requests]
+    sent = [fingerprint(messages) for messages, _ in requests]
     whole = [BOX_REPLY_SCHEMA, [options.response_format, options.thinking], sent]
     return Calibration(
         model=client.model,
@@ -157,7 +180,13 @@ def calibrate(client: Client, n: int = PICTURES, advance: Callable[[int], None] 
         boxes={score.key: score.order for score in chosen},
         scales={score.key: score.scale for score in chosen},
         reason=reason,
+        frame_errors=correlate_errors([_pairs(*labels[i : i + 2]) for i in range(0, len(labels), 3)]),
+        person_errors=correlate_errors([_pairs(*labels[i : i + 3 : 2]) for i in range(0, len(labels), 3)]),
     )
+
+
+def _pairs(first: Mapping[str, bool], second: Mapping[str, bool]) -> dict[str, tuple[bool, bool]]:
+    return {topic: (wrong, second[topic]) for topic, wrong in first.items() if topic in second}
 
 
 def request(drawn: DrawnPicture) -> list[Message]:

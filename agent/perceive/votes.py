@@ -115,11 +115,13 @@ class Tracks:
     looks: Mapping[int, tuple[SeenColumns, ...]]
     repeats: Repeats = USUAL_REPEATS
 
-    def with_people(self, columns: SeenColumns, frame: int, people: Sequence[tuple[str, PersonReading]]) -> Tracks:
+    def with_people(
+        self, columns: SeenColumns | None, frame: int, people: Sequence[tuple[str, PersonReading]]
+    ) -> Tracks:
         """Return the tracks with one more picture.
 
         Args:
-            columns: Columns that the picture shows.
+            columns: Columns that the picture shows. None for more people of a picture that the tracks have.
             frame: Frame of the picture.
             people: Entity and reading of each person in the picture.
 
@@ -129,7 +131,7 @@ class Tracks:
         readings = dict(self.people)
         for entity, reading in people:
             readings[entity] = (*readings.get(entity, ()), reading)
-        looks = {**self.looks, frame: (*self.looks.get(frame, ()), columns)}
+        looks = {**self.looks, frame: (*self.looks.get(frame, ()), *([columns] if columns else []))}
         return Tracks(readings, looks, self.repeats)
 
     # -- attributes -----------------------------------------------------------------------------------------------
@@ -327,7 +329,7 @@ class Tracks:
 
     @cached_property
     def _tie_votes(self) -> dict[TieKey, list[Vote]]:
-        """The votes on each relation, in the order of the observations, with the weight of each reading in its frame."""
+        """The votes on each relation in the order of the pictures, with the weight of each reading in its frame."""
         pairs = [(entity, reading) for entity, readings in self.people.items() for reading in readings]
         entities = {(reading.observation, reading.number): entity for entity, reading in pairs}
         # Names of observations count up, so that a longer name is a later one.

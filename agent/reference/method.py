@@ -2,43 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from jrdb_avr.agent.beliefs.solver import BeliefSolver, beliefs_of
 from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.methods.requests import heading, history_settings, shared_settings, uniform_frames
 from jrdb_avr.agent.model.client import Chat
 from jrdb_avr.agent.model.conventions import CONTRACT, Convention
 from jrdb_avr.agent.model.prompts import frame_ranges, mode_text, render
-from jrdb_avr.agent.reference.belief_writer import BeliefWriter
+from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, fields_of, perceivable
 from jrdb_avr.agent.reference.chat_memory import ChatMemory
-from jrdb_avr.agent.reference.driven import DrivenEpisode
-from jrdb_avr.agent.reference.episode import LIMITS, AgentEpisode, Limits, Memory
-from jrdb_avr.agent.reference.graph_memory import GraphMemory
-from jrdb_avr.agent.perceive.fields import MOST_PEOPLE, perceivable
+from jrdb_avr.agent.reference.loop import LIMITS, AgentLoop, Limits, Memory
 from jrdb_avr.agent.reference.planning import make_plan
-from jrdb_avr.agent.reference.tool_calls import MOST_PER_TURN
-from jrdb_avr.queries.compiler.believed import find_believed
-from jrdb_avr.schema.errors import InputError
-from jrdb_avr.schema.labels import AGES, DISTANCE_WORDS, OTHER_ACTIONS, POSES, ROBOT_SECTORS
-from jrdb_avr.schema.method import Prediction, Question, Task
+from jrdb_avr.agent.reference.turns import MOST_CALLS
+from jrdb_avr.agent.reference.world_memory import WorldMemory, world_heading
+from jrdb_avr.schema.method import Prediction, Task
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.beliefs.world_model import WorldModel
-
-Policy = Literal["model", "guided", "driven"]
-"""Who chooses the looks: the model, the model among the best that the harness finds, or the harness."""
+    from jrdb_avr.agent.world.episode import WorldModel
 
 
 @dataclass(frozen=True)
 class ReferenceAgent:
-    """The reference agent: a plan, looks or panoramas, and an answer from a world model or without one.
+    """The reference agent. The variant follows from `world` and `looks`.
 
-    looks: whether it looks, or is sent panoramas; world: None without a world model; policy: who chooses the looks
-    (`make_method` passes "driven" where an agent looks); history: how many of the newest pictures a chat holds, None
-    for all. Raises InputError for a harness that has no looks to choose.
+    world: the world model of the run. None makes the variant without plan and world model, whose memory is a chat.
+    looks: whether the agent looks. If not, it gets panoramas. advice: whether turns advise looks. history: number of
+    newest pictures that a chat sends, None for all.
     """
 
     chat: Chat
@@ -46,112 +36,103 @@ class ReferenceAgent:
     world: WorldModel | None = None
     looks: bool = True
     limits: Limits = LIMITS
-    solving: Callable[[WorldModel, Question], BeliefSolver] = beliefs_of
-    policy: Policy = "model"
+    advice: bool = True
     history: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.driven and not self.looks:
-            raise InputError(f"policy {self.policy!r}: a passive agent has no looks to choose", field="policy")
-
-    @property
-    def driven(self) -> bool:
-        """Whether the harness finds the looks."""
-        return self.policy != "model"
-
-    @property
-    def remembers(self) -> bool:
-        return self.world is not None
 
     @property
     def name(self) -> str:
-        return "agent" + ("" if self.looks else "-passive") + ("" if self.remembers else "-no-world")
+        """The name of the variant."""
+        return "agent" + ("" if self.looks else "-passive") + ("" if self.world else "-no-world")
 
     def settings(self) -> dict[str, Any]:
-        """What the manifest of a run says of the method."""
-        variant = {"active_observation": self.looks, "world_model": self.remembers, "policy": self.policy}
-        if self.driven:
-            budgets = {"looks": self.limits.looks, "repairs": self.limits.repairs, "people": MOST_PEOPLE}
-            return variant | budgets | shared_settings(self.convention)
-        variant |= history_settings(self.history)
-        return variant | self.limits.settings(self.looks, self.remembers) | shared_settings(self.convention)
+        """Return the method's settings for a run's manifest."""
+        remembers = self.world is not None
+        variant: dict[str, Any] = {"active_observation": self.looks, "world_model": remembers}
+        if remembers:
+            variant |= {"people_per_call": MOST_PEOPLE, **({"advice": self.advice} if self.looks else {})}
+        else:
+            variant |= history_settings(self.history)
+        return variant | self.limits.settings(self.looks, remembers) | shared_settings(self.convention)
 
     def answer(self, task: Task) -> Prediction:
-        """Play one question.
+        """Play a question.
 
-        Under the policy `model` within `limits.model_calls` model calls; else with the plan's tries and at most four
-        calls for each look, two more where the model picks it.
+        Args:
+            task: The question to answer.
+
+        Returns:
+            The prediction.
         """
         attempt = Attempt(task, self.chat, self.convention)
-        if self.driven:
-            return self._drive(attempt)
-        system = system_prompt(task, self.limits, self.looks, self.remembers)
-        heading = task_heading(task, self.limits, self.looks)
-        if self.world is None:
-            return self._play(attempt, ChatMemory(attempt, system, heading, self.history))
-        world, solver = self.world.episode(task.question, task.record_write), self.solving(self.world, task.question)
-        with world.together():
-            plan = make_plan(attempt, self.limits.repairs, solver.check, world)
-            return self._play(attempt, GraphMemory(attempt, world, solver, plan, system, heading, fixed=not self.looks))
-
-    def _drive(self, attempt: Attempt) -> Prediction:
-        guided = self.policy == "guided"
-        if self.world is None:
-            plan = make_plan(attempt, self.limits.repairs, find_believed)
-            return DrivenEpisode(attempt, perceivable(plan), self.limits.looks, guided=guided).play()
-        world = self.world.episode(attempt.task.question, attempt.task.record_write)
-        solver = self.solving(self.world, attempt.task.question)
-        with world.together():
-            plan = make_plan(attempt, self.limits.repairs, solver.check, world)
-            read = perceivable(plan)
-            writer = BeliefWriter(world, solver, plan, read, attempt.task, {})
-            return DrivenEpisode(attempt, read, self.limits.looks, writer, guided).play()
-
-    def _play(self, attempt: Attempt, memory: Memory) -> Prediction:
-        episode = AgentEpisode(attempt, memory, self.looks, self.limits)
+        loop = AgentLoop(attempt, self._memory(attempt), self.looks, self.limits)
         if not self.looks:
-            episode.show(attempt.panoramas(self.limits.panoramas))
-        return episode.play()
+            loop.show(attempt.panoramas(self.limits.panoramas))
+        return loop.play()
+
+    def _memory(self, attempt: Attempt) -> Memory:
+        task = attempt.task
+        advice = self.advice and self.looks and self.world is not None
+        heading = task_heading(task, self.limits, self.looks, advised=advice)
+        system = system_prompt(task, self.limits, self.looks, remembers=self.world is not None, advice=advice)
+        if self.world is None:
+            return ChatMemory(attempt, system, heading, self.history)
+        episode = self.world.episode(task.question, task.record_write)
+        plan = perceivable(make_plan(attempt, self.limits.repairs, episode))
+        fields = fields_of(plan, task.question.choices)
+        heading = world_heading(heading, plan, fields)
+        return WorldMemory(attempt, episode, plan, fields, system, heading, advice, fixed=not self.looks)
 
 
-# -- texts of the tool turns ------------------------------------------------------------------------------------------
+# -- texts of the turns -----------------------------------------------------------------------------------------------
 
 
-def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool) -> str:
-    """The system message of a variant's tool turns."""
+def system_prompt(task: Task, limits: Limits, looks: bool, remembers: bool, advice: bool = True) -> str:
+    """Return the system message of a variant's turns.
+
+    Args:
+        task: The question.
+        limits: The limits of a question.
+        looks: Whether the variant looks.
+        remembers: Whether the variant has a world model.
+        advice: Whether turns advise looks.
+
+    Returns:
+        The text.
+    """
     text = mode_text(task)
+    panoramas = len(uniform_frames(task.sequence.frames, limits.panoramas))
+    looking = render("agent_look" if looks else "agent_panoramas", panoramas=panoramas)
+    if advice:
+        looking = "A look is a square picture, 46 degrees wide, of one frame."
+    observe = ("agent_observe_advised" if advice and remembers else "agent_observe") if looks else ""
     shared = {
-        "looking": render("agent_look")
-        if looks
-        else render("agent_panoramas", panoramas=len(uniform_frames(task.sequence.frames, limits.panoramas))),
-        "observe": render("agent_observe") + "\n" if looks else "",
+        "looking": looking,
+        "observe": render(observe) + "\n" if observe else "",
         "fps": f"{task.sequence.fps:g}",
-        "most": MOST_PER_TURN,
+        "most": MOST_CALLS,
         "answer_form": text.form,
         "answer_rule": text.rule,
-        "budget": render("agent_budget", looks=f"{limits.looks} looks and " if looks else "", calls=limits.calls),
+        "budget": (f"{limits.looks} looks and " if looks else "") + f"{limits.turns} turns",
     }
     if not remembers:
         call = render("agent_call_observe" if looks else "agent_call_final", answer_form=text.form)
         return render("agent_chat", call=call, **shared)
-    return render(
-        "agent_world",
-        poses=", ".join(POSES),
-        actions=", ".join(OTHER_ACTIONS),
-        ages=", ".join(AGES),
-        sectors=", ".join(ROBOT_SECTORS),
-        distances=", ".join(DISTANCE_WORDS),
-        **shared,
-    )
+    call = '{"tool": "observe"}' if advice and looks else '{"tool": "get_graph"}'
+    return render("agent_world", call=call, people=MOST_PEOPLE, **shared)
 
 
-def task_heading(task: Task, limits: Limits, looks: bool) -> str:
-    """The lines that open every task. Legal frames are those that can be looked at, or have been."""
-    frames = task.sequence.frames
-    text = mode_text(task)
-    return render(
-        "agent_task",
-        heading=heading(task.question),
-        frames=frame_ranges(frames if looks else uniform_frames(frames, limits.panoramas)),
-        advice=text.advice,
-    )
+def task_heading(task: Task, limits: Limits, looks: bool, advised: bool = False) -> str:
+    """Return the lines that begin each question.
+
+    Args:
+        task: The question.
+        limits: The limits of a question.
+        looks: Whether the variant looks. If not, the legal frames are the frames of the panoramas.
+        advised: Whether turns advise looks. Then the first and the last legal frame stand for all, to save tokens.
+
+    Returns:
+        The question, its choices and the legal frames.
+    """
+    frames = task.sequence.frames if looks else uniform_frames(task.sequence.frames, limits.panoramas)
+    legal = f"{frames[0]:06d} to {frames[-1]:06d}" if advised and frames else frame_ranges(frames)
+    return render("agent_task", heading=heading(task.question), frames=legal)

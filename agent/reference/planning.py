@@ -1,21 +1,23 @@
-"""The plan stage: what a model is sent, and what its plan must keep to before anything is looked at."""
+"""The plan stage: the request for a plan, and the check of the plan before the first look."""
 
 from __future__ import annotations
 
 import difflib
-import json
+import functools
+import re
 import time
 from collections.abc import Callable, Collection
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from jrdb_avr.agent.beliefs.arguments import printable
+from jrdb_avr.agent.look.ranking import parts_of
 from jrdb_avr.agent.methods.attempt import Attempt
 from jrdb_avr.agent.methods.requests import heading
 from jrdb_avr.agent.model import decode
 from jrdb_avr.agent.model.messages import Message
-from jrdb_avr.agent.model.prompts import frame_ranges, render
-from jrdb_avr.agent.reference.tool_calls import compact_json
+from jrdb_avr.agent.model.prompts import render
+from jrdb_avr.agent.perceive.fields import perceivable
+from jrdb_avr.agent.reference.turns import compact_json, printable
 from jrdb_avr.schema.answer_modes import MODES
 from jrdb_avr.schema.errors import DecodeError, PlanError
 from jrdb_avr.schema.labels import (
@@ -58,31 +60,38 @@ from jrdb_avr.schema.things import OBJECT_PHRASES, OBJECTS, PERSON_CATEGORIES, V
 from jrdb_avr.schema.wording.phrases import FAR_AWAY
 
 if TYPE_CHECKING:
-    from jrdb_avr.agent.beliefs.world_model import BeliefEpisode
+    from jrdb_avr.agent.world.episode import WorldEpisode
 
 LONGEST_SENT: Final = 4000
-"""Characters of a refused plan that are sent again."""
+"""Maximum number of characters of a refused plan that are sent again."""
 
 MOST_PARTS: Final = 32
-"""Conditions and edges of a plan: a question's has a dozen, and the engine's work grows with them."""
+"""Maximum number of conditions and edges of a plan. The plan of a question has about a dozen."""
 
 
-def make_plan(
-    attempt: Attempt, repairs: int, check: Callable[[Plan], object], episode: BeliefEpisode | None = None
-) -> Plan:
-    """The model's plan for the question, or the smallest one where all of `1 + repairs` tries are refused.
+def make_plan(attempt: Attempt, repairs: int, episode: WorldEpisode) -> Plan:
+    """Let the model plan the question. Each try is one model call, which states why the last plan was refused.
 
-    Each try is one model call, with the plan before it and what was wrong with that one. `check` raises
-    PlanError for a plan that the solver cannot run. The episode of a world model keeps every try.
+    Args:
+        attempt: The attempt at the question.
+        repairs: Maximum number of tries after a refused plan.
+        episode: The world model's episode, which records every try.
+
+    Returns:
+        The model's plan, or the smallest plan if all tries are refused.
+
+    Raises:
+        EndpointError: If the server refuses a request.
     """
     task = attempt.task
+    frames = task.sequence.frames or (0,)
     system, schema = plan_prompt(task), plan_form()
     refusal, text = "", ""
     for _ in range(1 + repairs):
         user = render(
             "agent_plan_task",
             heading=heading(task.question),
-            frames=frame_ranges(task.sequence.frames),
+            frames=f"{frames[0]:06d} to {frames[-1]:06d}",
             refusal=f"Your last plan: {text}\nYour plan was refused: {refusal}" if refusal else "",
         )
         reply = attempt.ask([Message("system", (system,)), Message("user", (user,))], schema)
@@ -93,32 +102,37 @@ def make_plan(
             value = decode.reply_object(reply, attempt.convention)
             text = compact_json(value)
             plan = read_plan(text, task)
-            check(plan)
+            # A part that holds at no stated frame cannot be looked for.
+            parts_of(perceivable(plan))
         except (DecodeError, PlanError) as error:
             refusal = printable(str(error))
-            if episode is not None:
-                episode.refused("plan", value if len(text) <= LONGEST_SENT else {}, refusal, step)
+            episode.refuse("plan", value if len(text) <= LONGEST_SENT else {}, refusal, step)
             attempt.record("tool", {"tool": "plan"}, {"refused": refusal}, started)
             text = text[:LONGEST_SENT]
         else:
-            if episode is not None:
-                episode.plan(plan, step)
+            episode.set_plan(plan, step)
             attempt.record("tool", {"tool": "plan"}, {"accepted": canonical(plan)}, started)
             return plan
     plan = smallest_plan(task)
-    if episode is not None:
-        episode.plan(plan, step)
+    episode.set_plan(plan, step)
     attempt.record("tool", {"tool": "plan"}, {"in place of a plan": canonical(plan)}, time.perf_counter())
     return plan
 
 
 def smallest_plan(task: Task) -> Plan:
-    """A plan of the target alone, of whom nothing is said, with the read that the answer's mode implies."""
+    """Return the plan that is used if no other plan was accepted: one person without conditions.
+
+    Args:
+        task: The question.
+
+    Returns:
+        The plan. The answer mode of the question decides what it reads.
+    """
     mode, frames = task.question.answer_mode, task.sequence.frames or (0,)
     read = MODES[mode].smallest_read
     times = {"t0": Time(frame=frames[0])}
     at: list[str] = []
-    # Which action is meant is not known, nor which people are counted: the commonest stand for them.
+    # The action of an event and the relation of a count are unknown, so the most frequent labels are used.
     for events in READS[read].times:
         if events:
             time = Time(event=events[0], of="a", action="walking", after=f"t{len(times) - 1}")
@@ -132,9 +146,18 @@ def smallest_plan(task: Task) -> Plan:
 
 
 def read_plan(text: str, task: Task) -> Plan:
-    """The plan of a JSON text, fit for the question. Raises PlanError naming the field.
+    """Read the plan of a question.
 
-    Beyond `schema.plan.validate`: its mode is the question's, its labels are known, its frames lie in the sequence.
+    Args:
+        text: The plan as JSON.
+        task: The question.
+
+    Returns:
+        The plan.
+
+    Raises:
+        PlanError: If the plan is invalid, has another answer mode than the question, has an unknown label, or has a
+            frame outside the sequence. The error names the field.
     """
     plan = parse_plan(text)
     mode, frame_count = task.question.answer_mode, task.sequence.frame_count
@@ -147,27 +170,33 @@ def read_plan(text: str, task: Task) -> Plan:
         raise PlanError("answer.of", f"the answer is read of the target, {plan.target!r}")
     count = sum(len(node.conditions) for node in plan.nodes) + len(plan.edges)
     if count > MOST_PARTS:
-        raise PlanError("plan", f"at most {MOST_PARTS} conditions and edges are taken, not {count}")
+        raise PlanError("plan", f"the maximum is {MOST_PARTS} conditions and edges, not {count}")
     check_labels(plan)
     return plan
 
 
 def plan_prompt(task: Task) -> str:
-    """The system message of the plan stage."""
+    """Return the system message of the plan stage.
+
+    Args:
+        task: The question.
+
+    Returns:
+        The text, with the labels that a plan may have.
+    """
     mode = task.question.answer_mode
     return render(
         "agent_plan",
         fps=f"{task.sequence.fps:g}",
         mode=mode,
         reads=render(f"agent_reads_{mode}"),
-        vocabulary=vocabulary(),
-        schema=json.dumps(plan_form(), separators=(",", ":")),
+        vocabulary=vocabulary(task.question.question),
     )
 
 
 @cache
 def plan_form() -> dict[str, Any]:
-    """The plan's JSON Schema, without prose, and with keys left out where the full one allows null."""
+    """Return the JSON Schema of a plan, without descriptions and without null values."""
     form: dict[str, Any] = _plain(plan_json_schema())
     return form
 
@@ -191,13 +220,13 @@ _LEFT_OUT: Final = frozenset({"title", "description", "default", "propertyNames"
 # -- labels -----------------------------------------------------------------------------------------------------------
 
 THINGS: Final = tuple(category for category in OBJECTS if category not in PERSON_CATEGORIES)
-"""The kinds of nodes that are no people."""
+"""Kinds of nodes for things."""
 
 _LABELS: Final = {"action": ACTIONS, "interaction": INTERACTIONS, "object": OBJECTS, "verb": VERBS}
-"""The labels of a condition's fields."""
+"""Labels of a condition, by field."""
 
 _VALUES: Final = {"gender": GENDERS, "age": AGES, "sector": tuple(ROBOT_SECTORS), "distance": DISTANCE_WORDS}
-"""The values of the attributes that have labels."""
+"""Values of attributes that have labels."""
 
 _AGE_WORDS: Final = {
     "childhood": "child",
@@ -208,28 +237,49 @@ _AGE_WORDS: Final = {
 }
 
 
-@cache
-def vocabulary() -> str:
-    """Every label, a line per kind, each with the words of a question where they differ: `bending = bending down`."""
+def vocabulary(question: str) -> str:
+    """List the labels that a plan may have.
+
+    Args:
+        question: The text of the question.
+
+    Returns:
+        One line per kind of label. If the question has other phrases for a label, they follow the label:
+        `bending = bending down`. Of labels of the longest kinds, only those with
+        a word of the question are listed.
+    """
+    near = functools.partial(_named, question)
     lines = {
         "gender": _listed(GENDERS),
         "age": _listed(AGES, _AGE_WORDS.__getitem__),
         "sector": _listed(ROBOT_SECTORS),
         "distance": _listed(DISTANCE_WORDS, lambda word: FAR_AWAY[word].rpartition("(")[2].rstrip(")")),
         "action, postures and movements": _listed(POSES, ACTION_PHRASES.__getitem__),
-        "action, others": _listed(OTHER_ACTIONS, ACTION_PHRASES.__getitem__),
-        "interaction": _listed(
-            INTERACTIONS, lambda label: INTERACTION_PHRASES[label].removesuffix(" with someone").replace(" someone", "")
-        ),
+        "action, others": _listed(near(OTHER_ACTIONS, ACTION_PHRASES.__getitem__), ACTION_PHRASES.__getitem__),
+        "interaction": _listed(near(INTERACTIONS, _interaction), _interaction),
         "relation": _relations(),
-        "verb": _listed(VERBS, VERB_PHRASES.__getitem__),
-        "object": _listed(OBJECTS, _thing),
+        "verb": _listed(near(VERBS, VERB_PHRASES.__getitem__), VERB_PHRASES.__getitem__),
+        "object": _listed(near(OBJECTS, _thing), _thing),
     }
-    return "\n".join(f"- {kind}: {labels}." for kind, labels in lines.items())
+    return "\n".join(f"- {kind}: {labels}." for kind, labels in lines.items() if labels)
+
+
+def _named(question: str, labels: Collection[str], phrases: Callable[[str], str]) -> list[str]:
+    """Return the labels that begin a word as the question does, by the first three letters."""
+    stems = _stems(question)
+    return [label for label in labels if stems & _stems(f"{label} {phrases(label)}")]
+
+
+def _interaction(label: str) -> str:
+    return INTERACTION_PHRASES[label].removesuffix(" with someone").replace(" someone", "")
+
+
+def _stems(text: str) -> set[str]:
+    return {word[:3] for word in re.findall("[a-z]{3,}", text.lower())}
 
 
 def _relations() -> str:
-    """Relations but for the interactions, which are relations as well; those of a kind by an example."""
+    """List the relations. Interactions are not listed again, and an example stands for each kind with many labels."""
     rows = [RELATIONS[label] for label in QUESTION_RELATIONS]
     window = next(row.label for row in rows if row.kind == "window")
     near = dict.fromkeys(row.distance for row in rows if row.kind == "person")
@@ -242,20 +292,27 @@ def _relations() -> str:
     )
 
 
-def _listed(labels: Collection[str], words: Callable[[str], str] = str) -> str:
-    return ", ".join(label if words(label) == label else f"{label} = {words(label)}" for label in labels)
+def _listed(labels: Collection[str], phrases: Callable[[str], str] = str) -> str:
+    return ", ".join(label if phrases(label) == label else f"{label} = {phrases(label)}" for label in labels)
 
 
 def _thing(category: str) -> str:
-    """A thing's words, or the label where they say no more than it does."""
-    words = OBJECT_PHRASES[category]
+    """Return the phrases of a question for a thing, or the label if it equals the phrases."""
+    phrases = OBJECT_PHRASES[category]
     for article in ("a ", "an ", "the ", "some "):
-        words = words.removeprefix(article)
-    return category if words == category.replace("_", " ") else words
+        phrases = phrases.removeprefix(article)
+    return category if phrases == category.replace("_", " ") else phrases
 
 
 def check_labels(plan: Plan) -> None:
-    """Refuse a plan with a label that nothing is ever called. Raises PlanError naming the field."""
+    """Check the labels of a plan.
+
+    Args:
+        plan: The plan.
+
+    Raises:
+        PlanError: If a label is unknown. The error names the field.
+    """
     for i, node in enumerate(plan.nodes):
         for j, condition in enumerate(node.conditions):
             _check_condition(f"nodes[{i}].conditions[{j}]", condition)
@@ -264,7 +321,7 @@ def check_labels(plan: Plan) -> None:
         if edge.target not in plan.things:
             _check(f"edges[{i}].relation", edge.relation, QUESTION_RELATIONS)
         elif edge.relation in INTERACTIONS:
-            raise PlanError(f"edges[{i}].relation", f"{edge.relation!r} joins two people; use a verb or words of yours")
+            raise PlanError(f"edges[{i}].relation", f"{edge.relation!r} joins two people; use a verb or other phrases")
     for name, moment in plan.times.items():
         _check(f"times.{name}.action", moment.action, ACTIONS)
     _check("answer.relation", plan.answer.relation, RELATIONS_OF["count"])

@@ -34,20 +34,18 @@ def direction_lines(rows: Sequence[_Row]) -> list[str]:
         rows: Rows of the table `ablation`.
 
     Returns:
-        One line for each combination of model, setting and policy that has all four cells. The cells without active
-        observation count for every policy, because their methods choose no looks.
+        One line for each combination of model and setting that has all four cells.
     """
     measured = [row for row in rows if row["label"] != "paper"]
     lines = []
-    for model, setting, policy in sorted({(row["model"], row["setting"], row["policy"]) for row in measured}):
+    for model, setting in sorted({(row["model"], row["setting"]) for row in measured}):
         cells = {
             (row["active"], row["world_model"]): row
             for row in measured
             if (row["model"], row["setting"]) == (model, setting)
-            and (row["policy"] == policy or row["active"] == "off")
         }
         if len(cells) == len(_METHODS):
-            lines.append(_line(cells, ", ".join(filter(None, (model, setting, f"policy {policy}")))))
+            lines.append(_line(cells, ", ".join(filter(None, (model, setting)))))
     return lines
 
 

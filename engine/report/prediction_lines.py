@@ -47,6 +47,7 @@ class PredictionLine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, om
     raw: str = ""
     reason: str = ""
     verdict: Verdict | None = None
+    proposed: str | None = None
     n_observations: _Count = 0
     n_model_calls: _Count = 0
     prompt_tokens: _Tokens = 0

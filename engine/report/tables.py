@@ -219,32 +219,23 @@ def ablation_rows(runs: Sequence[ScoredRun], *, published: bool = False) -> list
         published: Whether to add the rows of the paper's ablation.
 
     Returns:
-        One row per run, with the run's policy. Rows are grouped by model and setting.
+        One row per run. Rows are grouped by model and setting.
     """
     methods = list(CELLS)
     among = [run for run in runs if run.manifest.method in methods]
-    settings: dict[str, str] = {}
-    for policy in {_policy(run) for run in among}:
-        # Settings are compared only among runs of the same policy, because the policy has its own column.
-        settings |= distinguishing_settings([run for run in among if _policy(run) == policy])
+    settings = distinguishing_settings(among)
     rows = [
         CELLS[run.manifest.method]
-        | {"policy": _policy(run)}
         | run_names(run)
         | {"setting": settings[run.manifest.run_id]}
         | _shares(*_totals(run))
         for run in among
     ]
     # Rows are grouped by model and setting. In a group, the passive cells come first.
-    rows.sort(key=lambda row: (row["model"], row["setting"], methods.index(row["method"]), row["policy"]))
+    rows.sort(key=lambda row: (row["model"], row["setting"], methods.index(row["method"])))
     if published:
-        rows += [cell | {"policy": "model"} | _published(ABLATION[method]) for method, cell in CELLS.items()]
+        rows += [cell | _published(ABLATION[method]) for method, cell in CELLS.items()]
     return rows
-
-
-def _policy(run: ScoredRun) -> str:
-    """Return the policy of a run of an agent. The policy says whether the program or the model chose the looks."""
-    return str(run.manifest.settings.get("method", {}).get("policy", "model"))
 
 
 # -- pairs ------------------------------------------------------------------------------------------------------------

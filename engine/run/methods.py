@@ -21,12 +21,9 @@ from typing import TYPE_CHECKING, Any, Final
 from jrdb_avr.schema.errors import InputError
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from jrdb_avr.agent.beliefs.world_model import WorldModel
     from jrdb_avr.agent.model.client import Chat
     from jrdb_avr.agent.model.conventions import Convention
-    from jrdb_avr.agent.reference.method import Policy
+    from jrdb_avr.agent.world.episode import WorldModel
     from jrdb_avr.schema.method import ConfigurableMethod, Prediction, Task
 
 NO_MODEL: Final = "none"
@@ -43,48 +40,42 @@ METHODS: Final = (
     "agent-passive-no-world",
 )
 
-POLICIES: Final = ("model", "guided", "driven")
-"""Names of the policies. A policy says whether the program or the model chooses an agent's looks."""
-
-DRIVABLE: Final = ("agent", "agent-no-world")
-"""Methods that accept any policy. By default the program chooses their looks (policy `driven`)."""
-
 CHATS: Final = ("react", "agent-no-world")
-"""Methods that send all pictures again in every turn if the policy is `model`."""
+"""Methods that send all pictures again in every turn."""
 
 WORLD_METHODS: Final = ("agent", "agent-passive")
 """Methods that write to a world model."""
 
-
-def default_policy(method: object) -> Policy:
-    """Return the policy that a method uses if the user names no policy."""
-    return "driven" if method in DRIVABLE else "model"
+ADVISED: Final = "agent"
+"""The method whose world model proposes looks."""
 
 
 @contextlib.contextmanager
-def open_world(path: Path, run_id: str, record: pa.Table) -> Iterator[WorldModel]:
-    """Yield the world model of a run, which is in a graph file. Close the file at the end of the `with` block.
+def open_world(folder: Path, run_id: str) -> Iterator[WorldModel]:
+    """Yield the world model of a run. It has a graph file of its own, which is deleted at the end of the `with` block.
 
     Args:
-        path: The graph file. If it is missing, a new file is made.
+        folder: The folder of the run.
         run_id: The id of the run.
-        record: The run's rows of the table `world` so far. Facts that the graph lacks are first written to the graph.
 
     Yields:
         The world model.
 
     Raises:
-        LockedError: If another process has the graph open.
-        StoreError: If the graph file cannot be opened.
+        StoreError: If the graph file cannot be made.
     """
-    from jrdb_avr.agent.beliefs.world_model import WorldModel
-    from jrdb_avr.queries.beliefs.graph import WorldGraph, open_graph
-    from jrdb_avr.queries.beliefs.record import restore_world
+    from jrdb_avr.agent.world.episode import WorldModel
+    from jrdb_avr.queries.beliefs.graph import WorldGraph
+    from jrdb_avr.queries.graph.handle import remove_graph
 
-    with open_graph(path) as graph:
-        restore_world(graph, run_id, record)
-    with WorldGraph.open(path) as world:
-        yield WorldModel(world, run_id)
+    path = folder / "world.kuzu"
+    # An interrupted run may have left a file. Its finished questions are in the journal.
+    remove_graph(path)
+    try:
+        with WorldGraph.open(path) as world:
+            yield WorldModel(world, run_id)
+    finally:
+        remove_graph(path)
 
 
 def make_method(
@@ -92,7 +83,7 @@ def make_method(
     chat: Chat,
     convention: Convention,
     world: WorldModel | None = None,
-    policy: Policy | None = None,
+    advice: bool = True,
     history: int | None = None,
 ) -> ConfigurableMethod:
     """Make a built-in method.
@@ -102,7 +93,7 @@ def make_method(
         chat: The client of the model.
         convention: How the model writes boxes.
         world: The world model, which a method of `WORLD_METHODS` needs.
-        policy: The policy of an agent. Default: `default_policy`.
+        advice: Whether the world model of `ADVISED` proposes looks.
         history: Maximum number of pictures that a method of `CHATS` sends in a turn. If None, it sends all pictures.
 
     Returns:
@@ -117,9 +108,7 @@ def make_method(
     if name in WORLD_METHODS and world is None:
         raise ValueError(f"the method {name!r} needs a world model")
     if name.startswith("agent"):
-        return ReferenceAgent(
-            chat, convention, world, looks="passive" not in name, policy=policy or default_policy(name), history=history
-        )
+        return ReferenceAgent(chat, convention, world, looks="passive" not in name, advice=advice, history=history)
     if name == ReAct.name:
         return ReAct(chat, convention, history=history)
     kinds = (Monolithic, ChainOfThought, SearchRecognize)

@@ -22,7 +22,7 @@ from jrdb_avr.agent.model.client import Client
 from jrdb_avr.agent.model.conventions import convention_of
 from jrdb_avr.agent.model.options import EndpointOptions
 from jrdb_avr.agent.model.reply import thinking_text
-from jrdb_avr.engine.run.methods import CHATS, DRIVABLE, METHODS, POLICIES, WORLD_METHODS, make_method
+from jrdb_avr.engine.run.methods import CHATS, METHODS, WORLD_METHODS, make_method
 from jrdb_avr.queries.beliefs.graph import WorldGraph
 from jrdb_avr.schema.answers import AnswerMode
 from jrdb_avr.schema.errors import AvrError
@@ -235,12 +235,9 @@ def run_case(seed, number, folder, save):
     chat = _chat(rng.choice(MODELS))
     chat.rng, chat.bodies = rng, []
     name = rng.choice(METHODS)
-    policy = rng.choice(POLICIES) if name in DRIVABLE else None
-    if policy == "guided" and name not in WORLD_METHODS:
-        policy = "model"
     world = _worlds.model(number) if name in WORLD_METHODS else None
-    history = rng.choice((None, 0, 2)) if name in CHATS and policy in (None, "model") else None
-    method = make_method(name, chat, chat.convention, world, policy, history)
+    history = rng.choice((None, 0, 2)) if name in CHATS else None
+    method = make_method(name, chat, chat.convention, world, rng.random() < 0.5, history)
     steps, writes = [], []
     limits.begin()
     try:

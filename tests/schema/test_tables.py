@@ -30,7 +30,7 @@ CONTRACTS = {
     "people_in_scene bindings needed twin_id",
     "evidence": "sequence track frame x y w h",
     "predictions": "run_id question_id status answer evidence_frame evidence_x evidence_y evidence_w evidence_h raw "
-    "reason verdict n_observations n_model_calls prompt_tokens completion_tokens seconds",
+    "reason verdict proposed n_observations n_model_calls prompt_tokens completion_tokens seconds",
     "steps": "run_id question_id step kind request response seconds",
     "world": "run_id question_id number step tool arguments accepted reason fact",
     "scores": "run_id question_id answer_score evidence_score combined_score invalid",

@@ -167,7 +167,7 @@ VALUES = {"gender": GENDERS, "age": AGES, "action": POSES}
 
 @dataclass(frozen=True)
 class Noise:
-    """wrong: per attribute; wrong_box, miss: per person and picture; jitter: of a box's sides, as a share of its size."""
+    """wrong: per attribute; wrong_box, miss: per person and picture; jitter: of a box's sides, as a share of them."""
 
     wrong: float = 0.0
     wrong_box: float = 0.0

@@ -1,17 +1,19 @@
-"""Games of the reference agent: scripted replies, a real world model, and a solver that says what it is told to."""
+"""Games of the reference agent: scripted replies on grey pictures, with a real world model or none."""
 
 import json
-from dataclasses import dataclass
 from types import SimpleNamespace
 
-from jrdb_avr.agent.beliefs.solver import Belief, BeliefSolver, beliefs_of
-from jrdb_avr.agent.beliefs.world_model import WorldModel
+import numpy as np
+
 from jrdb_avr.agent.model.messages import Picture
 from jrdb_avr.agent.model.reply import Reply
 from jrdb_avr.agent.reference.method import ReferenceAgent
-from jrdb_avr.queries.compiler.find import compile_find
+from jrdb_avr.schema.method import Observation, Panorama, Question, SequenceInfo, Task
+from jrdb_avr.schema.panorama import CROP, FOV_DEG, crop_left
 
-CHOICES = ("walking", "standing", "sitting", "lying")
+CHOICES = ("walking", "standing", "sitting", "lying down")
+FRAMES = tuple(range(0, 300, 5))
+MODES = ("multiple_choice", "frame", "span", "frame_viewpoint", "number")
 
 PLAN = {
     "root": "a",
@@ -35,10 +37,19 @@ PLANS = {
         "answer": {"mode": "number", "read": "count", "of": "a", "at": ["t0", "t1"], "relation": "conversation"},
     },
 }
+PAIR = PLAN | {
+    "target": "b",
+    "nodes": [*PLAN["nodes"], {"id": "b", "conditions": []}],
+    "edges": [{"source": "a", "relation": "conversation", "target": "b", "at": "t0"}],
+    "answer": PLAN["answer"] | {"of": "b"},
+}
+
+LEFT_BOX, RIGHT_BOX = [100, 250, 250, 700], [600, 250, 750, 700]
+GRAPH = {"tool": "get_graph"}
+ADVISED = {"tool": "observe"}
 
 
 def turn(*calls):
-    """A reply with these calls."""
     return json.dumps({"calls": list(calls)})
 
 
@@ -46,45 +57,49 @@ def look(frame=150, angle=180.0):
     return {"tool": "observe", "frame_id": f"{frame:06d}", "angle_deg": angle}
 
 
-def entity(name="p1", observation="o1", box=(427, 250, 573, 708), **more):
-    return {"tool": "add_entity", "id": name, "kind": "person", "observation": observation, "box": list(box), **more}
+def people(*persons, observation="o1"):
+    return {"tool": "add_people", "observation": observation, "people": list(persons)}
+
+
+def entity(name="p1", observation="o1", box=LEFT_BOX):
+    return {"tool": "add_entity", "id": name, "observation": observation, "box": list(box)}
 
 
 def attribute(name, value, entity="p1", observation="o1"):
     return {"tool": "add_attribute", "entity": entity, "name": name, "value": value, "observation": observation}
 
 
+def relation(name="relation conversation", source="p1", target="p2", observation="o1"):
+    return {"tool": "add_relation", "source": source, "name": name, "target": target, "observation": observation}
+
+
 def final(answer=2, entity="p1"):
     return {"tool": "final_answer", "answer": answer, "entity": entity}
 
 
-def proposed(answer=2, observation="o1", box=(427, 250, 573, 708)):
+def chat_final(answer=2, observation="o1", box=LEFT_BOX):
     """The final answer of a variant without a world model."""
     return {"tool": "final_answer", "answer": answer, "observation": observation, "box": list(box)}
 
 
-GRAPH = {"tool": "get_graph"}
-
-
 class Scripted:
-    """A model that says what its script says; the last line repeats. `requests` holds the messages of each call."""
+    """A model with a script of replies. The last reply repeats. A reply may be a function of the messages."""
 
     def __init__(self, replies):
-        self.script = replies if callable(replies) else lambda n: replies[min(n, len(replies) - 1)]
-        self.requests = []
-        self.schemas = []
+        self.replies, self.requests, self.schemas = list(replies), [], []
 
     def complete(self, messages, schema=None):
-        said = self.script(len(self.requests))
+        said = self.replies[min(len(self.requests), len(self.replies) - 1)]
         self.requests.append(list(messages))
         self.schemas.append(schema)
+        if callable(said):
+            said = said(text_of(messages))
         if isinstance(said, Reply):
             return said
         return Reply(said if isinstance(said, str) else json.dumps(said), finish_reason="stop", prompt_tokens=10)
 
 
 def text_of(messages):
-    """All text of messages, pictures as `[image]`."""
     return "\n".join("[image]" if isinstance(part, Picture) else part for m in messages for part in m.parts)
 
 
@@ -92,63 +107,61 @@ def pictures_of(messages):
     return [part.name for m in messages for part in m.parts if isinstance(part, Picture)]
 
 
-NOBODY = Belief("empty", missing=("a: not found",))
+def line_of(text, name):
+    """The JSON of a line of a turn, such as `World`."""
+    (line,) = (line for line in text.split("\n") if line.startswith(f"{name}: "))
+    return json.loads(line.removeprefix(f"{name}: "))
 
 
-@dataclass
-class StubSolver:
-    """`belief` is what the beliefs come to, `lacking` why no final answer is legal, `box` that of the best guess."""
-
-    belief: Belief = NOBODY
-    lacking: str = "a: not found"
-    box: object = None
-
-    def check(self, plan):
-        compile_find(plan)
-
-    def weigh(self, plan, rows):
-        return self.belief
-
-    def solve(self, plan, rows):
-        return self.belief
-
-    def placements(self, plan, rows, anywhere):
-        return [plan]
-
-    def guess(self, plan, rows, entity=""):
-        return None if self.box is None else Belief("unknown", {"a": "p1"}, seen=self.box)
-
-    def prior(self, plan, belief):
-        return BeliefSolver(None, "", CHOICES).prior(plan, belief)
-
-    def answer(self, plan, belief):
-        return BeliefSolver(None, "", CHOICES).answer(plan, belief)
-
-    def fault(self, plan, belief, proposed, entity):
-        return self.lacking
+def results_of(text):
+    lines = text.rpartition("Results:\n")[2].split("\n")
+    return [line.partition(". ")[2] for line in lines if line[:1].isdigit()]
 
 
-def defined(answer="standing", seen=(150, (1800.0, 120.0, 70.0, 220.0))):
-    """A solver that has found everything."""
-    belief = Belief("defined", {"a": "p1"}, {"t0": 150}, answer, seen, ())
-    return StubSolver(belief, lacking="")
+def form_of(text, **values):
+    """A person with every field of the line `Fields`: the given values, else no information."""
+    empty = {"ids of people": None, "number": None}
+    fields = line_of(text, "Fields")
+    return {key: values.get(key, empty.get(str(form), "cannot tell")) for key, form in fields.items()}
 
 
-def play(
-    world, replies, mode="multiple_choice", *, graph=None, solver=None, question="What does the person do?", **options
-):
-    """A game in a painted world: its prediction, requests, steps and writes.
+def person(name="p1", box=LEFT_BOX, **values):
+    """A function that returns a person as a turn asks for it."""
+    return lambda text: {"id": name, "box": list(box), **form_of(text, **values)}
 
-    graph: the world model's, None without; solver: what it is told to say, or "real".
-    """
-    chat = Scripted(replies)
-    steps, writes = [], []
-    solver = solver or StubSolver()
-    solving = beliefs_of if solver == "real" else lambda world, question: solver
-    memory = None if graph is None else WorldModel(graph, "run")
-    agent = ReferenceAgent(chat, world=memory, solving=solving, **options)
-    task = world.task(question, mode, CHOICES if mode == "multiple_choice" else (), steps, writes)
-    prediction = agent.answer(task)
+
+def writes(*persons, observation="o1", then=()):
+    """A reply that writes people and makes further calls."""
+    return lambda text: turn(people(*(one(text) for one in persons), observation=observation), *then)
+
+
+WOMAN = person("p1", gender="female", pose="standing")
+MAN = person("p2", RIGHT_BOX, gender="male", pose="sitting")
+
+
+def _observe(sequence, frame_index, angle_deg):
+    angle = angle_deg % 360.0
+    image = np.zeros((CROP, CROP, 3), np.uint8)
+    left = int(crop_left(angle))
+    return Observation(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, angle, FOV_DEG, left, image)
+
+
+def _panorama(sequence, frame_index):
+    return Panorama(sequence, frame_index, f"{frame_index:06d}", frame_index / 15, b"jpeg")
+
+
+def task_of(mode="multiple_choice", question="What does the woman do?", steps=None, writes=None, name="0" * 16):
+    row = Question(name, "s", question, CHOICES if mode == "multiple_choice" else (), mode)
+    info = SequenceInfo("s", 15.0, FRAMES[-1] + 1, FRAMES)
+    record, record_write = ([] if rows is None else rows for rows in (steps, writes))
+    return Task(row, info, _observe, _panorama, record.append, record_write.append)
+
+
+def play(replies, mode="multiple_choice", *, world=None, **options):
+    """A game: its prediction, requests, schemas, steps and writes."""
+    chat, steps, writes = Scripted(replies), [], []
+    agent = ReferenceAgent(chat, world=world, **options)
+    prediction = agent.answer(task_of(mode, steps=steps, writes=writes))
     return SimpleNamespace(
         prediction=prediction, requests=chat.requests, schemas=chat.schemas, steps=steps, writes=writes
     )

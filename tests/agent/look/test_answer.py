@@ -111,8 +111,10 @@ ACTION = reading_at(WOMAN, "action", "multiple_choice", 15)
 OFFERED = ("walking", "standing", "writing", "reading", "holding sth")
 
 
-@given(st.lists(st.tuples(st.sampled_from(OFFERED), st.booleans(), st.sampled_from((0, 15, 30))), min_size=1, max_size=6),
-       st.permutations(OFFERED))  # fmt: skip
+LABELS_READ = st.tuples(st.sampled_from(OFFERED), st.booleans(), st.sampled_from((0, 15, 30)))
+
+
+@given(st.lists(LABELS_READ, min_size=1, max_size=6), st.permutations(OFFERED))
 @settings(max_examples=examples(60))
 def test_the_answer_is_the_offered_label_with_the_highest_log_odds(votes, choices):
     readings = [replace(read(at), labels=(ReadLabel("action", label, holds),)) for label, holds, at in votes]

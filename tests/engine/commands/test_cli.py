@@ -63,7 +63,8 @@ EVALUATE = ("evaluate", "--store", ".", "--model", "simulated", "--method")
         ("report",),
         ("score", "--iou", "2"),
         (*EVALUATE, "monolithic", "--history", "2"),
-        (*EVALUATE, "agent-no-world", "--policy", "driven", "--history", "2"),
+        (*EVALUATE, "agent", "--history", "2"),
+        (*EVALUATE, "agent-no-world", "--advice", "off"),
     ],
 )
 def test_wrong_calls_are_exit_code_2(arguments):

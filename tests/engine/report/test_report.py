@@ -104,25 +104,19 @@ def test_the_ablation_is_active_by_world(paper):
 def ablation_of(**combined):
     """Rows of an ablation with these shares combined; all other scores follow them."""
     names = {"none": ("off", "off"), "world": ("off", "on"), "active": ("on", "off"), "both": ("on", "on")}
-    policies = {"driven": "driven", "model": "model"}
     found = []
     for name, share in combined.items():
-        cell, _, policy = name.partition("_")
         shares = {"answer": share, "evidence": share, "combined": share, "hallucination": 100 - share}
-        active, world_model = names[cell]
-        row = {"active": active, "world_model": world_model, "policy": policies[policy or "model"]}
+        active, world_model = names[name]
+        row = {"active": active, "world_model": world_model}
         found.append(row | {"model": "m", "setting": "", "label": "synthetic"} | shares)
     return found
 
 
 def test_directions_are_compared_with_the_papers():
     assert direction_lines(ablation_of(none=10, world=20, active=30)) == []
-    rows = ablation_of(none=10, world=20, active=30, both=40, active_driven=35, both_driven=35)
-    assert direction_lines(rows) == [
-        "m, policy driven (synthetic): 12 of 16 directions are the paper's; "
-        "others: world model, active: answer, evidence, combined, hallucination",
-        "m, policy model (synthetic): 16 of 16 directions are the paper's",
-    ]
+    rows = ablation_of(none=10, world=20, active=30, both=40)
+    assert direction_lines(rows) == ["m (synthetic): 16 of 16 directions are the paper's"]
     (line,) = direction_lines(ablation_of(none=10, world=5, active=30, both=40))
     assert line.endswith("others: world model, passive: answer, evidence, combined, hallucination")
 

@@ -125,7 +125,6 @@ class Counted:
 
 
 def start(launcher, store, url, method):
-    method += " --policy model" if method == "agent" else ""
     options = f"--method {method} --model fake --base-url {url} --run-id r --limit {ASKED}"
     launcher.stdin.write(f"evaluate --store {store.path} {options} --concurrency {AT_ONCE} --no-scores --resume\n")
     launcher.stdin.flush()

@@ -21,7 +21,7 @@ from painted import QUESTIONS_ASKED, SEQUENCE
 
 from jrdb_avr.engine.commands.evaluate import command
 from jrdb_avr.engine.run.methods import METHODS, WORLD_METHODS
-from jrdb_avr.engine.run.opaque import opaque_names
+from jrdb_avr.queries.opaque import opaque_names
 from jrdb_avr.queries.beliefs.graph import make_world_tables
 from jrdb_avr.queries.graph.handle import build_graph
 from jrdb_avr.queries.store import Store
@@ -46,15 +46,15 @@ for line in sys.stdin:
 """
 
 
-PLAYERS = (*METHODS, "agent --policy model", "agent --policy guided", "agent-no-world --policy model")
+PLAYERS = (*METHODS, "agent --advice off")
 
 
 def run_of(player):
-    return player.replace(" --policy ", "-")
+    return player.replace(" --", "-").replace(" ", "-")
 
 
 def evaluate_all(store, url, players, *options):
-    """A run of each method and policy, in a process of their own; fails where one fails or waits for ever."""
+    """A run of each method, in a process of their own; fails where one fails or waits for ever."""
     lines = []
     for player in players:
         method = player.split()[0]

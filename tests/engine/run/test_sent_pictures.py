@@ -53,11 +53,11 @@ SCRIPTS = {
 CROPS = {"search-recognize": 1, "react": 1, "agent": 2, "agent-no-world": 2}
 
 
-@pytest.mark.parametrize("name, policy", [*((name, "model") for name in METHODS), ("agent", "driven")])
-def test_what_a_method_sends(world, name, policy):
-    chat = Scripted([PLAN] if policy == "driven" else [*SCRIPTS.get(name, []), "nothing more"])
+@pytest.mark.parametrize("name", METHODS)
+def test_what_a_method_sends(world, name):
+    chat = Scripted([*SCRIPTS.get(name, []), "nothing more"])
     with WorldGraph.memory() as graph:
-        method = make_method(name, chat, CONTRACT, WorldModel(graph, "run") if name in WORLD_METHODS else None, policy)
+        method = make_method(name, chat, CONTRACT, WorldModel(graph, "run") if name in WORLD_METHODS else None)
         method.answer(world.task("What does the person do?", "multiple_choice", CHOICES))
     files = [path.read_bytes() for path in (world.root / SEQUENCE).glob("*.jpg")]
     crops, panoramas = set(), set()
@@ -73,7 +73,7 @@ def test_what_a_method_sends(world, name, policy):
             assert tables_in(jpeg) == tables_of_quality(90)
             panoramas.add(jpeg)
     # Most directions of this world look the same.
-    assert len(crops) == (1 if policy == "driven" else CROPS.get(name, 0))
+    assert len(crops) == CROPS.get(name, 0)
     assert bool(panoramas) == (name not in ("react", "agent", "agent-no-world"))
 
 

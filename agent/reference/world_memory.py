@@ -1,0 +1,421 @@
+"""Memory in the world model: every turn shows what the graph knows, and the graph decides the answer.
+
+The episode of the world model checks each write. A write that names no observation of the question is refused and
+changes nothing. A final answer that the graph does not support is refused once. After that, or at the end of the
+budget, the answer is the one that the graph supports.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from jrdb_avr.agent.look.answer import CLEAR_MARGIN, Conclusion, guess_choice
+from jrdb_avr.agent.look.attention import NextLook, next_looks
+from jrdb_avr.agent.look.ranking import PlanPart, RankedHypothesis
+from jrdb_avr.agent.methods.attempt import Attempt, ParsedReply, stitched_evidence
+from jrdb_avr.agent.model import decode
+from jrdb_avr.agent.model.messages import Message, Part
+from jrdb_avr.agent.model.reply import Reply
+from jrdb_avr.agent.perceive.fields import CANNOT_TELL, Field
+from jrdb_avr.agent.perceive.geometry import SeenColumns
+from jrdb_avr.agent.reference.tools import (
+    GRAPH_TOOLS,
+    read_attribute,
+    read_entity,
+    read_people,
+    read_relation,
+    world_schema,
+    written_answer,
+)
+from jrdb_avr.agent.reference.turns import Call, Turn, View, compact_json, printable, view_parts
+from jrdb_avr.schema.answer_modes import MODES, same_answer
+from jrdb_avr.schema.answers import Answer
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.method import Observation, Panorama
+from jrdb_avr.schema.panorama import CROP, crop_left
+from jrdb_avr.schema.plan import Plan, canonical
+
+if TYPE_CHECKING:
+    from jrdb_avr.agent.world.episode import WorldEpisode
+
+MOST_LOOKS: Final = 3
+"""Maximum number of advised looks in a turn."""
+
+_MOST_PEOPLE: Final = 12
+"""Maximum number of people in the line `World`. The tool `get_graph` lists all."""
+
+_MOST_BINDINGS: Final = 2
+"""Maximum number of likely bindings in the line `World`."""
+
+_MOST_OPEN: Final = 6
+"""Maximum number of open parts in the line `World`."""
+
+_MOST_RECORDED: Final = 5
+"""Maximum number of bindings in the transcript."""
+
+_TOPICS: Final = ("gender", "age")
+"""Topics that describe a person in the line `World`."""
+
+
+@dataclass
+class WorldMemory:
+    """Memory of an agent with a world model: the episode of one question.
+
+    plan: the plan as pictures are read for it. heading: the lines that begin each user message.
+    advises: whether turns advise looks. fixed: whether each turn shows all views, because no look can be made. shown:
+    the views of the next turn: all, or the views about which nothing is written. counts: number of people written per
+    observation. proposed: the newest readable answer of the model. final_refused: whether a final answer was refused
+    because the graph does not support it.
+    """
+
+    attempt: Attempt
+    world: WorldEpisode
+    plan: Plan
+    fields: Sequence[Field]
+    system: str
+    heading: str
+    advises: bool = True
+    fixed: bool = False
+    shown: list[View] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+    proposed: Answer | None = None
+    final_refused: bool = False
+    _bindings: tuple[RankedHypothesis, ...] | None = None
+    _conclusion: Conclusion | None = None
+
+    @property
+    def tools(self) -> Collection[str]:
+        """The tools of the graph, and the final answer."""
+        return GRAPH_TOOLS
+
+    # -- what the model gets ------------------------------------------------------------------------------------------
+
+    def messages(self, turn: Turn) -> list[Message]:
+        """Return the messages of a turn. The parts that never change come first, so that a server can cache them.
+
+        Args:
+            turn: The turn.
+
+        Returns:
+            The system message and one user message.
+        """
+        self.shown += turn.views
+        views = view_parts(self.shown)
+        parts: list[Part] = [
+            self.heading,
+            *(views if self.fixed else []),
+            f"World: {compact_json(self._world())}",
+            *([f"Looks: {compact_json(self._looks(turn.looks[1]))}"] if self.advises else []),
+            turn.result_lines(),
+            *([] if self.fixed else views),
+            turn.state(),
+        ]
+        return [Message("system", (self.system,)), Message("user", tuple(parts))]
+
+    def replied(self, reply: Reply, readable: bool) -> None:
+        """Do nothing, because the graph is the only memory."""
+
+    def schema(self, looks: bool) -> dict[str, Any]:
+        """Return the JSON Schema of a turn.
+
+        Args:
+            looks: Whether looks can be made.
+
+        Returns:
+            The schema.
+        """
+        return world_schema(self.attempt.task.question, self.fields, looks, self.advises)
+
+    def _world(self) -> dict[str, Any]:
+        """Return what the line `World` states."""
+        bindings = self._likely()
+        best = bindings[0] if bindings else None
+        # A binding that is clearly ahead is shown alone, to save tokens.
+        shown = bindings[: 1 if best is None or best.margin >= CLEAR_MARGIN else _MOST_BINDINGS]
+        likely = [{"nodes": dict(binding.nodes), "log_odds": round(binding.log_odds, 1)} for binding in shown]
+        world = {
+            "people": self._people(_MOST_PEOPLE, [] if best is None else list(best.nodes.values())),
+            "likely": likely,
+            "open": [] if best is None else self._open(best),
+            "supported": self._supported(),
+        }
+        return world if self.advises or self.fixed else world | {"looks": self._made()}
+
+    def _made(self) -> dict[str, list[float]]:
+        """Return the angles of all looks by frame. An agent without advice chooses the next look by them."""
+        made: dict[str, list[float]] = {}
+        for frame, angle in self.attempt.made:
+            made.setdefault(f"{frame:06d}", []).append(round(angle, 1))
+        return made
+
+    def _people(self, most: int | None, first: Collection[str]) -> dict[str, str]:
+        """Describe people by their last place. `first` are the people that come first, then the last seen."""
+        tracks = self.world.tracks
+        order = sorted(tracks.people, key=lambda person: (person not in first, -self._last_step(person)))
+        people = {}
+        for person in order[:most]:
+            newest = tracks.people[person][-1]
+            values = [tallies[0].value for topic in _TOPICS if (tallies := tracks.values(person, topic, None))]
+            people[person] = ", ".join([*values, f"{newest.frame:06d} at {newest.angle:.0f}"])
+        return people
+
+    def _last_step(self, person: str) -> int:
+        return int(self.world.tracks.people[person][-1].observation.removeprefix("o"))
+
+    def _open(self, best: RankedHypothesis) -> list[str]:
+        """Describe the parts of the plan that the best binding leaves open or contradicts."""
+        slots = [slot for slot in self.world.slots(best) if slot.state in ("open", "contradicted")]
+        return [f"{_part_text(slot.part)}: {slot.state}" for slot in slots[:_MOST_OPEN]]
+
+    def _supported(self) -> dict[str, Any] | None:
+        """Return the answer that the graph supports, in the form of a final answer."""
+        conclusion = self._concluded()
+        if conclusion is None:
+            return None
+        return {"answer": written_answer(conclusion.answer), "entity": conclusion.entity, "verdict": conclusion.verdict}
+
+    def _looks(self, left: int) -> list[dict[str, Any]]:
+        return [_look(look) for look in self.advised_looks(left)]
+
+    # -- observations and writes --------------------------------------------------------------------------------------
+
+    def name_view(self, observation: Observation | Panorama, step: int) -> str:
+        """Write an observation to the graph, and return its name."""
+        name = self.world.observed(observation, step)
+        self.counts[name] = 0
+        return name
+
+    def refuse(self, call: Call, reason: str, step: int) -> None:
+        """Record a refused call in the graph."""
+        self.world.refuse(call.tool, call.arguments, reason, step)
+
+    def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
+        """Carry out a call that writes, or `get_graph`.
+
+        Args:
+            call: The call.
+            views: All observations by name.
+            step: Index of the model call.
+
+        Returns:
+            The result.
+
+        Raises:
+            DecodeError: If the call is refused. The graph is then unchanged.
+        """
+        if call.tool == "get_graph":
+            decode.only_keys(call.arguments, (), "get_graph")
+            return compact_json(self._people(None, ()))
+        if call.tool == "add_people":
+            result = self._add_people(call, views, step)
+        elif call.tool == "add_entity":
+            name, person = read_entity(call.arguments, views, self.counts, self.attempt.convention)
+            self._add(person.observation, [(name, person)], step)
+            result = "done"
+        elif call.tool == "add_attribute":
+            entity, observation, label = read_attribute(call.arguments, views, self.fields)
+            self.world.add_attribute(entity, observation, label, step)
+            result = "done"
+        else:
+            source, observation, relation, target = read_relation(call.arguments, views, self.fields)
+            self.world.add_relation(source, observation, relation, target, step)
+            result = "done"
+        self._bindings = self._conclusion = None
+        return result
+
+    def _add_people(self, call: Call, views: Mapping[str, View], step: int) -> str:
+        """Write the people of a picture. A person with a fault is refused alone."""
+        convention = self.attempt.convention
+        observation, people, faults = read_people(call.arguments, views, self.fields, self.counts, convention)
+        for person, reason in faults:
+            self.world.refuse("add_people", {"observation": observation, "people": [person]}, reason, step)
+        if faults and not people:
+            raise DecodeError("; ".join(reason for _, reason in faults))
+        self._add(observation, people, step)
+        refused = "".join(f"; refused: {printable(reason)}" for _, reason in faults)
+        return f"{observation}: {', '.join(name for name, _ in people) or 'nobody'} written{refused}"
+
+    def _add(self, observation: str, people: Sequence[tuple[str, Any]], step: int) -> None:
+        self.world.add_people(observation, people, step)
+        self.counts[observation] += len(people)
+        if not self.fixed:
+            self.shown = [view for view in self.shown if view.name != observation]
+
+    # -- what the graph supports --------------------------------------------------------------------------------------
+
+    def _likely(self) -> tuple[RankedHypothesis, ...]:
+        if self._bindings is None:
+            self._bindings = self.world.bindings()
+            task = self.attempt.task
+            self._conclusion = self.world.conclude(task.question.choices, task.sequence.frames)
+        return self._bindings
+
+    def _concluded(self) -> Conclusion | None:
+        self._likely()
+        return self._conclusion
+
+    def advised_looks(self, left: int) -> Sequence[NextLook]:
+        """Return the looks that the graph expects to learn most from.
+
+        Args:
+            left: Number of looks that are left.
+
+        Returns:
+            At most three looks, the best first.
+        """
+        if left <= 0:
+            return ()
+        frames = self.attempt.task.sequence.frames
+        choices = self.attempt.task.question.choices
+        return next_looks(self.plan, self.world.tracks, self._likely(), left, frames, MOST_LOOKS, choices)
+
+    def due_looks(self, left: int) -> Sequence[NextLook]:
+        """Return the best look. If a second look searches the same frame whatever the first look shows, return both.
+
+        Args:
+            left: Number of looks that are left.
+
+        Returns:
+            At most two looks.
+        """
+        first = self.advised_looks(left)[:1]
+        if not first or first[0].purpose != "identify" or left == 1:
+            return first
+        frame, frames = first[0].frame, self.attempt.task.sequence.frames
+        searched = self.world.tracks.with_people(SeenColumns(int(crop_left(first[0].angle)), CROP), frame, ())
+        second = next_looks(self.plan, searched, self._likely(), left - 1, frames, 1)
+        both = second and second[0].purpose == "identify" and second[0].frame == frame
+        return (*first, *second) if both else first
+
+    def finish(self, call: Call, views: Mapping[str, View], left: int, step: int) -> ParsedReply:
+        """Judge a final answer by the graph.
+
+        Args:
+            call: The call with `answer` and `entity`.
+            views: All observations by name.
+            left: Number of looks that are left.
+            step: Index of the model call.
+
+        Returns:
+            The proposed answer if the graph supports it. Otherwise the answer that the graph supports, if an
+            unsupported final answer was refused before.
+
+        Raises:
+            DecodeError: If the call cannot be read, or for the first answer that the graph does not support.
+        """
+        part = decode.only_keys(call.arguments, ("answer", "entity"), "the call")
+        self.proposed = self.attempt.read_answer(part["answer"])
+        if not isinstance(part["entity"], str):
+            raise DecodeError("entity must be the id of the plan's target")
+        conclusion = self._concluded()
+        looks = self.advised_looks(left)
+        reason = self._unsupported(conclusion, part["entity"], looks)
+        if not reason:
+            return self._answer(conclusion, self.proposed, "", step)
+        if not self.final_refused:
+            self.final_refused = True
+            raise DecodeError(reason)
+        return self._answer(conclusion, None, reason, step)
+
+    def _unsupported(self, conclusion: Conclusion | None, entity: str, looks: Sequence[NextLook]) -> str:
+        """Return why the graph does not support the proposed answer, or "".
+
+        A guess is accepted only if no further look would help.
+        """
+        assert self.proposed is not None, "an answer is proposed before it is judged"
+        if conclusion is None:
+            reason = "the graph supports no answer, because it has no person who may be the target"
+        elif (
+            conclusion.entity == entity
+            and same_answer(self.proposed, conclusion.answer)
+            and (conclusion.verdict != "guess" or not looks)
+        ):
+            return ""
+        else:
+            support = compact_json(written_answer(conclusion.answer))
+            reason = f"the graph supports the answer {support} of {conclusion.entity} ({conclusion.verdict})"
+        best = self._likely()[0] if self._likely() else None
+        if best is not None and (parts := self._open(best)):
+            reason += f"; open: {', '.join(parts)}"
+        if looks and self.advises:
+            reason += f"; the best look: {compact_json(_look(looks[0]))}"
+        return reason
+
+    def commit(self, reason: str, step: int) -> ParsedReply:
+        """Return the answer that the graph supports at the end of the budget.
+
+        Args:
+            reason: Why no final answer was accepted.
+            step: Index of the last step.
+
+        Returns:
+            The answer.
+        """
+        return self._answer(self._concluded(), None, reason, step)
+
+    def _answer(self, conclusion: Conclusion | None, accepted: Answer | None, reason: str, step: int) -> ParsedReply:
+        """Write the answer of the question to the graph, and return it. Without a conclusion, it is a guess."""
+        started = time.perf_counter()
+        self.world.answered(self.proposed, conclusion, step)
+        request = {"answer": "by the graph", "accepted": accepted is not None}
+        self.attempt.record("solve", request, self._decision(conclusion), started)
+        if conclusion is None:
+            return ParsedReply(self._guess(), refusal=reason, verdict="guess", proposed=self.proposed)
+        evidence = stitched_evidence(conclusion.frame, conclusion.box)
+        answer = accepted or conclusion.answer
+        return ParsedReply(answer, evidence, refusal=reason, verdict=conclusion.verdict, proposed=self.proposed)
+
+    def _decision(self, conclusion: Conclusion | None) -> dict[str, Any]:
+        """Return the end of the question as the transcript shows it: bindings, and the support of each part by each."""
+        bindings = self._likely()[:_MOST_RECORDED]
+        slots = [self.world.slots(binding) for binding in bindings]
+        parts = [
+            {"part": _part_text(row[0].part), "support": [(slot.support.log_odds, slot.state) for slot in row]}
+            for row in zip(*slots, strict=True)
+        ]
+        return {"bindings": bindings, "conclusion": conclusion, "proposed": self.proposed, "parts": parts}
+
+    def _guess(self) -> Answer:
+        """Return an answer that depends on the choices only. The frame of other modes is the middle frame."""
+        task = self.attempt.task
+        if task.question.choices:
+            return guess_choice(task.question.choices)
+        frames = task.sequence.frames or (0,)
+        middle = frames[len(frames) // 2]
+        return MODES[task.question.answer_mode].make((middle, middle), 180.0)
+
+
+def _part_text(part: PlanPart) -> str:
+    """Write a part of the plan, such as "a gender female" or "a conversation b"."""
+    return " ".join([part.nodes[0], part.name, part.value or part.nodes[-1]])
+
+
+def _look(look: NextLook) -> dict[str, Any]:
+    """Return an advised look as a turn states it."""
+    return {"frame_id": f"{look.frame:06d}", "angle_deg": round(look.angle % 360.0, 1), "reason": look.reason}
+
+
+def world_heading(heading: str, plan: Plan, fields: Sequence[Field]) -> str:
+    """Return the lines that begin each user message of a question.
+
+    Args:
+        heading: The question, its choices and the legal frames.
+        plan: The plan.
+        fields: The fields that are read of each person.
+
+    Returns:
+        The text.
+    """
+    forms = {entry.key: _form(entry) for entry in fields}
+    return f"{heading}\nPlan: {canonical(plan)}\nFields: {compact_json(forms)}"
+
+
+def _form(entry: Field) -> object:
+    """Return the values of a field, without "cannot tell", because the prompt allows it for every field."""
+    if entry.kind == "statement":
+        return "yes/no"
+    form = entry.form()
+    return [label for label in form if label != CANNOT_TELL] if entry.kind == "labels" else form

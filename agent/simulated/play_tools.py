@@ -1,0 +1,123 @@
+"""Play the turns of an agent with a world model: write what new pictures show, look on, and answer by the graph."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Final
+
+import msgspec
+
+from jrdb_avr.agent.simulated.fields import NEAREST, START, read_fields, say
+from jrdb_avr.agent.simulated.requests import Look, Request, StageReply, box_in
+from jrdb_avr.schema.answer_modes import MODES
+from jrdb_avr.schema.errors import DecodeError
+from jrdb_avr.schema.panorama import angle_error
+
+_AROUND: Final = tuple(45.0 * eighth for eighth in range(8))
+"""Angles of the looks that show a whole frame, in degrees."""
+
+_NO_CHOICE: Final = 1
+
+
+class _Supported(msgspec.Struct):
+    answer: Any
+    entity: str
+
+
+class _World(msgspec.Struct):
+    people: dict[str, str] = {}
+    open: list[str] = []
+    supported: _Supported | None = None
+    looks: dict[str, list[float]] = {}
+
+
+# Made at import, because threads that create the decoder of a type at the same time crash it.
+_WORLD: Final = msgspec.json.Decoder(_World)
+_LOOKS: Final = msgspec.json.Decoder(list[Any])
+_WRITTEN: Final = re.compile(r"\d+\. add_people: (o\d+): ")
+_REFUSED: Final = re.compile(r"\d+\. final_answer: refused")
+
+
+def tools_turn(request: Request) -> StageReply:
+    """Play a turn.
+
+    Args:
+        request: The request, which has the lines `World`, `Fields` and, with advice, `Looks`.
+
+    Returns:
+        The calls.
+
+    Raises:
+        DecodeError: If a line is missing or cannot be read.
+    """
+    world, advised = _lines(request)
+    passive = any(look.panorama for look in request.looks)
+    written = {found[1] for line in request.lines if (found := _WRITTEN.match(line))}
+    calls = [_add_people(request, look) for look in request.looks if look.name not in written]
+    look = None if passive else _next_look(request, world, advised)
+    if look is not None:
+        return StageReply({"calls": [*calls, look]})
+    if calls:
+        # The answer that the graph supports is known after these writes.
+        return StageReply({"calls": calls})
+    refused = any(_REFUSED.match(line) for line in request.lines)
+    return StageReply({"calls": [_final(request, world)]}, None if refused else world.open)
+
+
+def _lines(request: Request) -> tuple[_World, list[Any] | None]:
+    """Return the content of the lines `World` and `Looks`. The second is None without advice."""
+    looks = request.line("Looks: ")
+    try:
+        return _WORLD.decode(request.line("World: ") or ""), None if looks is None else _LOOKS.decode(looks)
+    except msgspec.DecodeError as error:
+        raise DecodeError(f"the line World or Looks cannot be read: {error}") from None
+
+
+def _add_people(request: Request, look: Look) -> dict[str, Any]:
+    """Write the people of a picture, the nearest first."""
+    names = read_fields(request.line(START) or "")
+    people = sorted(look.people, key=lambda person: -person.box.h)[:NEAREST]
+    ids = [f"p{person.identity}" for person in people]
+
+    def value(name: str, person: Any) -> Any:
+        said = say(name, person, people)
+        return [ids[number - 1] for number in said] if isinstance(said, list) else said
+
+    listed = [
+        {
+            "id": entity,
+            "box": box_in(look, person),
+            **{name: value(name, person) for name in names},
+        }
+        for entity, person in zip(ids, people, strict=True)
+    ]
+    return {"tool": "add_people", "observation": look.name, "people": listed}
+
+
+def _next_look(request: Request, world: _World, advised: list[Any] | None) -> dict[str, Any] | None:
+    """Return the next look, or None if no further look helps."""
+    if not request.left("Looks made: "):
+        return None
+    if advised is not None:
+        return {"tool": "observe"} if advised else None
+    # Without advice, look round at the times of the plan in turn.
+    frames = [time.frame for time in request.plan.times.values() if time.frame is not None]
+    legal = request.legal()
+    for frame in dict.fromkeys(min(legal, key=lambda other: abs(other - at)) for at in frames):
+        made = world.looks.get(f"{frame:06d}", [])
+        for angle in _AROUND:
+            if all(float(angle_error(angle, other)) > 1.0 for other in made):
+                return {"tool": "observe", "frame_id": f"{frame:06d}", "angle_deg": angle}
+    return None
+
+
+def _final(request: Request, world: _World) -> dict[str, Any]:
+    """Return the final answer that the graph supports, or a guess."""
+    if world.supported is not None:
+        return {"tool": "final_answer", "answer": world.supported.answer, "entity": world.supported.entity}
+    answer: Any = _NO_CHOICE
+    mode = MODES[request.plan.answer.mode]
+    if not mode.is_choice:
+        texts = {"frame": f"{request.legal()[0]:06d}", "angle": 180.0, "decimal": "1"}
+        answer = {part.key: texts[part.kind] for part in mode.parts}
+    return {"tool": "final_answer", "answer": answer, "entity": next(iter(world.people), "p1")}
