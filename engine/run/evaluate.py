@@ -22,9 +22,9 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from jrdb_avr.agent.beliefs.world_model import WorldModel
 from jrdb_avr.agent.model.prices import Price
 from jrdb_avr.agent.simulated.profiles import Errors, changed_errors, parse_errors, profile_of
+from jrdb_avr.agent.world.episode import WorldModel
 from jrdb_avr.engine.run.answering import answer_all
 from jrdb_avr.engine.run.bench import Bench, find_images, with_grey_pictures
 from jrdb_avr.engine.run.endpoint import Endpoint, read_calibration, serving
@@ -44,10 +44,12 @@ from jrdb_avr.engine.run.methods import (
 )
 from jrdb_avr.engine.run.options import DEFAULTS, EvaluateOptions, MethodOptions
 from jrdb_avr.engine.run.run import Run, add_world_counts, run_questions
+from jrdb_avr.queries.beliefs.graph import open_graph
+from jrdb_avr.queries.beliefs.record import merge_world
 from jrdb_avr.queries.display import Displayed, Progress, Tables, step_counter
 from jrdb_avr.queries.opaque import key_fingerprint
 from jrdb_avr.queries.store import Store
-from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError, StoreError
+from jrdb_avr.schema.errors import AvrWarning, InputError, LockedError
 from jrdb_avr.schema.method import ConfigurableMethod, Method
 
 _SUMS: Final = ("n_model_calls", "n_observations", "prompt_tokens", "completion_tokens")
@@ -157,7 +159,7 @@ def evaluate(
         chosen, selection = run_questions(store, run_id, options.selection, files.resume, image_root)
         bench = Bench(store, chosen, image_root, playing.opaque)
         run = stack.enter_context(Run(store, run_id))
-        world = stack.enter_context(_open_world(store, run, method, files.world_db))
+        world = stack.enter_context(_open_world(run, method))
         endpoint = None
         if model != NO_MODEL:
             endpoint = stack.enter_context(_connect(run, method, model, options, errors))
@@ -179,6 +181,7 @@ def evaluate(
         if world is not None:
             # The counts are written before the tables, because a run with the table `predictions` counts as complete.
             add_world_counts(store, run_id, world.graph.counts)
+            _merge_world(run)
         predictions = run.finish()
         if endpoint is not None and (changed := endpoint.changed()):
             warnings.warn(changed, AvrWarning, stacklevel=2)
@@ -211,8 +214,6 @@ def check_options(method: str | Method, model: str, options: EvaluateOptions) ->
         raise InputError(f"--advice off works only with the method {ADVISED}", field="advice")
     if playing.history is not None and method not in CHATS:
         raise InputError(f"--history works only with {' and '.join(CHATS)}", field="history")
-    if options.run.world_db is not None and method not in WORLD_METHODS:
-        raise InputError(f"--world-db: the method {method} has no world model", field="world_db")
     if selection.shard is not None and not 1 <= selection.shard[0] <= selection.shard[1]:
         raise InputError("--shard I/N: I is a number from 1 to N", field="shard")
 
@@ -291,25 +292,21 @@ def _make(
     return make_method(method, endpoint.client, endpoint.convention, world, advice, options.history)
 
 
-@contextlib.contextmanager
-def _open_world(store: Store, run: Run, method: str | Method, world_db: Path | None) -> Iterator[WorldModel | None]:
-    """Yield the run's world model, which has all facts of the run's journal.
-
-    If the method has no world model, yield None.
-    """
+def _open_world(run: Run, method: str | Method) -> contextlib.AbstractContextManager[WorldModel | None]:
+    """Return the context of the run's world model, or of None if the method has no world model."""
     if method not in WORLD_METHODS:
-        yield None
+        return contextlib.nullcontext()
+    return open_world(run.store.run_path(run.run_id), run.run_id)
+
+
+def _merge_world(run: Run) -> None:
+    """Merge the world models of a finished run into the store's graph. Issue a warning if the graph is in use."""
+    store = run.store
+    if not store.graph_path.exists():
         return
-    if world_db is None and not store.graph_path.exists():
-        raise StoreError(
-            f"{store.path} has no graph for the agent's world model: name another graph file with --world-db FILE"
-        )
-    path = world_db or store.graph_path
     try:
-        with open_world(path, run.run_id, world_rows(run.run_id, run.finished)) as world:
-            yield world
+        with open_graph(store.graph_path) as graph:
+            merge_world(graph, run.run_id, world_rows(run.run_id, run.finished))
     except LockedError as error:
-        raise LockedError(
-            f"{path} is in use by {error.holder}: wait for it, or name another graph file with --world-db FILE",
-            holder=error.holder,
-        ) from None
+        text = f"{store.graph_path} is in use by {error.holder}, so the graph lacks the world models of {run.run_id}"
+        warnings.warn(f"{text}: repeat the command with --resume to add them", AvrWarning, stacklevel=3)

@@ -121,11 +121,6 @@ class RunOptions(Options):
     images: Path | None = option(
         None, "Folder of the panoramas, with one folder per sequence. Default: the folder recorded in the store."
     )
-    world_db: Path | None = option(
-        None,
-        "Graph file for the agent's world model, instead of the store's graph. Needed if other runs use the store's "
-        "graph at the same time, or if the store is public.",
-    )
     strict_preflight: bool = option(
         False, "Refuse the run if the server fails a check that the method needs. Default: only print a warning."
     )
