@@ -8,18 +8,23 @@
 // param repeats: number = 0.25
 MATCH (e:Episode)-[:Asks]->(s:Slot), (e)-[:Holds]->(n:Entity)-[r:Has|Related]->(m:Look:Entity)
 WHERE e.id = concat($run, '/', $question) AND s.kind <> 'entity' AND r.step <= $step
-  AND s.topic = CASE label(r) WHEN 'Has' THEN r.topic ELSE r.name END
-  AND (label(r) = 'Related') = (s.kind = 'edge')
   AND (s.origin = r.origin OR (s.origin = 'model' AND r.origin = 'relation'))
-WITH s, r.frame AS frame, r.write AS written,
+  AND ((s.kind <> 'edge' AND label(r) = 'Has' AND s.topic = r.topic) OR (s.kind = 'edge' AND label(r) = 'Related'
+       AND s.name = r.name AND (s.origin = 'model' OR s.frame = r.frame)))
+WITH s, r.frame AS frame, r.write AS written, r.origin AS origin,
+     CASE label(r) WHEN 'Has' THEN m.number ELSE 0 END AS look,
      CASE label(r) WHEN 'Has' THEN n.name
           ELSE CASE WHEN s.origin = 'model' AND n.name > m.name THEN m.name ELSE n.name END END AS entity,
      CASE label(r) WHEN 'Has' THEN ''
           ELSE CASE WHEN s.origin = 'model' AND n.name > m.name THEN n.name ELSE m.name END END AS other_entity,
      CASE WHEN label(r) = 'Related' OR r.value = s.value THEN r.weight
           WHEN r.exclusive = true AND r.weight > 0 AND NOT list_contains(string_split(s.also, '|'), r.value) THEN -r.weight
-          ELSE 0.0 END AS weight
-WITH s, entity, other_entity, frame, min(written) AS first, sum(weight) AS weight
+          ELSE 0.0 END AS vote
+WITH s, entity, other_entity, frame, look, origin, min(written) AS first, sum(vote) AS total, max(vote) AS most,
+     min(vote) AS least
+WITH s, entity, other_entity, frame, min(first) AS first,
+     sum(CASE WHEN origin <> 'model' OR s.kind = 'edge' THEN total ELSE CASE WHEN most > 0 THEN most ELSE 0.0 END
+                                                     + CASE WHEN least < 0 THEN least ELSE 0.0 END END) AS weight
 WITH s, entity, other_entity,
      min(CASE WHEN s.frame < 0 THEN first WHEN frame > s.frame THEN 2 * (frame - s.frame) + 1
               ELSE 2 * (s.frame - frame) END) AS nearest,
