@@ -74,7 +74,8 @@ def facts(tracks):
         for who, readings in tracks.people.items()
         for one in readings
     }
-    return tracks.looks, boxes, tracks._tie_votes
+    ties = sorted((key, at, vote > 0) for key, votes in tracks._tie_votes.items() for at, vote in votes)
+    return tracks.looks, boxes, ties
 
 
 @pytest.mark.parametrize("seed", range(6))
