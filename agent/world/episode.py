@@ -468,7 +468,7 @@ class _Evidence:
     def support(self, slot: Slot, entity: str, other: str = "") -> Support:
         """Return the support of a slot for an entity or a pair."""
         votes = self._votes.get((slot.row.number, entity, other), [])
-        return Support(fuse(votes, slot.frame, self._repeats), len(votes))
+        return Support(fuse(votes, slot.frame, self._repeats))
 
     def _log_odds(self, slot: Slot, entity: str) -> float:
         return sum(weight for _, weight in self._votes.get((slot.row.number, entity, ""), []))
