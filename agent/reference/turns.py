@@ -31,6 +31,9 @@ WRITES: Final = ("add_people", "add_entity", "add_attribute", "add_relation")
 
 FINAL: Final = "final_answer"
 
+UNKNOWN: Final = "?"
+"""Name of a call that names no known tool."""
+
 
 @dataclass(frozen=True)
 class Call:
@@ -67,10 +70,10 @@ def read_calls(turn: Mapping[str, Any], tools: Collection[str]) -> list[Call]:
 
 def _read_call(call: object, tools: Collection[str], last: bool) -> Call:
     if not isinstance(call, dict) or not isinstance(call.get("tool"), str):
-        return Call("?", {}, 'a call is an object that names its "tool"')
+        return Call(UNKNOWN, {}, 'a call is an object that names its "tool"')
     tool = call["tool"]
     if tool not in tools:
-        return Call("?", {}, f"there is no tool {compact_json(tool[:40])}; the tools are {', '.join(tools)}")
+        return Call(UNKNOWN, {}, f"there is no tool {compact_json(tool[:40])}; the tools are {', '.join(tools)}")
     if _depth(call) > _DEPTH or len(compact_json(call)) > LONGEST_CALL:
         return Call(tool, {}, "the call is nested too deeply or too long")
     arguments = {name: value for name, value in call.items() if name != "tool"}

@@ -30,7 +30,7 @@ from jrdb_avr.agent.reference.tools import (
     world_schema,
     written_answer,
 )
-from jrdb_avr.agent.reference.turns import Call, Turn, View, compact_json, printable, view_parts
+from jrdb_avr.agent.reference.turns import UNKNOWN, Call, Turn, View, compact_json, printable, view_parts
 from jrdb_avr.schema.answer_modes import MODES, same_answer
 from jrdb_avr.schema.answers import Answer
 from jrdb_avr.schema.errors import DecodeError
@@ -189,8 +189,9 @@ class WorldMemory:
         return name
 
     def refuse(self, call: Call, reason: str, step: int) -> None:
-        """Record a refused call in the graph."""
-        self.world.refuse(call.tool, call.arguments, reason, step)
+        """Record a refused call in the graph, unless it names no tool."""
+        if call.tool != UNKNOWN:
+            self.world.refuse(call.tool, call.arguments, reason, step)
 
     def carry_out(self, call: Call, views: Mapping[str, View], step: int) -> str:
         """Carry out a call that writes, or `get_graph`.
